@@ -1,0 +1,39 @@
+"""Domains: what a dialogue is about, as data that a loader checks and turns into tensors."""
+
+from __future__ import annotations
+
+from bbq_torchrl.domains.domain import REQUIRED_ACTS, Action, Domain, Goal, ScriptedPolicySpec
+from bbq_torchrl.domains.folder import load_domain, movie_domain, save_data
+from bbq_torchrl.domains.miulab import load_miulab
+from bbq_torchrl.domains.tensors import DomainTensors, build_vocabulary, tensorise
+from bbq_torchrl.domains.values import (
+    AVAILABLE,
+    DONT_CARE,
+    FIRST_VALUE,
+    NO_MATCH,
+    NONE,
+    RESERVED_TEXT,
+    fold,
+)
+
+__all__ = [
+    "AVAILABLE",
+    "DONT_CARE",
+    "FIRST_VALUE",
+    "NONE",
+    "NO_MATCH",
+    "REQUIRED_ACTS",
+    "RESERVED_TEXT",
+    "Action",
+    "Domain",
+    "DomainTensors",
+    "Goal",
+    "ScriptedPolicySpec",
+    "build_vocabulary",
+    "fold",
+    "load_domain",
+    "load_miulab",
+    "movie_domain",
+    "save_data",
+    "tensorise",
+]

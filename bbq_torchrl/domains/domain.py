@@ -1,0 +1,187 @@
+"""What a dialogue is about, as plain data: acts, slots, agent actions, records and goals."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, get_args
+
+from bbq_torchrl.domains.validate import REQUIRED_ACTS, check_domain
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["REQUIRED_ACTS", "Action", "Domain", "Goal", "ScriptedPolicySpec"]
+
+ActionKind = Literal["act", "request", "inform", "multiple_choice"]
+PolicyKind = Literal["script", "careful"]
+
+_ACTION_TEXT = re.compile(r"(?P<act>[A-Za-z_]\w*)(\((?P<slot>\w+)\))?")
+
+
+@dataclass(frozen=True)
+class Action:
+    """One de-lexicalised action of the agent; the tracker fills the value in.
+
+    Args:
+        kind: ``"act"`` for an act without a slot, else the act that carries the slot.
+        act: the dialogue act that the user hears.
+        slot: the slot requested, informed or offered; ``None`` for a slotless act.
+
+    Example:
+        >>> str(Action("request", "request", "moviename"))
+        'request(moviename)'
+        >>> Action.parse("thanks")
+        Action(kind='act', act='thanks', slot=None)
+    """
+
+    kind: ActionKind
+    act: str
+    slot: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(ActionKind):
+            raise ValueError(
+                f"an action's kind must be one of {get_args(ActionKind)}, got {self.kind!r}"
+            )
+        if (self.kind == "act") != (self.slot is None):
+            raise ValueError(
+                f"an action of kind 'act' has no slot and every other kind has one, "
+                f"got kind {self.kind!r} with slot {self.slot!r}"
+            )
+        if self.kind != "act" and self.act != self.kind:
+            raise ValueError(
+                f"an action of kind {self.kind!r} must have the act {self.kind!r}, got {self.act!r}"
+            )
+
+    def __str__(self) -> str:
+        return self.act if self.slot is None else f"{self.act}({self.slot})"
+
+    @classmethod
+    def parse(cls, text: str) -> Action:
+        """Returns the action written as ``act`` or ``act(slot)``.
+
+        Raises:
+            ValueError: if ``text`` is neither, or if its act cannot carry a slot.
+        """
+        match = _ACTION_TEXT.fullmatch(text)
+        if match is None:
+            raise ValueError(f"an action is written 'act' or 'act(slot)', got {text!r}")
+        act, slot = match["act"], match["slot"]
+        if slot is None:
+            return cls("act", act)
+        if act == "request":
+            return cls("request", act, slot)
+        if act == "inform":
+            return cls("inform", act, slot)
+        if act == "multiple_choice":
+            return cls("multiple_choice", act, slot)
+        raise ValueError(
+            f"only request, inform and multiple_choice carry a slot in an action, got {text!r}"
+        )
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What one user wants: slots with the values they must have, and slots to be told.
+
+    Every user also wants the ticket; it is not listed in ``requests``.
+
+    Args:
+        constraints: slot to value; ``"I do not care"`` is a value that every record meets.
+        requests: slots whose value the user wants to hear.
+    """
+
+    constraints: Mapping[str, str]
+    requests: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ScriptedPolicySpec:
+    """A hand-written policy as data.
+
+    Args:
+        kind: ``"script"`` plays ``steps``, which are actions, in order, whatever the user says.
+            ``"careful"`` requests those slots of ``steps`` that are unfilled, answers the user's
+            requests, offers the booking and ends.
+        steps: action texts for a script, slot names for a careful policy.
+    """
+
+    kind: PolicyKind
+    steps: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A domain of dialogues: everything the simulator needs to know, none of it code.
+
+    Every field is checked on construction, so a ``Domain`` that exists is consistent.
+
+    Args:
+        name: what the domain is called in configurations and results.
+        acts: dialogue acts; must contain :data:`REQUIRED_ACTS`.
+        slots: slot names; their order is the order of all slot-wise features.
+        actions: the agent's actions: slotless acts, then requests, informs, multiple choices.
+        essential: slots that are active from the first round on.
+        extension_order: the slots that domain extension adds, first to last.
+        free_slots: slots that never constrain the records (the number of people, say).
+        ticket_slot: the slot every user requests: what is booked.
+        complete_slot: the slot whose inform offers a booking.
+        opening_slot: the slot informed in every first turn if the goal constrains it, or ``None``.
+        turn_width: length of the one-hot turn feature.
+        policies: scripted policies by name.
+        reference_slot_error_prob: the slot error probability that makes the domain as difficult
+            as the reference setting.
+        records: the knowledge base; slot to value, sparse.
+        goals: the users' goals, drawn uniformly.
+        error_values: slot to the values that an error can put in its place, drawn uniformly
+            (a value listed twice is drawn twice as often).
+
+    Raises:
+        ValueError: if anything above does not hold; the message names key, value and what is
+            allowed.
+    """
+
+    name: str
+    acts: tuple[str, ...]
+    slots: tuple[str, ...]
+    actions: tuple[Action, ...]
+    essential: tuple[str, ...]
+    extension_order: tuple[str, ...]
+    free_slots: tuple[str, ...]
+    ticket_slot: str
+    complete_slot: str
+    opening_slot: str | None
+    turn_width: int
+    policies: Mapping[str, ScriptedPolicySpec]
+    reference_slot_error_prob: float
+    records: tuple[Mapping[str, str], ...]
+    goals: tuple[Goal, ...]
+    error_values: Mapping[str, tuple[str, ...]]
+
+    def __post_init__(self) -> None:
+        check_domain(self)
+
+    @property
+    def special_slots(self) -> tuple[str, str]:
+        """The ticket and the complete slot: they take reserved values only."""
+        return (self.ticket_slot, self.complete_slot)
+
+    @cached_property
+    def action_names(self) -> tuple[str, ...]:
+        """The actions as text, in order: ``("greeting", ..., "request(moviename)", ...)``."""
+        return tuple(str(action) for action in self.actions)
+
+    def action_index(self, name: str) -> int:
+        """Returns the index of the action that is written ``name``.
+
+        Raises:
+            ValueError: if the domain has no such action.
+        """
+        if name not in self.action_names:
+            raise ValueError(
+                f"{name!r} is no action of domain {self.name!r}, which has "
+                f"{', '.join(self.action_names)}"
+            )
+        return self.action_names.index(name)

@@ -1,0 +1,177 @@
+"""A domain as tensors of ids: what the batched simulator works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from bbq_torchrl.domains.values import FIRST_VALUE, NONE, RESERVED_TEXT, fold
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from bbq_torchrl.domains.domain import Action, Domain
+
+__all__ = ["DomainTensors", "build_vocabulary", "tensorise"]
+
+
+@dataclass(frozen=True)
+class DomainTensors:
+    """A :class:`~bbq_torchrl.domains.Domain` as ids.
+
+    Sizes: ``N`` actions, ``S`` slots, ``G`` goals, ``E`` the longest list of error values. Value
+    ids are per slot; :mod:`bbq_torchrl.domains.values` names the reserved ones.
+
+    Args:
+        n_acts: number of dialogue acts.
+        n_slots: number of slots, ``S``.
+        n_actions: number of agent actions, ``N``.
+        turn_width: length of the one-hot turn feature.
+        act: act name to id.
+        slot: slot name to id.
+        ticket: id of the ticket slot.
+        complete: id of the complete slot.
+        opening: id of the opening slot, -1 if there is none.
+        action_act: long ``[N]``, the act of each action.
+        action_request: long ``[N]``, the slot that the action requests, or -1.
+        action_inform: long ``[N]``, the slot that the action informs, or -1.
+        action_offer: long ``[N]``, the slot that the action offers a choice of, or -1.
+        records: long ``[rows, S]``, value ids, 0 where the record has none.
+        goal_constraints: long ``[G, S]``, value ids, 0 where the goal has none.
+        goal_requests: bool ``[G, S]``, the ticket slot included.
+        n_values: long ``[S]``, number of value ids of each slot, reserved ones included.
+        constrains: bool ``[S]``, whether a held value of the slot constrains the records.
+        error_values: long ``[S, E]``, what an error can put in place, padded with 0.
+        error_count: long ``[S]``, how many of ``error_values`` count.
+        vocabulary: per slot, id to text; id 0 is the empty text.
+        essential_slots: bool ``[S]``, active from the first round on.
+        extension_slots: the slots that domain extension adds, in order.
+    """
+
+    n_acts: int
+    n_slots: int
+    n_actions: int
+    turn_width: int
+    act: Mapping[str, int]
+    slot: Mapping[str, int]
+    ticket: int
+    complete: int
+    opening: int
+    action_act: torch.Tensor
+    action_request: torch.Tensor
+    action_inform: torch.Tensor
+    action_offer: torch.Tensor
+    records: torch.Tensor
+    goal_constraints: torch.Tensor
+    goal_requests: torch.Tensor
+    n_values: torch.Tensor
+    constrains: torch.Tensor
+    error_values: torch.Tensor
+    error_count: torch.Tensor
+    vocabulary: tuple[tuple[str, ...], ...]
+    essential_slots: torch.Tensor
+    extension_slots: tuple[int, ...]
+
+    def to(self, device: torch.device | str) -> DomainTensors:
+        """Returns the same domain with every tensor on ``device``."""
+        moved: dict[str, Any] = {
+            field.name: value.to(device)
+            for field in fields(self)
+            if isinstance(value := getattr(self, field.name), torch.Tensor)
+        }
+        return replace(self, **moved)
+
+
+def build_vocabulary(domain: Domain) -> tuple[tuple[str, ...], ...]:
+    """Returns, per slot, the text of each value id.
+
+    A slot's values are the error values, then those of the records, then those of the goals that
+    are in neither; spellings that differ in case alone are one value, shown in the first of them.
+    """
+    texts: list[dict[str, str]] = [{} for _ in domain.slots]
+    position = {slot: index for index, slot in enumerate(domain.slots)}
+    reserved = {fold(text) for text in RESERVED_TEXT.values()}
+
+    def add(slot: str, values: Iterable[str]) -> None:
+        known = texts[position[slot]]
+        for value in values:
+            if fold(value) not in reserved:
+                known.setdefault(fold(value), value)
+
+    for slot, values in domain.error_values.items():
+        add(slot, values)
+    for holder in (*domain.records, *(goal.constraints for goal in domain.goals)):
+        for slot, value in holder.items():
+            add(slot, [value])
+    head = ("", *(RESERVED_TEXT[key] for key in range(1, FIRST_VALUE)))
+    return tuple((*head, *known.values()) for known in texts)
+
+
+def tensorise(domain: Domain) -> DomainTensors:
+    """Returns ``domain`` as tensors of ids, on the CPU.
+
+    Example:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> tensors = tensorise(movie_domain())
+        >>> tensors.n_acts, tensors.n_slots, tensors.n_actions
+        (11, 29, 39)
+    """
+    act = {name: index for index, name in enumerate(domain.acts)}
+    slot = {name: index for index, name in enumerate(domain.slots)}
+    vocabulary = build_vocabulary(domain)
+    ids = [{fold(text): index for index, text in enumerate(texts)} for texts in vocabulary]
+
+    def slots_of(kind: str) -> torch.Tensor:
+        return torch.tensor([_slot_of(action, kind, slot) for action in domain.actions])
+
+    def mask(names: Iterable[str]) -> torch.Tensor:
+        chosen = set(names)
+        return torch.tensor([name in chosen for name in domain.slots])
+
+    def encode(rows: Sequence[Mapping[str, str]]) -> torch.Tensor:
+        encoded = torch.full((len(rows), len(slot)), NONE)
+        for row, values in enumerate(rows):
+            for name, value in values.items():
+                encoded[row, slot[name]] = ids[slot[name]][fold(value)]
+        return encoded
+
+    error_count = torch.tensor([len(domain.error_values.get(name, ())) for name in domain.slots])
+    error_values = torch.full((len(slot), max(1, int(error_count.max()))), NONE)
+    for name, values in domain.error_values.items():
+        index = slot[name]
+        error_values[index, : len(values)] = torch.tensor([ids[index][fold(v)] for v in values])
+
+    return DomainTensors(
+        n_acts=len(act),
+        n_slots=len(slot),
+        n_actions=len(domain.actions),
+        turn_width=domain.turn_width,
+        act=act,
+        slot=slot,
+        ticket=slot[domain.ticket_slot],
+        complete=slot[domain.complete_slot],
+        opening=-1 if domain.opening_slot is None else slot[domain.opening_slot],
+        action_act=torch.tensor([act[action.act] for action in domain.actions]),
+        action_request=slots_of("request"),
+        action_inform=slots_of("inform"),
+        action_offer=slots_of("multiple_choice"),
+        records=encode(domain.records),
+        goal_constraints=encode([goal.constraints for goal in domain.goals]),
+        goal_requests=torch.stack(
+            [mask((*goal.requests, domain.ticket_slot)) for goal in domain.goals]
+        ),
+        n_values=torch.tensor([len(texts) for texts in vocabulary]),
+        constrains=~mask(domain.free_slots),
+        error_values=error_values,
+        error_count=error_count,
+        vocabulary=vocabulary,
+        essential_slots=mask(domain.essential),
+        extension_slots=tuple(slot[name] for name in domain.extension_order),
+    )
+
+
+def _slot_of(action: Action, kind: str, slot: Mapping[str, int]) -> int:
+    """Returns the id of the action's slot if the action is of that kind, else -1."""
+    return slot[action.slot] if action.kind == kind and action.slot is not None else -1

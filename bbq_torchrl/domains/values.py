@@ -1,0 +1,52 @@
+"""The value ids that mean the same in every slot of every domain.
+
+The simulator holds each slot's value as an integer id. The first four ids are reserved and named
+here, once; the slot's own values follow from :data:`FIRST_VALUE` on.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "AVAILABLE",
+    "DONT_CARE",
+    "FIRST_VALUE",
+    "NONE",
+    "NO_MATCH",
+    "RESERVED_TEXT",
+    "fold",
+]
+
+NONE = 0
+"""The slot holds nothing."""
+
+DONT_CARE = 1
+"""The user has no preference; it matches every record."""
+
+NO_MATCH = 2
+"""The agent found no record to take a value from; it matches no record."""
+
+AVAILABLE = 3
+"""At least one record can be booked; only the ticket and the complete slot take it."""
+
+FIRST_VALUE = 4
+"""The id of a slot's first own value."""
+
+RESERVED_TEXT: dict[int, str] = {
+    DONT_CARE: "I do not care",
+    NO_MATCH: "no match",
+    AVAILABLE: "ticket available",
+}
+"""How the reserved values are written in corpora and transcripts."""
+
+
+def fold(text: str) -> str:
+    """Returns the form in which two spellings of a value are compared: without case.
+
+    White space counts: the public movie corpus holds ``" standard"`` beside ``"standard"``, and
+    there the two do not match each other.
+
+    Example:
+        >>> fold("Deadpool") == fold("deadpool")
+        True
+    """
+    return text.casefold()
