@@ -1,0 +1,160 @@
+"""One dialogue between an agent and the user: turns, ends and rewards."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from .draws import Draws, choose_index
+from .features import features
+from .noise import Noise
+from .shelf import Shelf
+from .tracker import Tracker
+from .user import User
+from .values import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from bbq_torchrl.domains.domain import Action, Domain
+
+SUCCESS_REWARD = 40.0
+FAILURE_REWARD = -10.0
+TURN_REWARD = -1.0
+
+
+def value_order_of(domain: Domain) -> dict[str, list[str]]:
+    """Returns every slot's values in the order in which the domain's data name them."""
+    order: dict[str, dict[str, None]] = {slot: {} for slot in domain.slots}
+    for slot, values in domain.error_values.items():
+        order[slot].update(dict.fromkeys(plain(value) for value in values))
+    for row in domain.records:
+        for slot, value in row.items():
+            order[slot][plain(value)] = None
+    return {slot: list(values) for slot, values in order.items()}
+
+
+class World:
+    """What all dialogues of one setting share."""
+
+    def __init__(
+        self,
+        domain: Domain,
+        *,
+        value_order: Mapping[str, Sequence[str]] | None = None,
+        active: Iterable[str] | None = None,
+        slot_error_prob: float = 0.0,
+        slot_error_mode: str = "value",
+        intent_error_prob: float = 0.0,
+        max_turn: int = 40,
+    ) -> None:
+        self.domain = domain
+        self.slots = list(domain.slots)
+        self.acts = list(domain.acts)
+        self.active = set(self.slots if active is None else active)
+        self.max_turn = max_turn
+        self.fired: Counter[str] = Counter()
+        order = value_order_of(domain) if value_order is None else value_order
+        self.shelf = Shelf(domain.records, domain.free_slots, order)
+        self.noise = Noise(
+            slots=self.slots,
+            acts=self.acts,
+            error_values=domain.error_values,
+            active=self.active,
+            slot_error_prob=slot_error_prob,
+            slot_error_mode=slot_error_mode,
+            intent_error_prob=intent_error_prob,
+            fired=self.fired,
+        )
+
+    def legal_actions(self) -> list[int]:
+        """Returns the numbers of the actions that are without a slot or whose slot is active."""
+        return [
+            number
+            for number, action in enumerate(self.domain.actions)
+            if action.slot is None or action.slot in self.active
+        ]
+
+
+class Dialogue:
+    """One dialogue, from its first user act to its end."""
+
+    def __init__(self, world: World, draws: Draws) -> None:
+        domain = world.domain
+        self.world = world
+        self.goal_number = choose_index(draws["goal"], len(domain.goals))
+        goal = domain.goals[self.goal_number]
+        self.user = User(
+            constraints={
+                slot: plain(value)
+                for slot, value in goal.constraints.items()
+                if slot in world.active
+            },
+            requests={slot for slot in goal.requests if slot in world.active}
+            | {domain.ticket_slot},
+            slots=world.slots,
+            ticket=domain.ticket_slot,
+            complete=domain.complete_slot,
+            opening=domain.opening_slot,
+            fired=world.fired,
+            draws=draws,
+        )
+        self.tracker = Tracker(world.shelf, domain.ticket_slot, domain.complete_slot, world.fired)
+        self.tracker.hear(self.user.act, self.user.informs, self.user.pending)
+        self.turn_count = 0
+        self.done = False
+        self.success = False
+        self.reward = 0.0
+
+    def turn(self, action: Action, draws: Draws) -> None:
+        """Plays one agent act and the user's answer to it."""
+        if self.done:
+            raise ValueError("the dialogue has ended")
+        kind, act, slot = action.kind, action.act, action.slot
+        offered = self._offered(slot) if kind == "multiple_choice" else []
+        self.tracker.speak(kind, act, slot)
+        self.turn_count += 2
+        if self.turn_count > self.world.max_turn:
+            self.world.fired["end: out of turns"] += 1
+            self._end(success=False)
+            return
+        self.user.remember_last_act()
+        if kind == "act" and act in ("thanks", "closing"):
+            self._judge(act)
+            return
+        self.user.reply(kind, act, slot, self.tracker.agent_informs, offered, draws)
+        self.reward = TURN_REWARD
+        heard_act, self.user.informs = self.world.noise.transmit(
+            self.user.act, self.user.informs, draws
+        )
+        self.tracker.hear(heard_act, self.user.informs, self.user.pending)
+
+    def _offered(self, slot: str) -> list[str]:
+        shelf = self.world.shelf
+        values = shelf.values_on(slot, shelf.matching(self.tracker.held))
+        return shelf.in_order(slot, values)
+
+    def _judge(self, act: str) -> None:
+        faults = self.user.faults()
+        self.world.fired[f"end: {act}, {'failure' if faults else 'success'}"] += 1
+        if len(faults) == 1:
+            self.world.fired[f"end: failure only by {faults[0]}"] += 1
+        self._end(success=not faults)
+
+    def _end(self, *, success: bool) -> None:
+        self.done = True
+        self.success = success
+        self.reward = SUCCESS_REWARD if success else FAILURE_REWARD
+        self.user.close()
+        self.tracker.hear(self.user.act, self.user.informs, self.user.pending)
+
+    def features(self) -> list[float]:
+        """Returns what the agent sees of this state."""
+        return features(
+            self.tracker,
+            acts=self.world.acts,
+            slots=self.world.slots,
+            active=self.world.active,
+            turn=self.turn_count,
+            turn_width=self.world.domain.turn_width,
+        )

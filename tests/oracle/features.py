@@ -1,0 +1,60 @@
+"""The features of a state, in the order of docs/environment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from .tracker import Tracker
+
+PER_HUNDRED = 100.0
+PER_TEN = 10.0
+
+
+def features(
+    tracker: Tracker,
+    *,
+    acts: Sequence[str],
+    slots: Sequence[str],
+    active: set[str],
+    turn: int,
+    turn_width: int,
+) -> list[float]:
+    """Returns 2 acts + 7 slots + 3 + turn_width numbers; `turn` is the user's counter."""
+    acts_so_far = turn + 1
+    turn_place = min(acts_so_far, turn_width - 1)
+    counts = knowledge_base_counts(tracker, slots, active)
+    return [
+        *(1.0 if act == tracker.heard_act else 0.0 for act in acts),
+        *marks(tracker.heard_informs, slots),
+        *marks(tracker.user_requests, slots),
+        *(1.0 if act == tracker.agent_act else 0.0 for act in acts),
+        *marks(tracker.agent_informs, slots),
+        *marks(tracker.agent_requests, slots),
+        *marks(tracker.held, slots),
+        acts_so_far / PER_TEN,
+        *(1.0 if place == turn_place else 0.0 for place in range(turn_width)),
+        *(1.0 if count > 0 else 0.0 for count in counts),
+        *(count / PER_HUNDRED for count in counts),
+    ]
+
+
+def marks(chosen: Collection[str], slots: Sequence[str]) -> list[float]:
+    """Returns a 1 for each slot that is among the chosen."""
+    return [1.0 if slot in chosen else 0.0 for slot in slots]
+
+
+def knowledge_base_counts(tracker: Tracker, slots: Sequence[str], active: set[str]) -> list[int]:
+    """Returns a count for each slot, and last how many records match everything held."""
+    matching = len(tracker.shelf.matching(tracker.held))
+    counts = []
+    for slot in slots:
+        if slot not in active:
+            counts.append(0)
+        elif slot in tracker.held:
+            counts.append(tracker.shelf.count_with(slot, tracker.held[slot]))
+        else:
+            counts.append(matching)
+    return [*counts, matching]

@@ -1,0 +1,98 @@
+"""Errors of recognition and understanding between the user's mouth and the tracker's ear."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .draws import Draws, choose_index
+from .values import plain
+
+if TYPE_CHECKING:
+    from collections import Counter
+    from collections.abc import Mapping, Sequence
+
+
+class Noise:
+    """Hits informed slots, and the act, with fixed probabilities."""
+
+    def __init__(
+        self,
+        *,
+        slots: Sequence[str],
+        acts: Sequence[str],
+        error_values: Mapping[str, Sequence[str]],
+        active: set[str],
+        slot_error_prob: float,
+        slot_error_mode: str,
+        intent_error_prob: float,
+        fired: Counter[str],
+    ) -> None:
+        self.slots = slots
+        self.acts = acts
+        self.error_values = {
+            slot: [plain(value) for value in values]
+            for slot, values in error_values.items()
+            if values
+        }
+        self.active = active
+        self.slot_error_prob = slot_error_prob
+        self.slot_error_mode = slot_error_mode
+        self.intent_error_prob = intent_error_prob
+        self.fired = fired
+
+    def transmit(
+        self, act: str, informs: dict[str, str], draws: Draws
+    ) -> tuple[str, dict[str, str]]:
+        """Returns the act and the informs as the agent's side hears them."""
+        heard: dict[str, str] = {}
+        replacements: list[tuple[str, str]] = []
+        for number, slot in enumerate(self.slots):
+            if slot not in informs:
+                continue
+            if draws["error"][number] >= self.slot_error_prob:
+                heard[slot] = informs[slot]
+                continue
+            mode = self.slot_error_mode
+            if mode == "mixed":
+                mode = self._mixed(draws["error_kind"][number])
+            if mode == "value":
+                replacements.append((slot, self._other_value(slot, informs[slot], number, draws)))
+            elif mode == "slot":
+                replacements.extend(self._other_slot(slot, number, draws))
+            else:
+                self.fired["error: delete"] += 1
+        for slot, value in replacements:
+            if slot in heard:
+                self.fired["error: overlays another slot"] += 1
+            heard[slot] = value
+        if draws["intent"] < self.intent_error_prob:
+            self.fired["error: intent"] += 1
+            act = self.acts[choose_index(draws["intent_act"], len(self.acts))]
+        return act, heard
+
+    def _mixed(self, u: float) -> str:
+        if u < 1 / 3:
+            return "value"
+        return "slot" if u < 2 / 3 else "delete"
+
+    def _other_value(self, slot: str, value: str, number: int, draws: Draws) -> str:
+        if slot not in self.error_values:
+            self.fired["error: value, but no list"] += 1
+            return value
+        self.fired["error: value"] += 1
+        values = self.error_values[slot]
+        return values[choose_index(draws["error_value"][number], len(values))]
+
+    def _other_slot(self, slot: str, number: int, draws: Draws) -> list[tuple[str, str]]:
+        others = [
+            other
+            for other in self.slots
+            if other != slot and other in self.active and other in self.error_values
+        ]
+        if not others:
+            self.fired["error: slot, but no other"] += 1
+            return []
+        self.fired["error: slot"] += 1
+        other = others[choose_index(draws["error_slot"][number], len(others))]
+        values = self.error_values[other]
+        return [(other, values[choose_index(draws["error_value"][number], len(values))])]

@@ -1,0 +1,61 @@
+"""The records, looked up by what is held."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from .values import DONT_CARE, NO_MATCH, RESERVED, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+
+class Shelf:
+    """Records as dicts; `value_order` says which of two equally frequent values comes first."""
+
+    def __init__(
+        self,
+        records: Iterable[Mapping[str, str]],
+        free_slots: Iterable[str],
+        value_order: Mapping[str, Sequence[str]],
+    ) -> None:
+        self.records = [{slot: plain(value) for slot, value in row.items()} for row in records]
+        self.free_slots = set(free_slots)
+        self.value_number = {
+            slot: {plain(value): number for number, value in enumerate(values)}
+            for slot, values in value_order.items()
+        }
+        self.rows_with: dict[tuple[str, str], set[int]] = {}
+        for number, row in enumerate(self.records):
+            for slot, value in row.items():
+                self.rows_with.setdefault((slot, value), set()).add(number)
+        self.remembered: dict[frozenset[tuple[str, str]], set[int]] = {}
+
+    def matching(self, held: Mapping[str, str]) -> set[int]:
+        """Returns the numbers of the records that agree with everything held."""
+        wanted = frozenset(
+            (slot, value)
+            for slot, value in held.items()
+            if slot not in self.free_slots and value != DONT_CARE
+        )
+        if wanted not in self.remembered:
+            rows = set(range(len(self.records)))
+            for slot, value in wanted:
+                rows &= self.rows_with.get((slot, value), set()) if value != NO_MATCH else set()
+            self.remembered[wanted] = rows
+        return self.remembered[wanted]
+
+    def count_with(self, slot: str, value: str) -> int:
+        """Returns how many records have this value of this slot, whatever else they have."""
+        if slot in self.free_slots or value in RESERVED:
+            return 0
+        return len(self.rows_with.get((slot, value), ()))
+
+    def values_on(self, slot: str, rows: Iterable[int]) -> Counter[str]:
+        """Returns how often each value of a slot is on the rows."""
+        return Counter(self.records[row][slot] for row in rows if slot in self.records[row])
+
+    def in_order(self, slot: str, values: Iterable[str]) -> list[str]:
+        """Returns values of a slot in their fixed order."""
+        return sorted(values, key=self.value_number[slot].__getitem__)

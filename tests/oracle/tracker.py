@@ -1,0 +1,69 @@
+"""The state tracker: what the agent believes, and how its acts get their values."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .values import AVAILABLE, NO_MATCH
+
+if TYPE_CHECKING:
+    from collections import Counter
+
+    from .shelf import Shelf
+
+
+class Tracker:
+    """Holds the latest value of each slot, from either side."""
+
+    def __init__(self, shelf: Shelf, ticket: str, complete: str, fired: Counter[str]) -> None:
+        self.shelf = shelf
+        self.ticket = ticket
+        self.complete = complete
+        self.fired = fired
+        self.held: dict[str, str] = {}
+        self.heard_act = ""
+        self.heard_informs: dict[str, str] = {}
+        self.user_requests: set[str] = set()
+        self.agent_act: str | None = None
+        self.agent_informs: dict[str, str] = {}
+        self.agent_requests: set[str] = set()
+
+    def hear(self, act: str, informs: dict[str, str], requests: set[str]) -> None:
+        """Takes in the user's act as it was transmitted."""
+        self.heard_act = act
+        self.heard_informs = dict(informs)
+        self.user_requests = set(requests)
+        self.held.update(informs)
+
+    def speak(self, kind: str, act: str, slot: str | None) -> None:
+        """Fills the agent's act with values and takes it in."""
+        self.agent_informs = {}
+        self.agent_requests = set()
+        self.agent_act = act if kind == "act" else kind
+        if kind == "request":
+            self.agent_requests = {slot}
+        elif kind == "inform":
+            rows = self.shelf.matching(self.held)
+            if slot == self.complete:
+                self.agent_informs = dict(self.held)
+                self.agent_informs[slot] = self._availability(rows)
+            elif slot == self.ticket:
+                self.agent_informs[slot] = self._availability(rows)
+            else:
+                self.agent_informs[slot] = self._most_frequent(slot, rows)
+            self.held.update(self.agent_informs)
+
+    def _availability(self, rows: set[int]) -> str:
+        return AVAILABLE if rows else NO_MATCH
+
+    def _most_frequent(self, slot: str, rows: set[int]) -> str:
+        counts = self.shelf.values_on(slot, rows)
+        if not counts:
+            self.fired["fill: no match"] += 1
+            return NO_MATCH
+        most = max(counts.values())
+        best = [value for value, count in counts.items() if count == most]
+        if slot in self.held:
+            self.fired["fill: slot held already"] += 1
+        self.fired["fill: only one most frequent" if len(best) == 1 else "fill: tie"] += 1
+        return self.shelf.in_order(slot, best)[0]

@@ -1,0 +1,234 @@
+"""The agenda-based user. Each rule counts itself in `fired`, so that tests can see it at work."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .draws import Draws, choose_index, choose_slot
+from .values import AVAILABLE, DONT_CARE, NO_MATCH
+
+if TYPE_CHECKING:
+    from collections import Counter
+    from collections.abc import Collection, Sequence
+
+
+class User:
+    """Wants what its goal says, and says so bit by bit.
+
+    `act`, `informs` and `pending` (what it requests) are its last act. `informs` is what was
+    meant until the errors have had it, and then what was transmitted.
+    """
+
+    def __init__(
+        self,
+        *,
+        constraints: dict[str, str],
+        requests: set[str],
+        slots: Sequence[str],
+        ticket: str,
+        complete: str,
+        opening: str | None,
+        fired: Counter[str],
+        draws: Draws,
+    ) -> None:
+        self.constraints = constraints
+        self.requests = requests
+        self.slots = slots
+        self.ticket = ticket
+        self.complete = complete
+        self.fired = fired
+        self.history: dict[str, str] = {}
+        self.constraints_met = False
+        self.agenda = set(constraints) | set(requests)
+        self.pending: set[str] = set()
+        self.informs: dict[str, str] = {}
+        self.act = "request"
+        self._open(opening, draws)
+
+    def _open(self, opening: str | None, draws: Draws) -> None:
+        if opening in self.constraints:
+            self.fired["open: the opening slot"] += 1
+            self._inform(opening)
+        if self.constraints:
+            self._inform(choose_slot(self.constraints, draws["constraint"], self.slots))
+        else:
+            self.fired["open: no constraint"] += 1
+        others = self.requests - {self.ticket}
+        if others:
+            self.fired["open: a request"] += 1
+            self.pending = {choose_slot(others, draws["request"], self.slots)}
+        else:
+            self.fired["open: ticket"] += 1
+            self.pending = {self.ticket}
+
+    def remember_last_act(self) -> None:
+        """Moves what was transmitted last time to history."""
+        self.history.update(self.informs)
+        self.informs = {}
+
+    def reply(
+        self,
+        kind: str,
+        act: str,
+        slot: str | None,
+        filled: dict[str, str],
+        offered: Collection[str],
+        draws: Draws,
+    ) -> None:
+        """Answers an agent act that does not end the dialogue."""
+        if kind == "request":
+            self._answer_request(slot)
+        elif kind == "inform" and slot == self.complete:
+            self._judge_offer(filled)
+        elif kind == "inform":
+            self._take_inform(slot, filled[slot], draws)
+        elif kind == "multiple_choice":
+            self._choose(slot, offered, draws)
+        elif act == "confirm_answer":
+            self._go_on_from_agenda(draws)
+        else:
+            self.fired[f"repeat: {act}"] += 1
+
+    # The three small things that a user does with a slot.
+    def _inform(self, slot: str) -> None:
+        self.informs[slot] = self.constraints[slot]
+        self.agenda.discard(slot)
+
+    def _request(self, slot: str) -> None:
+        self.pending.add(slot)
+        self.act = "request"
+
+    def _open_constraints(self) -> list[str]:
+        return [slot for slot in self.slots if slot in self.agenda and slot in self.constraints]
+
+    # What the agent may do, and the answers.
+    def _answer_request(self, slot: str) -> None:
+        if slot in self.constraints:
+            self.fired["request: a constraint"] += 1
+            self._inform(slot)
+            self.pending = set()
+            self.act = "inform"
+        elif slot in self.requests and slot not in self.agenda and slot in self.history:
+            self.fired["request: an answered request"] += 1
+            self.informs[slot] = self.history[slot]
+            self.pending = set()
+            self.act = "inform"
+        elif slot in self.requests and slot in self.agenda:
+            self.fired["request: an open request"] += 1
+            for constraint in self._open_constraints():
+                self.fired["request: an open request, with constraints"] += 1
+                self._inform(constraint)
+            self._request(slot)
+        else:
+            self.informs[slot] = DONT_CARE
+            if self.pending or self.agenda:
+                self.fired["request: of no interest"] += 1
+                self.act = "inform"
+            else:
+                self.fired["request: of no interest, nothing left"] += 1
+                self.act = "thanks"
+
+    def _take_inform(self, slot: str, value: str, draws: Draws) -> None:
+        self.history[slot] = value
+        if slot not in self.constraints:
+            self.fired["inform: no constraint"] += 1
+            if slot == self.ticket:
+                self.fired[f"inform: ticket, {value}"] += 1
+            self.agenda.discard(slot)
+            self.pending.discard(slot)
+            self._continue("B", draws)
+        elif value == self.constraints[slot]:
+            self.fired["inform: right"] += 1
+            self.agenda.discard(slot)
+            self._continue("A", draws)
+        else:
+            self.fired["inform: wrong"] += 1
+            self._inform(slot)
+            self.act = "inform"
+
+    def _continue(self, way: str, draws: Draws) -> None:
+        others = self.agenda - {self.ticket}
+        if self.pending:
+            self.fired[f"{way}: a pending request"] += 1
+            self.act = "request"
+        elif others:
+            slot = choose_slot(others, draws["agenda"], self.slots)
+            if slot not in self.constraints:
+                self.fired[f"{way}: a request of the agenda"] += 1
+                self._request(slot)
+            else:
+                self._inform(slot)
+                if way == "B" and self.ticket in self.agenda:
+                    self.fired["B: a constraint with the ticket"] += 1
+                    self._request(self.ticket)
+                else:
+                    self.fired[f"{way}: a constraint"] += 1
+                    self.act = "inform"
+        elif self.ticket in self.agenda:
+            self.fired[f"{way}: the ticket"] += 1
+            self._request(self.ticket)
+        else:
+            self.fired[f"{way}: thanks"] += 1
+            self.act = "thanks"
+
+    def _judge_offer(self, filled: dict[str, str]) -> None:
+        wrong = [slot for slot, value in self.constraints.items() if filled.get(slot) != value]
+        available = filled[self.complete] == AVAILABLE
+        verdict = "deny" if wrong else "thanks"
+        self.fired[f"offer: {verdict}, {'' if available else 'not '}available"] += 1
+        self.act = verdict
+        self.constraints_met = not wrong
+        if wrong:
+            self.pending = set()
+        if not available:
+            self.history[self.ticket] = NO_MATCH
+            self.agenda.discard(self.ticket)
+            self.pending.discard(self.ticket)
+
+    def _go_on_from_agenda(self, draws: Draws) -> None:
+        if not self.agenda:
+            self.fired["confirm_answer: thanks"] += 1
+            self.act = "thanks"
+            return
+        slot = choose_slot(self.agenda, draws["agenda"], self.slots)
+        if slot in self.requests:
+            what = "the ticket" if slot == self.ticket else "a request"
+            self.fired[f"confirm_answer: {what}"] += 1
+            self._request(slot)
+        else:
+            self.fired["confirm_answer: a constraint"] += 1
+            self._inform(slot)
+            self.act = "inform"
+
+    def _choose(self, slot: str, offered: Collection[str], draws: Draws) -> None:
+        self.act = "inform"
+        if slot in self.constraints:
+            self.fired["choice: a constraint"] += 1
+            self._inform(slot)
+        elif offered:
+            self.fired["choice: one of those offered"] += 1
+            self.informs[slot] = list(offered)[choose_index(draws["offer"], len(offered))]
+        else:
+            self.fired["choice: nothing offered"] += 1
+            self.informs[slot] = DONT_CARE
+
+    def close(self) -> None:
+        """Ends the dialogue; what was pending stays to be seen."""
+        self.act = "closing"
+        self.informs = {}
+
+    def faults(self) -> list[str]:
+        """Returns why this end of the dialogue is no success; nothing if it is one."""
+        broken = [
+            slot
+            for slot, value in self.constraints.items()
+            if slot in self.history and self.history[slot] != value
+        ]
+        faults = {
+            "constraints not met": not self.constraints_met,
+            "a pending request": bool(self.pending - {self.ticket}),
+            "an agenda": bool(self.agenda - {self.ticket}),
+            "no match in history": NO_MATCH in self.history.values(),
+            "a wrong value in history": bool(broken),
+        }
+        return [name for name, is_so in faults.items() if is_so]
