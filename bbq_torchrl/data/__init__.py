@@ -1,0 +1,15 @@
+"""Replay with spiking, on TorchRL's storages, samplers and writers."""
+
+from __future__ import annotations
+
+from bbq_torchrl.data.replay import TRANSITION_KEYS, Batch, ReplicaReplay
+from bbq_torchrl.data.validation import validate_transitions
+from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
+
+__all__ = [
+    "TRANSITION_KEYS",
+    "Batch",
+    "ProtectedRoundRobinWriter",
+    "ReplicaReplay",
+    "validate_transitions",
+]

@@ -1,0 +1,122 @@
+"""A round-robin writer that leaves the first rows of a storage alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torchrl.data import TensorDictRoundRobinWriter
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+__all__ = ["ProtectedRoundRobinWriter"]
+
+
+class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
+    """First in, first out, but for the first rows of the storage, which stay.
+
+    Until :meth:`protect` is called it is TorchRL's
+    :class:`~torchrl.data.TensorDictRoundRobinWriter`. Afterwards the rows that the storage held
+    at that moment are never overwritten, and new rows share what is left of the capacity in turn.
+    A replay buffer *spiked* with the dialogues of a rule policy so keeps them for the whole
+    training.
+
+    Args:
+        protected (int): how many rows at the head of the storage are protected from the start.
+
+    Raises:
+        ValueError: if ``protected`` is negative, leaves no room in the storage, or if more rows are
+            written at once than there are unprotected ones.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+        >>> buffer = TensorDictReplayBuffer(
+        ...     storage=LazyTensorStorage(4), writer=ProtectedRoundRobinWriter(), batch_size=1
+        ... )
+        >>> _ = buffer.extend(TensorDict({"x": torch.tensor([1, 2])}, [2]))
+        >>> buffer.writer.protect()
+        >>> for x in (3, 4, 5):
+        ...     _ = buffer.extend(TensorDict({"x": torch.tensor([x])}, [1]))
+        >>> buffer[:]["x"]
+        tensor([1, 2, 5, 4])
+    """
+
+    def __init__(self, protected: int = 0) -> None:
+        super().__init__()
+        if protected < 0:
+            raise ValueError(f"protected must not be negative, got {protected}")
+        self._protected = protected
+        self._cursor = protected
+
+    @property
+    def protected(self) -> int:
+        """The number of rows, from the first, that are never overwritten."""
+        return self._protected
+
+    @property
+    def unprotected_capacity(self) -> int:
+        """The number of rows of the storage that are written in turn."""
+        return int(self._storage.max_size) - self._protected
+
+    def protect(self) -> None:
+        """Protects every row that the storage holds now.
+
+        Raises:
+            ValueError: if they fill the storage, so that nothing could be written any more.
+        """
+        rows = len(self._storage)
+        if rows >= self._storage.max_size:
+            raise ValueError(
+                f"protected rows must be fewer than the capacity {self._storage.max_size} of the "
+                f"storage, got {rows}"
+            )
+        self._protected = rows
+        self._cursor = rows
+
+    def oldest_first(self) -> torch.Tensor:
+        """Returns the indices of the unprotected rows from oldest to newest, shape [rows]."""
+        index = torch.arange(self._protected, len(self._storage))
+        if len(self._storage) < self._storage.max_size:
+            return index
+        return index.roll(self._protected - self._cursor)
+
+    def add(self, data: TensorDictBase) -> torch.Tensor:
+        """Writes one row and returns its index, shape []."""
+        return self.extend(data.unsqueeze(0))[0]
+
+    def extend(self, data: TensorDictBase) -> torch.Tensor:
+        """Writes rows in turn and returns their indices, shape [rows]."""
+        rows, room = len(data), self.unprotected_capacity
+        if rows == 0:
+            raise ValueError("extend needs at least one row, got 0")
+        if rows > room:
+            raise ValueError(
+                f"extend writes at most {room} rows at once (capacity {self._storage.max_size}, "
+                f"{self._protected} protected), got {rows}"
+            )
+        device = data.device if data.device is not None else "cpu"
+        start = self._cursor - self._protected
+        index = torch.arange(start, start + rows, device=device) % room + self._protected
+        self._cursor = self._protected + (start + rows) % room
+        self._write_count += rows
+        data.set("index", index)
+        self._storage.set(index, data)
+        self._bump_generation(index, data)
+        self._mark_update_entities(index)
+        return index
+
+    def _empty(self, empty_write_count: bool = True) -> None:
+        super()._empty(empty_write_count=empty_write_count)
+        self._protected = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns the cursor, the count of rows written and the number of protected rows."""
+        return {**super().state_dict(), "_protected": self._protected}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` returned."""
+        super().load_state_dict(state_dict)
+        self._protected = state_dict["_protected"]

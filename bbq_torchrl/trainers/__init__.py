@@ -1,0 +1,34 @@
+"""The round trainer: collect dialogues, freeze, learn, freeze, learn."""
+
+from __future__ import annotations
+
+from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
+from bbq_torchrl.trainers.collect import Outcomes, outcomes, play, play_dialogues
+from bbq_torchrl.trainers.errors import NonFiniteLossError
+from bbq_torchrl.trainers.loggers import LoggerName, make_loggers
+from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
+from bbq_torchrl.trainers.optimiser import ReplicaAdam
+from bbq_torchrl.trainers.progress import RoundProgress
+from bbq_torchrl.trainers.round_trainer import RoundTrainer
+from bbq_torchrl.trainers.seeding import derive_seed
+from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
+
+__all__ = [
+    "CheckpointDamagedError",
+    "CheckpointFolder",
+    "LoggerName",
+    "MetricRow",
+    "MetricsFile",
+    "NonFiniteLossError",
+    "Outcomes",
+    "ReplicaAdam",
+    "RoundProgress",
+    "RoundSettings",
+    "RoundTrainer",
+    "SpikeSettings",
+    "derive_seed",
+    "make_loggers",
+    "outcomes",
+    "play",
+    "play_dialogues",
+]

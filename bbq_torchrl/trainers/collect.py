@@ -1,0 +1,128 @@
+"""Dialogues played side by side to the last one's end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+if TYPE_CHECKING:
+    from torchrl.envs import EnvBase
+
+__all__ = ["Outcomes", "Policy", "outcomes", "play", "play_dialogues", "rows_per_replica"]
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+
+
+class Outcomes(NamedTuple):
+    """How dialogues went, one entry for each, shape [*batch].
+
+    Attributes:
+        success: whether the dialogue succeeded (bool).
+        reward: the sum of its rewards (float64).
+        turns: the number of turns that the agent took (int64).
+    """
+
+    success: Tensor
+    reward: Tensor
+    turns: Tensor
+
+
+@torch.no_grad()
+def play(
+    env: EnvBase,
+    policy: Policy,
+    *,
+    max_steps: int = 1000,
+    exploration: ExplorationType = ExplorationType.RANDOM,
+) -> TensorDictBase:
+    """Plays one dialogue in every place of the environment's batch, each to its end.
+
+    Returns the rollout, batch size [*batch, turns], with the entry ``valid`` [*batch, turns]: a
+    dialogue that is over waits for the last one, and what it repeats meanwhile is not valid. Every
+    dialogue that begins is played to its end, so there is no bias towards short ones. The policy
+    plays in evaluation mode (no dropout) and is given back in the mode that it came in.
+
+    Args:
+        env (EnvBase): an environment whose last batch dimension is the dialogues.
+        policy (callable): writes an action.
+        max_steps (int): the most turns of a dialogue. Default: 1000.
+        exploration (ExplorationType): what the policy finds as ``exploration_type()``.
+            Default: ``ExplorationType.RANDOM``.
+
+    Raises:
+        RuntimeError: if a dialogue is not over after ``max_steps`` turns.
+    """
+    was_training = isinstance(policy, nn.Module) and policy.training
+    if isinstance(policy, nn.Module):
+        policy.eval()
+    try:
+        with set_exploration_type(exploration):
+            rollout = env.rollout(
+                max_steps,
+                policy,
+                break_when_any_done=False,
+                break_when_all_done=True,
+                trust_policy=True,
+            )
+    finally:
+        if isinstance(policy, nn.Module):
+            policy.train(was_training)
+    done = rollout["next", "done"].squeeze(-1)
+    if not bool(done[..., -1].all()):
+        raise RuntimeError(f"every dialogue must be over after max_steps = {max_steps} turns")
+    return rollout.set("valid", (done.cumsum(-1) - done.long()) == 0)
+
+
+def play_dialogues(
+    env: EnvBase,
+    policy: Policy,
+    dialogues: int,
+    *,
+    max_steps: int = 1000,
+    exploration: ExplorationType = ExplorationType.RANDOM,
+) -> Iterator[TensorDictBase]:
+    """Yields rollouts as :func:`play` does until every replica has played its dialogues.
+
+    Args:
+        env (EnvBase): batch size [*replicas, places]; each play fills all places.
+        policy (callable): writes an action.
+        dialogues (int): how many dialogues each replica plays. Of the last rollout, only as many
+            dialogues are kept as are missing: the first places, whatever their lengths.
+        max_steps (int): the most turns of a dialogue. Default: 1000.
+        exploration (ExplorationType): what the policy finds as ``exploration_type()``.
+    """
+    places = env.batch_size[-1]
+    for begun in range(0, dialogues, places):
+        rollout = play(env, policy, max_steps=max_steps, exploration=exploration)
+        yield rollout[..., : min(places, dialogues - begun), :]
+
+
+def outcomes(rollout: TensorDictBase, *, success_key: NestedKey = "success") -> Outcomes:
+    """Returns how the dialogues of a rollout of :func:`play` went, each entry of shape [*batch].
+
+    Args:
+        rollout (TensorDictBase): batch size [*batch, turns], with ``valid``.
+        success_key (NestedKey): the entry of ``next`` that tells a success. Default: ``"success"``.
+    """
+    valid = rollout["valid"]
+    after = rollout["next"]
+    success = after.get(success_key).squeeze(-1) & valid
+    reward = after["reward"].squeeze(-1).double() * valid
+    return Outcomes(success.any(-1), reward.sum(-1), valid.sum(-1))
+
+
+def rows_per_replica(rollout: TensorDictBase, keys: tuple[NestedKey, ...]) -> list[TensorDictBase]:
+    """Returns each replica's valid transitions, dialogue after dialogue: batch sizes [rows].
+
+    Args:
+        rollout (TensorDictBase): batch size [replicas, dialogues, turns], with ``valid``.
+        keys (tuple of NestedKey): the entries to keep.
+    """
+    valid = rollout["valid"]
+    counts = valid.sum((-2, -1)).tolist()
+    return list(rollout.select(*keys)[valid].split(counts))

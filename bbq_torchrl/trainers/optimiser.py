@@ -1,0 +1,93 @@
+"""Adam for replicas that must not touch one another."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+__all__ = ["ReplicaAdam"]
+
+
+class ReplicaAdam:
+    """:class:`torch.optim.Adam` over the replicas of stacked parameters, each with its own steps.
+
+    Stacked parameters have the replicas as their first dimension. One Adam over them would move a
+    replica without a gradient too, by its momentum, and count its steps with the others'. Here
+    Adam sees a view of each replica's part: a replica that a batch does not concern is left
+    bitwise untouched, moments and step count included.
+
+    Args:
+        parameters (iterable of Parameter): shapes [replicas, ...]; those that do not require a
+            gradient are left out.
+        replicas (int): the number of replicas.
+        lr (float): the learning rate. Default: 1e-3 (the paper's).
+        betas (pair of float): as in :class:`torch.optim.Adam`.
+        eps (float): as in :class:`torch.optim.Adam`.
+
+    Example:
+        >>> weight = nn.Parameter(torch.zeros(2, 3))
+        >>> optimiser = ReplicaAdam([weight], replicas=2, lr=0.5)
+        >>> weight.sum().backward()
+        >>> optimiser.step(active=(True, False))
+        >>> weight.detach()
+        tensor([[-0.5000, -0.5000, -0.5000],
+                [ 0.0000,  0.0000,  0.0000]])
+    """
+
+    def __init__(
+        self,
+        parameters: Iterable[nn.Parameter],
+        replicas: int,
+        *,
+        lr: float = 1e-3,
+        betas: tuple[float, float] = (0.9, 0.999),
+        eps: float = 1e-8,
+    ) -> None:
+        self.replicas = replicas
+        self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
+        if not self.parameters:
+            raise ValueError("parameters must hold at least one that requires a gradient, got none")
+        for parameter in self.parameters:
+            if parameter.ndim == 0 or parameter.shape[0] != replicas:
+                raise ValueError(
+                    f"the first dimension of every parameter must be the {replicas} replicas, "
+                    f"got shape {tuple(parameter.shape)}"
+                )
+        self._views = [
+            [parameter.detach()[replica].requires_grad_() for parameter in self.parameters]
+            for replica in range(replicas)
+        ]
+        views: list[Tensor] = [view for replica in self._views for view in replica]
+        self._adam = torch.optim.Adam(views, lr=lr, betas=betas, eps=eps, fused=True)
+
+    def zero_grad(self) -> None:
+        """Forgets the gradients of the stacked parameters."""
+        for parameter in self.parameters:
+            parameter.grad = None
+
+    def step(self, active: Sequence[bool] | None = None) -> None:
+        """Moves the replicas that are active by one Adam step.
+
+        Args:
+            active (sequence of bool, optional): for each replica, whether the last batch concerned
+                it. Default: all.
+        """
+        flags = (True,) * self.replicas if active is None else active
+        for parameter_number, parameter in enumerate(self.parameters):
+            gradients = (None,) * self.replicas if parameter.grad is None else parameter.grad
+            for views, gradient, is_active in zip(self._views, gradients, flags, strict=True):
+                views[parameter_number].grad = gradient if is_active else None
+        self._adam.step()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns moments and step counts, as :meth:`torch.optim.Adam.state_dict` does."""
+        return self._adam.state_dict()
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restores what :meth:`state_dict` returned."""
+        self._adam.load_state_dict(dict(state_dict))

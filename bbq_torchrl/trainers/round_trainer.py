@@ -1,0 +1,356 @@
+"""The round trainer: spike, then collect, freeze, learn, freeze, learn, round after round."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from statistics import fmean
+from typing import TYPE_CHECKING, Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from bbq_torchrl.trainers.checkpoint import CheckpointFolder
+from bbq_torchrl.trainers.collect import Policy, outcomes, play_dialogues, rows_per_replica
+from bbq_torchrl.trainers.errors import NonFiniteLossError
+from bbq_torchrl.trainers.learn import LossSums, learn_epoch
+from bbq_torchrl.trainers.loggers import log_rows, trim_scalars
+from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
+from bbq_torchrl.trainers.progress import RoundProgress
+from bbq_torchrl.trainers.seeding import derive_seed
+from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from tensordict import NestedKey, TensorDictBase
+    from torchrl.envs import EnvBase
+    from torchrl.record.loggers import Logger
+
+    from bbq_torchrl.data import ReplicaReplay
+    from bbq_torchrl.trainers.optimiser import ReplicaAdam
+
+__all__ = ["RoundCallback", "RoundTrainer"]
+
+
+class TargetUpdater(Protocol):
+    """Freezes the target: ``HardUpdate(loss, value_network_update_interval=0)`` is one."""
+
+    def step(self) -> None:
+        """Copies the network as it is now to the target."""
+
+
+class RoundCallback(Protocol):
+    """What is called after every round with the trainer and the round's rows."""
+
+    def __call__(self, trainer: RoundTrainer, rows: Sequence[MetricRow], /) -> None:
+        """Takes in the round's rows, one for each replica."""
+
+
+class RoundTrainer:
+    """Trains R replicas side by side by the paper's protocol, and can go on after a kill.
+
+    A round: every replica plays its dialogues in lockstep, stores the transitions, and learns:
+    freeze the target, some epochs over the buffer; freeze again, some epochs again (the paper,
+    "Experiments"). The trainer knows nothing of agents and dialogues but the keys: everything else
+    comes in as objects.
+
+    Random numbers: each phase of a round starts from a seed of its own, derived from the run's seed
+    and the round (:func:`~bbq_torchrl.trainers.derive_seed`). So a training that is killed at any
+    moment and resumed ends, on a CPU, with bitwise the same weights and metrics as one that was
+    not; and what one replica does never shifts another's random numbers.
+
+    Optional hooks, used where an object has them: ``env.set_round(round)`` (domain extension),
+    ``loss.set_num_data(tensor)`` (the weight of a KL), and for the modules of the policy
+    ``module.resample()`` before (weight draws) and ``module.step(1)`` after (schedules) each round.
+
+    Args:
+        env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
+        policy (nn.Module): acts, with exploration, on the environment's TensorDict.
+        loss (LossModule): returns ``loss`` (scalar) and ``loss_value`` [replicas], and may return
+            more of shape [replicas], which becomes a metric.
+        replay (ReplicaReplay): the buffers, empty.
+        optimiser (ReplicaAdam): of the loss's parameters.
+        target_updater (TargetUpdater): ``.step()`` freezes the target.
+        settings (RoundSettings): the protocol.
+        run_folder (Path): takes ``metrics.csv`` and ``checkpoint/``.
+        spike_policy (callable, optional): fills the buffer before the first round.
+        spike (SpikeSettings): how much, and whether it is protected.
+        loggers (sequence of Logger): TorchRL loggers; see
+            :func:`~bbq_torchrl.trainers.make_loggers`.
+        callbacks (sequence of callable): called after every round.
+        gauges (mapping): metrics read at the start of each round, such as an exploration rate.
+        progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
+
+    Raises:
+        ValueError: if the parts do not fit one another.
+    """
+
+    def __init__(
+        self,
+        env: EnvBase,
+        policy: nn.Module,
+        loss: nn.Module,
+        replay: ReplicaReplay,
+        optimiser: ReplicaAdam,
+        target_updater: TargetUpdater,
+        settings: RoundSettings,
+        run_folder: Path | str,
+        *,
+        spike_policy: Policy | None = None,
+        spike: SpikeSettings | None = None,
+        loggers: Sequence[Logger] = (),
+        callbacks: Sequence[RoundCallback] = (),
+        gauges: Mapping[str, Callable[[], float]] | None = None,
+        success_key: NestedKey = "success",
+        progress: bool | None = None,
+    ) -> None:
+        replicas = replay.replicas
+        if len(env.batch_size) != 2 or env.batch_size[0] != replicas:
+            raise ValueError(
+                f"the environment's batch size must be [{replicas}, places] for {replicas} "
+                f"replicas, got {list(env.batch_size)}"
+            )
+        if optimiser.replicas != replicas:
+            raise ValueError(
+                f"the optimiser must have {replicas} replicas, got {optimiser.replicas}"
+            )
+        self.spike = spike if spike is not None else SpikeSettings(dialogues=0)
+        if self.spike.dialogues and spike_policy is None:
+            raise ValueError(f"spiking with {self.spike.dialogues} dialogues needs a spike_policy")
+        self.env = env
+        self.policy = policy
+        self.loss = loss
+        self.replay = replay
+        self.optimiser = optimiser
+        self.target_updater = target_updater
+        self.settings = settings
+        self.run_folder = Path(run_folder)
+        self.spike_policy = spike_policy
+        self.loggers = tuple(loggers)
+        self.callbacks = tuple(callbacks)
+        self.gauges = dict(gauges or {})
+        self.success_key = success_key
+        self.progress = progress
+        self.rounds_done = 0
+        self.metrics = MetricsFile(self.run_folder / "metrics.csv")
+        self.checkpoints = CheckpointFolder(
+            self.run_folder / "checkpoint",
+            loss=loss,
+            policy=policy,
+            optimiser=optimiser,
+            replay=replay,
+            metrics=self.metrics,
+        )
+
+    @property
+    def replicas(self) -> int:
+        """The number of replicas."""
+        return self.replay.replicas
+
+    def train(self, *, resume: bool = False) -> list[MetricRow]:
+        """Trains to the last round and returns the metrics: a row for every round and replica.
+
+        Args:
+            resume (bool): go on from the newest readable checkpoint in the run folder; from the
+                start if the training was killed before it saved one. Default: ``False``.
+
+        Raises:
+            ValueError: if the run folder holds a training already and ``resume`` is ``False``, or
+                if its checkpoint is of another seed or number of replicas.
+            CheckpointDamagedError: if there are checkpoints, but none can be read.
+            NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
+        """
+        if resume:
+            self._resume()
+        elif self.metrics.path.exists() or self.checkpoints.newest() is not None:
+            raise ValueError(
+                f"the run folder must be a new one, or be resumed; {self.run_folder} holds a "
+                "training already"
+            )
+        if self.rounds_done == 0 and not self.metrics.rows and not any(self.replay.lengths):
+            self._fill_with_spike()
+            self._save()
+        bar = RoundProgress(self.settings.rounds, done=self.rounds_done, visible=self.progress)
+        try:
+            while self.rounds_done < self.settings.rounds:
+                rows = self._round(self.rounds_done)
+                self.metrics.append(rows)
+                self.rounds_done += 1
+                log_rows(self.loggers, rows)
+                bar.update(rows)
+                for callback in self.callbacks:
+                    callback(self, rows)
+                if self._is_checkpoint_due():
+                    self._save()
+        finally:
+            bar.close()
+        return list(self.metrics.rows)
+
+    def _is_checkpoint_due(self) -> bool:
+        return (
+            self.rounds_done % self.settings.checkpoint_every == 0
+            or self.rounds_done == self.settings.rounds
+        )
+
+    # ---------------------------------------------------------------- phases
+
+    def _fill_with_spike(self) -> None:
+        """Stores the spike policy's dialogues, each replica its own."""
+        if not self.spike.dialogues:
+            return
+        assert self.spike_policy is not None
+        self._begin("spike", 0)
+        _call_hook(self.env, "set_round", 0)
+        settings = self.settings
+        plays = play_dialogues(
+            self.env, self.spike_policy, self.spike.dialogues, max_steps=settings.max_steps
+        )
+        for rollout in plays:
+            rows = rows_per_replica(rollout, self.replay.keys)
+            for length, td in zip(self.replay.lengths, rows, strict=True):
+                if length + len(td) >= self.replay.capacity:
+                    raise ValueError(
+                        f"the transitions of {self.spike.dialogues} spiked dialogues must be fewer "
+                        f"than the capacity {self.replay.capacity}: raise the capacity or spike "
+                        "with fewer dialogues"
+                    )
+            self.replay.extend(rows)
+        if self.spike.protect:
+            self.replay.protect()
+
+    def _round(self, round_number: int) -> list[MetricRow]:
+        """Plays and learns one round. Returns its metrics, a row for each replica."""
+        started = time.perf_counter()
+        gauges = {name: float(read()) for name, read in self.gauges.items()}
+        collected = self._collect(round_number)
+        self._drop_spike(collected)
+        collected_at = time.perf_counter()
+        learned, updates = self._learn(round_number)
+        self._step_schedules()
+        learned_at = time.perf_counter()
+        shared = {
+            "seconds": learned_at - started,
+            "seconds_collect": collected_at - started,
+            "seconds_learn": learned_at - collected_at,
+        }
+        rows: list[MetricRow] = []
+        for replica, length in enumerate(self.replay.lengths):
+            losses = {
+                "loss" if name == "loss_value" else name: value
+                for name, value in learned[replica].items()
+            }
+            rows.append(
+                {
+                    "round": round_number,
+                    "replica": replica,
+                    "dialogues": self.settings.dialogues,
+                    **collected[replica],
+                    **losses,
+                    "buffer": length,
+                    "updates": updates[replica],
+                    **gauges,
+                    **shared,
+                }
+            )
+        return rows
+
+    def _collect(self, round_number: int) -> list[dict[str, float]]:
+        """Plays the round's dialogues and stores them. Returns each replica's mean outcomes."""
+        self._begin("collect", round_number)
+        _call_hook(self.env, "set_round", round_number)
+        for module in self.policy.modules():
+            _call_hook(module, "resample")
+        settings = self.settings
+        totals: Tensor | None = None
+        plays = play_dialogues(
+            self.env, self.policy, settings.dialogues, max_steps=settings.max_steps
+        )
+        for rollout in plays:
+            result = outcomes(rollout, success_key=self.success_key)
+            sums = torch.stack([entry.double().sum(-1) for entry in result], -1)
+            totals = sums if totals is None else totals + sums
+            self.replay.extend(rows_per_replica(rollout, self.replay.keys))
+        assert totals is not None
+        return [
+            {
+                name: total / settings.dialogues
+                for name, total in zip(("success_rate", "reward", "turns"), row, strict=True)
+            }
+            for row in totals.tolist()
+        ]
+
+    def _learn(self, round_number: int) -> tuple[list[dict[str, float]], list[int]]:
+        """Freezes and learns. Returns each replica's mean losses and number of updates."""
+        settings = self.settings
+        sums = LossSums(self.replicas)
+        _call_hook(self.loss, "set_num_data", self.replay.num_data())
+        for freeze in range(settings.freezes):
+            self.target_updater.step()
+            for epoch in range(settings.epochs):
+                # A seed for every epoch: its length is that of the longest replica's, and the
+                # draws of the next epoch must not depend on it.
+                self._begin("learn", round_number, freeze, epoch)
+                learn_epoch(self.loss, self.optimiser, self.replay.epoch(settings.batch_size), sums)
+        means = sums.means()
+        broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]
+        if broken:
+            saved = self._save(name=f"failed-round-{round_number:06d}")
+            raise NonFiniteLossError(round_number, broken, saved)
+        return means, sums.updates
+
+    def _step_schedules(self) -> None:
+        """Moves the policy's schedules (epsilon, temperature) on by one round."""
+        for module in self.policy.modules():
+            _call_hook(module, "step", 1)
+
+    def _drop_spike(self, collected: Sequence[Mapping[str, float]]) -> None:
+        """Drops a replica's spiked transitions once its mean success is above the threshold."""
+        threshold, window = self.spike.drop_above, self.spike.drop_window
+        if threshold is None:
+            return
+        before = self.metrics.rows
+        for replica, row in enumerate(collected):
+            past = [r["success_rate"] for r in before[replica :: self.replicas]][-window + 1 :]
+            rates = [*(past if window > 1 else []), row["success_rate"]]
+            if len(rates) == window and fmean(rates) > threshold:
+                self.replay.drop_protected(replica)
+
+    def _begin(self, *path: str | int) -> None:
+        """Seeds every source of random numbers for a phase."""
+        seed = self.settings.seed
+        torch.manual_seed(derive_seed(seed, "torch", *path))
+        self.env.set_seed(derive_seed(seed, "env", *path))
+        self.replay.seed([derive_seed(seed, "replay", r, *path) for r in range(self.replicas)])
+
+    # ------------------------------------------------------------ checkpoints
+
+    def _save(self, *, name: str | None = None) -> Path:
+        metadata: dict[str, Any] = {"seed": self.settings.seed, "replicas": self.replicas}
+        return self.checkpoints.save(self.rounds_done, metadata, name=name)
+
+    def _resume(self) -> None:
+        """Restores the newest readable checkpoint; leaves everything as built if there is none."""
+        found = self.checkpoints.newest()
+        if found is None:
+            self.metrics.path.unlink(missing_ok=True)
+            trim_scalars(self.run_folder, 0)
+            return
+        path, metadata = found
+        here = {"seed": self.settings.seed, "replicas": self.replicas}
+        for name, value in here.items():
+            if metadata[name] != value:
+                raise ValueError(
+                    f"{name} must be {metadata[name]}, as in the checkpoint {path}, got {value}"
+                )
+        self.checkpoints.load(path)
+        self.rounds_done = int(metadata["round"])
+        trim_scalars(self.run_folder, self.rounds_done)
+
+
+def _call_hook(owner: object, name: str, *arguments: int | Tensor | TensorDictBase) -> None:
+    """Calls a method where the object has it."""
+    method = getattr(owner, name, None)
+    if callable(method):
+        method(*arguments)
