@@ -1,0 +1,200 @@
+"""The command line of ``train.py``: everything is checked before Hydra runs anything.
+
+Hydra composes, names run folders, sweeps and launches. Around it stands one step: the command line
+is composed once more beforehand (each job of a sweep too), so that a wrong key, value, combination,
+device or corpus is refused in one sentence, with exit code 2, before a folder exists. The step
+also reserves the run folder (two runs of the same second never share one) and turns
+``resume=<folder>`` into the configuration of that folder.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import hydra
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import CompactHydraException, HydraException
+from omegaconf import DictConfig, OmegaConf
+
+from bbq_torchrl.config.messages import explain
+from bbq_torchrl.config.resume import RUN_CONFIG, resumed_config
+from bbq_torchrl.config.schema import Config
+from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+__all__ = ["REFUSED", "Refusal", "command", "prepare"]
+
+REFUSED = 2
+"""Exit code of a command that was refused, or stopped by an error with a clear cause."""
+
+Task = Callable[[Config, Path], float]
+Check = Callable[[Config], None]
+ClearErrors = Callable[[], "tuple[type[Exception], ...]"]
+
+
+class Refusal(CompactHydraException):
+    """A job that stopped for a reason that its text says; Hydra prints it without a traceback."""
+
+
+def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callable[[], None]]:
+    """Makes a training function the main function of a command line.
+
+    Args:
+        check: what else to check of a configuration before anything runs, such as its device and
+            its corpus; raises ``ValueError`` or ``OSError``.
+        clear_errors: returns the exceptions of a run whose text is enough for a person.
+
+    Returns:
+        a decorator for a function from configuration and run folder to the final success rate,
+        which is what sweepers get.
+    """
+
+    def decorate(task: Task) -> Callable[[], None]:
+        @functools.wraps(task)
+        def job(composed: DictConfig) -> float:
+            settings = HydraConfig.get()
+            try:
+                config = _job_config(composed, list(settings.overrides.task))
+                return task(config, Path(settings.runtime.output_dir))
+            except Exception as error:
+                if isinstance(error, (ConfigError, *clear_errors())):
+                    raise Refusal(_sentence(error)) from error
+                raise
+
+        @functools.wraps(task)
+        def main() -> None:
+            arguments = sys.argv[1:]
+            try:
+                prepared = prepare(arguments, check)
+            except (ValueError, OSError) as error:
+                _refuse(error)
+            sys.argv[1:] = prepared
+            try:
+                hydra.main(
+                    version_base="1.3", config_path=str(conf_folder()), config_name="config"
+                )(job)()
+            finally:
+                sys.argv[1:] = arguments
+
+        return main
+
+    return decorate
+
+
+def prepare(arguments: Sequence[str], check: Check) -> list[str]:
+    """The command line for Hydra, once everything on it has been checked.
+
+    Args:
+        arguments: the command line without the program's name.
+        check: see :func:`command`.
+
+    Raises:
+        ConfigError: one sentence that says what is wrong and what is allowed.
+        ValueError or OSError: what ``check`` raises.
+    """
+    parsed = get_args_parser().parse_args(list(arguments))
+    if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
+        return list(arguments)
+    with session() as hydra_session:
+        _refuse_unread(parsed)
+        composed = None if parsed.multirun else compose_raw(parsed.overrides, with_hydra=True)
+        if composed is not None and composed.hydra.mode is None:
+            resume = composed.resume
+            config = _job_config(_without_hydra(composed), parsed.overrides)
+            check(config)
+            extra = _run_folder(composed, resume)
+        else:
+            composed, jobs = _sweep(hydra_session, parsed.overrides)
+            for overrides in jobs:
+                job = compose_raw(overrides)
+                if job.resume is not None:
+                    raise ConfigError("resume cannot be combined with --multirun")
+                check(to_config(job, Config))
+            extra = [f"hydra.sweep.dir={_quoted(_reserve(Path(composed.hydra.sweep.dir)))}"]
+    return [*arguments, *extra]
+
+
+def _refuse_unread(parsed: Namespace) -> None:
+    for flag in ("config_path", "config_name", "experimental_rerun"):
+        if getattr(parsed, flag, None) is not None:
+            name = "--" + flag.replace("_", "-")
+            raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
+
+
+def _without_hydra(composed: DictConfig) -> DictConfig:
+    plain = composed.copy()
+    OmegaConf.set_struct(plain, False)
+    OmegaConf.set_readonly(plain, False)
+    del plain["hydra"]
+    return plain
+
+
+def _job_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
+    config = to_config(composed, Config)
+    return config if config.resume is None else resumed_config(config, overrides)
+
+
+def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[list[str]]]:
+    """The configuration of a sweep, and the overrides of each of its jobs."""
+    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
+    try:
+        parsed = parser.parse_overrides(list(arguments))
+        jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
+    except HydraException as error:
+        raise ConfigError(explain(error, arguments, options)) from error
+    composed = compose_raw(jobs[0], with_hydra=True)
+    return composed, jobs
+
+
+def _run_folder(composed: DictConfig, resume: str | None) -> list[str]:
+    if resume is not None:
+        folder = Path(resume).expanduser().resolve()
+        # Hydra's own record stays as the first process wrote it.
+        return [f"hydra.run.dir={_quoted(folder)}", "hydra.output_subdir=null"]
+    chosen = Path(composed.hydra.run.dir)
+    if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
+        if (chosen / RUN_CONFIG).exists():
+            raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")
+        return []
+    return [f"hydra.run.dir={_quoted(_reserve(chosen))}"]
+
+
+def _reserve(folder: Path) -> Path:
+    """Makes a folder that nobody else has: the given one, or the first free ``<folder>_<n>``."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    candidate, number = folder, 1
+    while True:
+        try:
+            candidate.mkdir()
+        except FileExistsError:
+            number += 1
+            candidate = folder.with_name(f"{folder.name}_{number}")
+        else:
+            return candidate
+
+
+def _quoted(path: Path) -> str:
+    text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{text}'"
+
+
+def _sentence(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+def _refuse(error: Exception) -> None:
+    if os.environ.get("HYDRA_FULL_ERROR") == "1":
+        raise error
+    sys.stderr.write(f"error: {_sentence(error)}\n")
+    sys.exit(REFUSED)

@@ -1,0 +1,160 @@
+"""One configuration key: its default, what it may be, and what it means.
+
+A schema field is declared once with all three::
+
+    lr: float = setting(1e-3, POSITIVE, "step size of Adam")
+
+OmegaConf checks the type, :func:`check_settings` the value; both refusals are one sentence that
+names the key, what is allowed and what was given.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import Field, dataclass, field, fields, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+__all__ = [
+    "ANY_TEXT",
+    "BOOLEAN",
+    "COUNT",
+    "COUNTS",
+    "NON_NEGATIVE",
+    "NON_NEGATIVE_INTEGER",
+    "NUMBER",
+    "POSITIVE",
+    "PROBABILITY",
+    "Allowed",
+    "ConfigError",
+    "at_least",
+    "check_settings",
+    "one_of",
+    "optional",
+    "or_text",
+    "setting",
+    "walk",
+]
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot be run. Its text is one sentence for the person who wrote it."""
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """The values a key may take.
+
+    Attributes:
+        text: completes the sentence ``"<key> must be ..."``.
+        test: whether a value (already of the right type) is one of them.
+    """
+
+    text: str
+    test: Callable[[Any], bool]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+POSITIVE = Allowed("a positive number", lambda value: _is_number(value) and value > 0)
+NON_NEGATIVE = Allowed("a number of at least 0", lambda value: _is_number(value) and value >= 0)
+NUMBER = Allowed("a number", _is_number)
+PROBABILITY = Allowed(
+    "a number between 0 and 1", lambda value: _is_number(value) and 0 <= value <= 1
+)
+NON_NEGATIVE_INTEGER = Allowed(
+    "an integer of at least 0", lambda value: _is_integer(value) and value >= 0
+)
+COUNT = Allowed("an integer of at least 1", lambda value: _is_integer(value) and value >= 1)
+COUNTS = Allowed(
+    "a list of integers of at least 1, such as [256,256]",
+    lambda value: bool(value) and all(_is_integer(item) and item >= 1 for item in value),
+)
+BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
+ANY_TEXT = Allowed("a text", lambda value: isinstance(value, str) and value != "")
+
+
+def at_least(minimum: int) -> Allowed:
+    """The integers from ``minimum`` on."""
+    return Allowed(
+        f"an integer of at least {minimum}", lambda value: _is_integer(value) and value >= minimum
+    )
+
+
+def one_of(*choices: str) -> Allowed:
+    """Exactly the given texts."""
+    if len(choices) == 1:
+        return Allowed(f"{choices[0]!r}", lambda value: value == choices[0])
+    return Allowed(f"one of {', '.join(choices)}", lambda value: value in choices)
+
+
+def or_text(allowed: Allowed, text: str) -> Allowed:
+    """What ``allowed`` lets through, and the word ``text``."""
+    return Allowed(
+        f"{allowed.text} or {text!r}", lambda value: value == text or allowed.test(value)
+    )
+
+
+def optional(allowed: Allowed, meaning: str) -> Allowed:
+    """What ``allowed`` lets through, and null; ``meaning`` says what null does."""
+    return Allowed(
+        f"{allowed.text} or null ({meaning})", lambda value: value is None or allowed.test(value)
+    )
+
+
+def setting(default: Any, allowed: Allowed, meaning: str) -> Any:
+    """A dataclass field with a default, the values it may take, and its meaning.
+
+    Args:
+        default: the value where nobody chooses one; lists are copied for each instance.
+        allowed: the values that pass :func:`check_settings`.
+        meaning: what the key does, with its unit.
+    """
+    metadata = {"allowed": allowed, "meaning": meaning}
+    if isinstance(default, list):
+        return field(default_factory=lambda: copy.copy(default), metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any], Any]]:
+    """Yields (dotted key, dataclass field, value) of every leaf of a configuration dataclass."""
+    for item in fields(config):
+        key = f"{prefix}{item.name}"
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            yield from walk(value, f"{key}.")
+        else:
+            yield key, item, value
+
+
+def check_settings(config: Any) -> None:
+    """Checks every value of a configuration dataclass against what its field allows.
+
+    Raises:
+        ConfigError: naming the first key whose value is not allowed.
+
+    Example:
+        >>> from dataclasses import dataclass
+        >>> @dataclass
+        ... class Optimiser:
+        ...     lr: float = setting(1e-3, POSITIVE, "step size")
+        >>> check_settings(Optimiser(lr=-1.0))
+        Traceback (most recent call last):
+        ...
+        bbq_torchrl.config.settings.ConfigError: lr must be a positive number, got -1.0
+    """
+    for key, item, value in walk(config):
+        allowed: Allowed = item.metadata["allowed"]
+        if value == "???":
+            raise ConfigError(f"{key} must be given: it must be {allowed.text}")
+        if not allowed.test(value):
+            raise ConfigError(f"{key} must be {allowed.text}, got {value!r}")

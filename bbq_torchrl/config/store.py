@@ -1,0 +1,214 @@
+"""Composing, checking, saving and loading configurations.
+
+The only module that talks to Hydra's configuration store. Importing it registers the schemas (as
+``_<option>`` in their group, so that a YAML file of the same option extends one) and finds the
+``conf`` folder: inside an installed package, else beside it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from bbq_torchrl.config.messages import explain
+from bbq_torchrl.config.pairs import explorations_table
+from bbq_torchrl.config.schema import SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.config.validation import validate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = [
+    "compose",
+    "compose_raw",
+    "conf_folder",
+    "load_config",
+    "options",
+    "save_config",
+    "session",
+    "to_config",
+]
+
+Root = TypeVar("Root", Config, EvaluateConfig)
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def conf_folder() -> Path:
+    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` beside it.
+
+    Raises:
+        FileNotFoundError: neither is there.
+    """
+    for folder in (_PACKAGE / "conf", _PACKAGE.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise FileNotFoundError(f"no configuration folder 'conf' in {_PACKAGE} or beside it")
+
+
+def options(group: str) -> list[str]:
+    """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``."""
+    return sorted(file.stem for file in (conf_folder() / group).glob("*.yaml"))
+
+
+def _register() -> None:
+    store = ConfigStore.instance()
+    store.store(name="_config", node=Config)
+    store.store(name="_evaluate", node=EvaluateConfig)
+    for group, schemas in SCHEMAS.items():
+        for option, schema in schemas.items():
+            store.store(group=group, name=f"_{option}", node=schema)
+    OmegaConf.register_new_resolver("bbq_pairs", _indented_pairs, replace=True)
+    OmegaConf.register_new_resolver("bbq_groups", _indented_groups, replace=True)
+
+
+def _indented_pairs() -> str:
+    return "\n".join(f"  {line}" for line in explorations_table().splitlines())
+
+
+def _indented_groups() -> str:
+    groups = [*SCHEMAS, "experiment"]
+    return "\n".join(f"  {group + '=':<12}{' | '.join(options(group))}" for group in groups)
+
+
+_register()
+
+
+@contextlib.contextmanager
+def session() -> Iterator[Any]:
+    """A Hydra session on the ``conf`` folder; leaves whatever session was open as it was."""
+    hydra = GlobalHydra.instance()
+    before = hydra.hydra
+    hydra.clear()
+    try:
+        with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+            yield GlobalHydra.instance().hydra
+    finally:
+        hydra.hydra = before
+
+
+def compose_raw(
+    overrides: Sequence[str], name: str = "config", with_hydra: bool = False
+) -> DictConfig:
+    """Composes YAML files and overrides inside a :func:`session`; values are not yet checked.
+
+    Raises:
+        ConfigError: an unknown group, option or key, or a value of the wrong type.
+    """
+    try:
+        return hydra_compose(name, list(overrides), return_hydra_config=with_hydra)
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        raise ConfigError(explain(error, overrides, options)) from error
+
+
+def to_config(composed: DictConfig, root: type[Root]) -> Root:
+    """The checked dataclass of a composed configuration; paths become absolute.
+
+    Raises:
+        ConfigError: the first value or combination that cannot be run.
+    """
+    for group in SCHEMAS:
+        if group not in composed or OmegaConf.is_missing(composed, group):
+            continue
+        chosen, name = OmegaConf.get_type(composed, group), composed[group].name
+        assert chosen is not None
+        allowed = next(item.metadata["allowed"] for item in fields(chosen) if item.name == "name")
+        if not allowed.test(name):
+            raise ConfigError(
+                f"{group}.name must be {allowed.text}, got {name!r}: choose by {group}={name}"
+            )
+    plain = OmegaConf.create(OmegaConf.to_container(composed, resolve=False))
+    assert isinstance(plain, DictConfig)
+    return _typed(plain, root)
+
+
+def _typed(plain: DictConfig, root: type[Root]) -> Root:
+    try:
+        typed = OmegaConf.structured(root)
+        for key in map(str, plain):
+            if OmegaConf.is_missing(plain, key):
+                raise ConfigError(f"{key} must be given, as {key}=<value>")
+            typed[key] = _typed_group(key, plain) if key in SCHEMAS else plain[key]
+        OmegaConf.resolve(typed)
+        for key in sorted(OmegaConf.missing_keys(typed)):
+            raise ConfigError(f"{key} must be given, as {key}=<value>")
+        config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
+    except OmegaConfBaseException as error:
+        raise ConfigError(explain(error, (), options)) from error
+    if hasattr(config.domain, "path"):
+        config.domain.path = os.path.abspath(os.path.expanduser(config.domain.path))
+    validate(config)
+    return config
+
+
+def _typed_group(group: str, plain: DictConfig) -> DictConfig:
+    """The keys of a group on the schema that its ``name`` says."""
+    schemas = SCHEMAS[group]
+    name = plain[group].get("name") if OmegaConf.is_dict(plain[group]) else None
+    if name not in schemas:
+        raise ConfigError(f"{group} must be one of {', '.join(schemas)}, got {name!r}")
+    typed = OmegaConf.structured(schemas[name])
+    for key, value in plain[group].items_ex(resolve=False):
+        typed[key] = value
+    assert isinstance(typed, DictConfig)
+    return typed
+
+
+def compose(overrides: Sequence[str] = (), root: type[Root] = Config) -> Root:  # type: ignore[assignment]
+    """The checked configuration that a command line of overrides stands for.
+
+    Args:
+        overrides: as on the command line, such as ``["agent=dqn", "protocol.rounds=20"]``.
+        root: :class:`Config` for a training run, :class:`EvaluateConfig` for an evaluation.
+
+    Raises:
+        ConfigError: one sentence that says which key is wrong and what it may be.
+
+    Example:
+        >>> compose(["agent=dqn"]).explore.name
+        'epsilon_greedy'
+        >>> compose(["env=domain_ext"]).protocol.rounds
+        200
+    """
+    name = "config" if root is Config else "evaluate"
+    with session():
+        return to_config(compose_raw(overrides, name), root)
+
+
+def save_config(config: Config, file: Path) -> None:
+    """Writes a configuration as YAML, atomically, so that a reader never sees half of it."""
+    temporary = file.with_name(file.name + ".tmp")
+    temporary.write_text(OmegaConf.to_yaml(OmegaConf.structured(config)), encoding="utf-8")
+    os.replace(temporary, file)
+
+
+def load_config(file: Path) -> Config:
+    """Reads a configuration that :func:`save_config` wrote; keys it lacks take their defaults.
+
+    Raises:
+        ConfigError: no readable configuration, or one that cannot be run.
+    """
+    try:
+        plain = OmegaConf.load(file)
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
+    except Exception as error:
+        raise ConfigError(f"{file} is not a YAML file of a run: {error}") from error
+    if not isinstance(plain, DictConfig):
+        raise ConfigError(f"{file} must hold a mapping of groups, got a list")
+    try:
+        return _typed(plain, Config)
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error
