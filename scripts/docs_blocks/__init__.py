@@ -1,0 +1,9 @@
+"""The parts of the documentation that are made from code and from results."""
+
+from __future__ import annotations
+
+from scripts.docs_blocks.config import config_blocks
+from scripts.docs_blocks.domain import domain_blocks
+from scripts.docs_blocks.results import results_blocks
+
+__all__ = ["config_blocks", "domain_blocks", "results_blocks"]

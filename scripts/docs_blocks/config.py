@@ -1,0 +1,110 @@
+"""Tables of configuration keys, from the schemas and the YAML files."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import Field, fields
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from bbq_torchrl.config.pairs import EXPLORATIONS
+from bbq_torchrl.config.schema import SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.store import compose_raw, options, session
+from scripts.docs_blocks.markdown import code, table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+__all__ = ["config_blocks"]
+
+_HEAD = ("key", "default", "must be", "meaning")
+
+
+def config_blocks() -> dict[str, Callable[[], str]]:
+    """Returns a block for every group, for both roots, and for what can be paired."""
+    blocks: dict[str, Callable[[], str]] = {
+        "config.root": partial(_root, Config, "config", ["agent=bbqn"]),
+        "config.evaluate": partial(_root, EvaluateConfig, "evaluate", []),
+        "config.pairs": _pairs,
+        "config.groups": _groups,
+    }
+    return blocks | {f"config.{group}": partial(_group, group) for group in SCHEMAS}
+
+
+def _root(schema: type, name: str, overrides: list[str]) -> str:
+    with session():
+        composed = compose_raw(overrides, name)
+    leaves = [item for item in fields(schema) if item.name not in SCHEMAS]
+    return table(_HEAD, _rows(leaves, composed))
+
+
+def _group(group: str) -> str:
+    """Returns what each option is, and one table of all keys with each option's default."""
+    names = options(group)
+    with session():
+        nodes = [compose_raw([f"{group}={name}"])[group] for name in names]
+    schemas = [OmegaConf.get_type(node) for node in nodes]
+    summaries = [
+        f"- `{group}={name}`: {_summary(schema)}"
+        for name, schema in zip(names, schemas, strict=True)
+    ]
+    keys = [item for schema in schemas for item in fields(schema) if item.name != "name"]
+    rows = []
+    for name in dict.fromkeys(item.name for item in keys):
+        same = [item.metadata for item in keys if item.name == name]
+        defaults = [_default(node, name) if name in node else "–" for node in nodes]
+        allowed = " / ".join(dict.fromkeys(entry["allowed"].text for entry in same))
+        meaning = " / ".join(dict.fromkeys(entry["meaning"] for entry in same))
+        rows.append((code(f"{group}.{name}"), *defaults, allowed, meaning))
+    head = ("key", *(code(name) for name in names), "must be", "meaning")
+    return "\n".join(summaries) + ("\n\n" + table(head, rows) if rows else "")
+
+
+def _rows(items: Iterable[Field[Any]], node: DictConfig) -> Iterable[tuple[str, ...]]:
+    for item in items:
+        allowed, meaning = item.metadata["allowed"].text, item.metadata["meaning"]
+        yield code(item.name), _default(node, item.name), allowed, meaning
+
+
+def _default(node: DictConfig, key: str) -> str:
+    if OmegaConf.is_missing(node, key):
+        return "none: must be given"
+    value = node._get_node(key)._value() if OmegaConf.is_interpolation(node, key) else node[key]
+    if value is None:
+        return code("null")
+    return code(str(value).lower() if isinstance(value, bool) else value)
+
+
+def _summary(schema: type) -> str:
+    return (inspect.getdoc(schema) or "").split("\n\n", maxsplit=1)[0].replace("\n", " ")
+
+
+def _pairs() -> str:
+    strategies = sorted({name for names in EXPLORATIONS.values() for name in names})
+    rows = [
+        (
+            code(name),
+            *(
+                "default" if name == names[0] else "yes" if name in names else "refused"
+                for names in EXPLORATIONS.values()
+            ),
+        )
+        for name in strategies
+    ]
+    return table(("explore", *(code(f"agent={agent}") for agent in EXPLORATIONS)), rows)
+
+
+def _groups() -> str:
+    with session():
+        chosen = compose_raw([], with_hydra=True).hydra.runtime.choices
+    rows = [
+        (
+            code(group),
+            ", ".join(map(code, options(group))),
+            code(chosen[group]) if chosen.get(group) else "none",
+        )
+        for group in (*SCHEMAS, "experiment")
+    ]
+    return table(("group", "options", "default"), rows)

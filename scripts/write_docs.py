@@ -1,0 +1,85 @@
+"""Writes the parts of README.md and docs/ that are made from code and from results/.
+
+A page marks such a part by ``<!-- begin: name -->`` and ``<!-- end: name -->``; what stands between
+the marks is replaced by what the function of that name returns. So no table of keys, features or
+results is typed by hand.
+
+    python scripts/write_docs.py            rewrites the pages and the figures
+    python scripts/write_docs.py --check    changes nothing; fails if a page is out of date
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))  # so that `python scripts/write_docs.py` finds its own package
+
+from scripts.docs_blocks import config_blocks, domain_blocks, results_blocks  # noqa: E402
+
+_BLOCK = re.compile(r"(<!-- begin: (?P<name>[\w.-]+) -->\n).*?(<!-- end: (?P=name) -->)", re.DOTALL)
+
+Block = Callable[[], str]
+
+
+def blocks() -> dict[str, Block]:
+    """Returns every block that a page may hold, by name."""
+    return {**config_blocks(), **domain_blocks(), **results_blocks()}
+
+
+def pages() -> list[Path]:
+    """Returns the pages that may hold blocks."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def rewrite(text: str, known: Mapping[str, Block], *, page: str = "the page") -> str:
+    """Returns ``text`` with every block made anew.
+
+    Raises:
+        ValueError: if a block is not known, or a begin has no end.
+    """
+
+    def fill(match: re.Match[str]) -> str:
+        name = match["name"]
+        if name not in known:
+            raise ValueError(f"{page} has the unknown block {name!r}; known are {sorted(known)}")
+        return f"{match[1]}\n{known[name]().strip()}\n\n{match[3]}"
+
+    if len(re.findall("<!-- begin: ", text)) != len(_BLOCK.findall(text)):
+        raise ValueError(f"{page} has a block that is not closed by an end of the same name")
+    return _BLOCK.sub(fill, text)
+
+
+def outdated(known: Mapping[str, Block]) -> dict[Path, str]:
+    """Returns the pages that are not what they should be, with their new text."""
+    changes = {}
+    for page in pages():
+        old = page.read_text(encoding="utf-8")
+        new = rewrite(old, known, page=page.name)
+        if new != old:
+            changes[page] = new
+    return changes
+
+
+def main() -> int:
+    """Rewrites or checks the pages; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--check", action="store_true", help="change nothing, fail if out of date")
+    check = parser.parse_args().check
+    changes = outdated(blocks())
+    for page, text in changes.items():
+        name = page.relative_to(ROOT)
+        if check:
+            sys.stderr.write(f"{name} is out of date: run python scripts/write_docs.py\n")
+        else:
+            page.write_text(text, encoding="utf-8")
+            sys.stdout.write(f"wrote {name}\n")
+    return int(check and bool(changes))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
