@@ -17,11 +17,12 @@ import logging
 import os
 import re
 import shutil
+import struct
 import zipfile
 import zlib
 from typing import TYPE_CHECKING, Any
 
-from torchrl.checkpoint import Checkpoint, CheckpointError
+from torchrl.checkpoint import Checkpoint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,12 +36,13 @@ _NAME = re.compile(r"round-(\d{6,})\.torchrl")
 _LEFTOVER = re.compile(r"\..+\.torchrl\.(stage|archive|backup)-[0-9a-f]{32}")
 _READ_ERRORS = (
     OSError,
+    EOFError,
     ValueError,
     KeyError,
-    NotImplementedError,
+    RuntimeError,  # TorchRL's CheckpointError, and zipfile's word for flags that make no sense
+    struct.error,
     zipfile.BadZipFile,
     zlib.error,
-    CheckpointError,
 )
 
 
@@ -58,6 +60,7 @@ class CheckpointFolder:
             ``load_state_dict``, or lists and dicts of JSON values, which are restored in place.
 
     Example:
+        >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
         >>> from torch import nn
         >>> with TemporaryDirectory() as folder:

@@ -20,6 +20,7 @@ class NonFiniteLossError(RuntimeError):
         saved (Path): where the state of the training was saved for inspection.
 
     Example:
+        >>> from pathlib import Path
         >>> raise NonFiniteLossError(7, [1], Path("run/checkpoint/failed.torchrl"))
         Traceback (most recent call last):
         bbq_torchrl.trainers.errors.NonFiniteLossError: the loss of replica 1 is not finite in

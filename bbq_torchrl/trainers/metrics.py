@@ -38,6 +38,7 @@ class MetricsFile:
         path (Path): the file; its folder is made if it is missing.
 
     Example:
+        >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
         >>> with TemporaryDirectory() as folder:
         ...     metrics = MetricsFile(Path(folder) / "metrics.csv")

@@ -1,0 +1,96 @@
+"""Transitions that could not be learned from are refused when they are stored."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.data import ReplicaReplay, validate_transitions
+
+
+def transitions() -> TensorDict:
+    return TensorDict(
+        {
+            "observation": torch.zeros(3, 2),
+            "action": torch.tensor([0, 1, 2]),
+            "action_mask": torch.tensor([[True, False, False], [True, True, False], [True] * 3]),
+            "next": {
+                "observation": torch.zeros(3, 2),
+                "reward": torch.zeros(3, 1),
+                "done": torch.tensor([[False], [False], [True]]),
+                "terminated": torch.tensor([[False], [False], [True]]),
+                "action_mask": torch.tensor([[True] * 3, [False, True, False], [False] * 3]),
+            },
+        },
+        [3],
+    )
+
+
+def test_good_transitions_pass_terminal_ones_without_a_next_action_too():
+    validate_transitions(transitions())
+
+
+def test_one_hot_actions_are_understood():
+    good = transitions().set("action", torch.eye(3, dtype=torch.long))
+    validate_transitions(good)
+
+    bad = good.set("action", torch.eye(3, dtype=torch.long).flip(0))
+    with pytest.raises(ValueError, match="allowed by action_mask, but row 0"):
+        validate_transitions(bad)
+
+
+def _nan_observation(rows):
+    rows["observation"][1, 0] = torch.nan
+
+
+def _infinite_reward(rows):
+    rows["next", "reward"][2] = torch.inf
+
+
+def _masked_action(rows):
+    rows["action"][1] = 2
+
+
+def _unknown_action(rows):
+    rows["action"][0] = 3
+
+
+def _no_next_action(rows):
+    rows["next", "action_mask"][0] = False
+
+
+def _truncated_without_next_action(rows):
+    # Truncated, not terminated: the value of the next state counts.
+    rows["next", "terminated"][2] = False
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (_nan_observation, r"observation of replica 1 must be finite, but row 1 .*1 of 3"),
+        (_infinite_reward, r"next/reward of replica 1 must be finite, but row 2"),
+        (_masked_action, r"action of replica 1 must be allowed by action_mask, but row 1"),
+        (_unknown_action, r"action of replica 1 must be allowed by action_mask, but row 0"),
+        (_no_next_action, r"must allow some action where the row is not terminated, but row 0"),
+        (_truncated_without_next_action, r"must allow some action .*, but row 2"),
+    ],
+)
+def test_bad_transitions_are_named_and_nothing_is_stored(spoil, message):
+    bad = transitions()
+    spoil(bad)
+    replay = ReplicaReplay(10, replicas=2)
+
+    with pytest.raises(ValueError, match=message):
+        replay.extend([transitions(), bad])
+
+    assert replay.lengths == (0, 0)
+
+
+def test_transitions_without_masks_are_checked_for_what_they_have():
+    rows = TensorDict({"observation": torch.full((2, 1), torch.nan)}, [2])
+
+    validate_transitions(rows.clone().zero_())
+    with pytest.raises(ValueError, match="2 of 2 rows"):
+        validate_transitions(rows)
+    validate_transitions(TensorDict({"action": torch.zeros(2, dtype=torch.long)}, [2]))
