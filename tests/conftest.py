@@ -1,0 +1,50 @@
+"""Fixtures that every test may use: the domains, and the public corpus where it is present."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+from bbq_torchrl.domains import Domain, load_domain, load_miulab, movie_domain
+
+TESTS = Path(__file__).parent
+DEFAULT_TCBOT = TESTS.parent.parent / "shared" / "data" / "tcbot"
+
+# More threads than tests at a time only get in each other's way on a small machine.
+torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def tcbot() -> Path:
+    """The folder of MiuLab's public corpus; tests that need it are skipped where it is absent."""
+    folder = Path(os.environ.get("BBQ_TCBOT", DEFAULT_TCBOT))
+    if not (folder / "movie_kb.1k.p").is_file():
+        pytest.skip(f"MiuLab's corpus is not in {folder}; name its folder in BBQ_TCBOT")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def miulab(tcbot: Path) -> Domain:
+    """MiuLab's corpus with its default files."""
+    return load_miulab(tcbot)
+
+
+@pytest.fixture(scope="session")
+def movie() -> Domain:
+    """The movie domain that comes with the package."""
+    return movie_domain()
+
+
+@pytest.fixture(scope="session")
+def restaurant_folder() -> Path:
+    """The folder of a small domain of another kind: tables in restaurants."""
+    return TESTS / "data" / "restaurant"
+
+
+@pytest.fixture(scope="session")
+def restaurant(restaurant_folder: Path) -> Domain:
+    """A small domain of another kind: tables in restaurants."""
+    return load_domain(restaurant_folder)
