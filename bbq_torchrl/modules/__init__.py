@@ -1,0 +1,35 @@
+"""Bayesian layers, Q-networks and exploration: TensorDict modules that know no dialogue."""
+
+from bbq_torchrl.modules.bayes_mlp import BayesLinear, BayesMLP
+from bbq_torchrl.modules.evaluation_policy import EvaluationPolicy
+from bbq_torchrl.modules.exploration import Boltzmann, Greedy, ThompsonSampling
+from bbq_torchrl.modules.functional import FlatLayout
+from bbq_torchrl.modules.kl import collect_kl, kl_divergence
+from bbq_torchrl.modules.mlp import MLP
+from bbq_torchrl.modules.posterior import GaussianPosterior
+from bbq_torchrl.modules.q_network import q_network
+from bbq_torchrl.modules.weight_mode import (
+    given_weights,
+    resolve_weight_mode,
+    set_weight_mode,
+    weight_mode,
+)
+
+__all__ = [
+    "MLP",
+    "BayesLinear",
+    "BayesMLP",
+    "Boltzmann",
+    "EvaluationPolicy",
+    "FlatLayout",
+    "GaussianPosterior",
+    "Greedy",
+    "ThompsonSampling",
+    "collect_kl",
+    "given_weights",
+    "kl_divergence",
+    "q_network",
+    "resolve_weight_mode",
+    "set_weight_mode",
+    "weight_mode",
+]

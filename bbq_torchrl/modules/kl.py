@@ -1,0 +1,121 @@
+"""The KL divergence of any network that contains Bayesian layers."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.modules.posterior import GaussianPosterior, KLKind, check_kl_kind
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from torch import Tensor, nn
+
+__all__ = ["collect_kl", "kl_divergence"]
+
+
+class _Active(threading.local):
+    collector: collect_kl | None = None
+
+
+_active = _Active()
+
+
+def active_kl_collector() -> collect_kl | None:
+    """Returns the innermost :class:`collect_kl`, None outside of one."""
+    return _active.collector
+
+
+class collect_kl:
+    """Collects the KL from the prior of each Bayesian layer that runs inside of the context.
+
+    A layer that draws its weights there computes its KL along with the draw and shares σ with
+    it; it is counted once, at its first call.
+
+    Args:
+        kind: "closed", or "sampled" (log q(w) - log p(w) at the draw; needs layers that draw
+            their weights, see Raises).
+
+    Raises:
+        ValueError: for another kind; and at the call of a layer in mode "mean" or "local" when
+            the kind is "sampled": there are no weights to evaluate it at.
+
+    Example:
+        >>> import torch
+        >>> from torch import nn
+        >>> from bbq_torchrl.modules import BayesLinear, set_weight_mode
+        >>> net = nn.Sequential(BayesLinear(3, 4), nn.Tanh(), BayesLinear(4, 2))
+        >>> with set_weight_mode("draw"), collect_kl() as kl:
+        ...     q = net(torch.ones(5, 3))
+        >>> kl.total()
+        tensor(..., grad_fn=...)
+    """
+
+    def __init__(self, kind: KLKind = "closed") -> None:
+        check_kl_kind(kind)
+        self.kind = kind
+        self._terms: dict[GaussianPosterior, Tensor] = {}
+
+    def draw(self, posterior: GaussianPosterior) -> Tensor:
+        """Returns a weight draw [*stack, P] and notes the KL at the posterior's first draw."""
+        if posterior in self._terms:
+            return posterior.sample()
+        weights, self._terms[posterior] = posterior.sample_with_kl(self.kind)
+        return weights
+
+    def note(self, posterior: GaussianPosterior) -> None:
+        """Notes the closed KL of a posterior that is used without a weight draw."""
+        if self.kind == "sampled":
+            raise ValueError(
+                'kl="sampled" needs weight draws: the layer runs in mode "mean" or "local", '
+                'which have none. Use kl="closed" or mode "draw"'
+            )
+        if posterior not in self._terms:
+            self._terms[posterior] = posterior.kl()
+
+    def total(self) -> Tensor:
+        """Returns the sum over the layers, [*stack], in nats.
+
+        Raises:
+            RuntimeError: if no Bayesian layer ran in the context.
+        """
+        if not self._terms:
+            raise RuntimeError("no Bayesian layer ran inside of collect_kl()")
+        first, *others = self._terms.values()
+        for term in others:
+            first = first + term
+        return first
+
+    def __enter__(self) -> collect_kl:
+        self._outer = _active.collector
+        _active.collector = self
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        _active.collector = self._outer
+
+
+def kl_divergence(module: nn.Module) -> Tensor:
+    """Returns the closed KL from the prior over all Bayesian layers of ``module``, [*stack].
+
+    Raises:
+        ValueError: if the module has no Bayesian layer.
+
+    Example:
+        >>> from bbq_torchrl.modules import BayesMLP
+        >>> bool((kl_divergence(BayesMLP(3, 2, stack=(5,))) < 1e-3).all())
+        True
+    """
+    terms = [m.kl() for m in module.modules() if isinstance(m, GaussianPosterior)]
+    if not terms:
+        raise ValueError(f"{type(module).__name__} has no Bayesian layer")
+    total = terms[0]
+    for term in terms[1:]:
+        total = total + term
+    return total

@@ -1,0 +1,176 @@
+"""The Bayes-by-Backprop Q-network's loss (Lipton et al., BBQ-Networks, AAAI 2018)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import torch
+from torchrl.envs.utils import ExplorationType
+
+from bbq_torchrl.modules.exploration import bayesian_layers
+from bbq_torchrl.modules.kl import collect_kl
+from bbq_torchrl.modules.posterior import KLKind, check_kl_kind
+from bbq_torchrl.objectives.q_learning import OneStepQLoss
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from torch import Tensor, nn
+    from torchrl.data import TensorSpec
+    from torchrl.modules import QValueActor
+
+__all__ = ["BBQNLoss", "Target"]
+
+Target = Literal["map", "mc"]
+
+
+class BBQNLoss(OneStepQLoss):
+    """Expected squared TD error under the posterior, plus its KL from the prior.
+
+    For N transitions in the buffer each network's loss is
+
+        mean over the batch of (y - Q(s, a; w))² / (2 noise_std²) + kl_temperature · KL / N
+
+    with one draw w of the weights a batch: the negative evidence bound divided by N, so that
+    more data weigh more against the prior. y is a constant.
+
+    Args:
+        value_network: an actor, or a network that maps the observation to values, with Bayesian
+            layers.
+
+    Keyword Args:
+        target: "map", the frozen posterior's mean network gives the target, or "mc", one weight
+            draw of the frozen posterior a batch. Defaults to "map".
+        kl: "closed" or "sampled" (log q(w) - log p(w) at the draw; the paper's). Under Adam the
+            sampled one moves weights that no data reach away from the prior. Defaults to
+            "closed".
+        noise_std: standard deviation of the observation noise of y, in units of Q.
+        kl_temperature: factor of the KL; 1 is Bayes' rule. Defaults to 1.
+        gamma: discount of the one-step target. Defaults to 0.9.
+        num_data: N, for each element of the stack or one for all; see :meth:`set_num_data`,
+            which is to be called before the first loss where this is None.
+        action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
+            has one.
+        delay_value: whether the target is a frozen copy of the network. Defaults to True.
+
+    Raises:
+        ValueError: for an argument outside of what is listed, or a network without Bayesian
+            layers.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from torchrl.objectives import HardUpdate
+        >>> from bbq_torchrl.modules import BayesMLP, q_network
+        >>> from bbq_torchrl.objectives import BBQNLoss
+        >>> actor = q_network(BayesMLP(3, 4, stack=(5,)), Categorical(4))
+        >>> loss = BBQNLoss(actor, num_data=1000)
+        >>> freeze = HardUpdate(loss, value_network_update_interval=0)
+        >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())
+        >>> end = dict(reward=torch.ones(5, 32, 1), terminated=torch.ones(5, 32, 1).bool())
+        >>> td = TensorDict(
+        ...     {**state, "action": torch.ones(5, 32).long(), "next": {**state, **end}}, [5, 32]
+        ... )
+        >>> out = loss(td)
+        >>> out["loss"].backward()
+        >>> sorted(out.keys())
+        ['kl', 'loss', 'loss_value', 'q_value', 'td_error']
+        >>> out["kl"].shape
+        torch.Size([5])
+    """
+
+    # TorchRL runs a loss's forward under DETERMINISTIC, where layers that follow the exploration
+    # type use their means and σ would get no gradient.
+    deterministic_sampling_mode = ExplorationType.RANDOM
+    out_keys = ["loss", "loss_value", "td_error", "q_value", "kl"]  # noqa: RUF012
+
+    num_data: Tensor
+
+    def __init__(
+        self,
+        value_network: QValueActor | nn.Module,
+        *,
+        target: Target = "map",
+        kl: KLKind = "closed",
+        noise_std: float = 1.0,
+        kl_temperature: float = 1.0,
+        gamma: float = 0.9,
+        num_data: int | Tensor | None = None,
+        action_space: str | TensorSpec | None = None,
+        delay_value: bool = True,
+    ) -> None:
+        if target not in get_args(Target):
+            raise ValueError(f"target must be one of {list(get_args(Target))}, got {target!r}")
+        check_kl_kind(kl)
+        if not noise_std > 0:
+            raise ValueError(f"noise_std must be positive, got {noise_std}")
+        if not kl_temperature >= 0:
+            raise ValueError(f"kl_temperature must not be negative, got {kl_temperature}")
+        super().__init__(
+            value_network, gamma=gamma, action_space=action_space, delay_value=delay_value
+        )
+        layers = bayesian_layers(self.value_network)
+        self.target = target
+        self.kl = kl
+        self.noise_std = noise_std
+        self.kl_temperature = kl_temperature
+        # 0 stands for "not known yet"
+        self.register_buffer("num_data", layers[0].posterior.mu.new_zeros(self.stack))
+        self._num_data_known = False
+        if num_data is not None:
+            self.set_num_data(num_data)
+
+    def set_num_data(self, num_data: int | Tensor) -> None:
+        """Sets N, the number of transitions that the KL is spread over.
+
+        Args:
+            num_data: a number, or one for each element of the stack, [*stack]; positive (tensors
+                are not checked, so that no device has to be waited for).
+
+        Raises:
+            ValueError: if a number is not positive or a tensor's shape does not fit.
+        """
+        if isinstance(num_data, torch.Tensor):
+            if num_data.shape not in (self.stack, torch.Size(())):
+                raise ValueError(
+                    f"num_data must be a number or have shape {list(self.stack)}, got "
+                    f"{list(num_data.shape)}"
+                )
+            self.num_data.copy_(num_data)
+        else:
+            if not num_data > 0:
+                raise ValueError(f"num_data must be positive, got {num_data}")
+            self.num_data.fill_(num_data)
+        self._num_data_known = True
+
+    def load_state_dict(
+        self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False
+    ) -> Any:
+        """Loads parameters, targets and buffers, as ``nn.Module`` has it."""
+        out = super().load_state_dict(state_dict, strict, assign)
+        self._num_data_known = bool((self.num_data > 0).all())
+        return out
+
+    def _predict(
+        self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]
+    ) -> tuple[Tensor, Tensor | None]:
+        if not self._num_data_known:
+            raise RuntimeError(
+                "num_data is not known: give it to BBQNLoss or call set_num_data(n) with the "
+                "number of transitions in the buffer"
+            )
+        with collect_kl(self.kl) as collector:
+            values = self._function(tensors, inputs, "draw")
+        kl = collector.total()
+        self._kl = kl.detach()
+        return values, kl * (self.kl_temperature / self.num_data)
+
+    def _target_values(self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]) -> Tensor:
+        return self._function(tensors, inputs, "mean" if self.target == "map" else "draw")
+
+    def _data_loss(self, td_error: Tensor) -> Tensor:
+        return td_error.square() * (0.5 / self.noise_std**2)
+
+    def _extra(self) -> dict[str, Tensor]:
+        return {"kl": self._kl}

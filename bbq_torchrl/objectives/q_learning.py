@@ -1,0 +1,262 @@
+"""What the Q-learning losses share: one-step targets, stacks of networks, rows that count."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import dispatch
+from torchrl.objectives import DQNLoss
+from torchrl.objectives.utils import ValueEstimators
+
+from bbq_torchrl.objectives.value_function import ValueFunction
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from tensordict.utils import NestedKey
+    from torch import Tensor, nn
+    from torchrl.data import TensorSpec
+    from torchrl.modules import QValueActor
+
+__all__ = ["OneStepQLoss"]
+
+
+class OneStepQLoss(DQNLoss):
+    """A :class:`~torchrl.objectives.DQNLoss` for stacks of networks with uncertain weights.
+
+    Reads a TensorDict [*stack, *batch] with the actor's in_keys, the action, and under "next"
+    the same in_keys, reward and terminated [*stack, *batch, 1]. Each element of the stack has a
+    loss of its own, the mean over its batch; ``loss`` is their sum, so that no element's
+    gradient depends on another's data. Rows can be left out: ``loss_mask_key`` (TorchRL's
+    attribute, here "valid" by default, an optional entry) names a bool [*stack, *batch] entry
+    that is True for the rows that count.
+
+    Differences from TorchRL's: the target is the one-step one (TD0) and computed without
+    TensorDicts in between; only index and one-hot actions; the network's dropout and weight
+    draws are set by the loss and not by the exploration type or the training flag.
+
+    Args:
+        value_network: an actor, or a network that maps the observation to values.
+
+    Keyword Args:
+        gamma: discount of the one-step target. Defaults to 0.9.
+        action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
+            has one.
+        delay_value: whether the target is a frozen copy of the network. Defaults to True.
+        double_dqn: whether the online mean network chooses the target's action.
+        loss_function: "l2", "l1" or "smooth_l1".
+
+    Raises:
+        ValueError: for an argument outside of what is listed.
+    """
+
+    out_keys = ["loss", "loss_value", "td_error", "q_value"]  # noqa: RUF012 - as in TorchRL
+    SUPPORTED_VALUE_ESTIMATORS = (ValueEstimators.TD0,)
+    _loss_mask_key: NestedKey | None = "valid"
+
+    def __init__(
+        self,
+        value_network: QValueActor | nn.Module,
+        *,
+        gamma: float = 0.9,
+        action_space: str | TensorSpec | None = None,
+        delay_value: bool = True,
+        double_dqn: bool = False,
+        loss_function: str = "l2",
+    ) -> None:
+        if not 0 <= gamma <= 1:
+            raise ValueError(f"gamma must be in [0, 1], got {gamma}")
+        if loss_function not in _DISTANCES:
+            raise ValueError(
+                f"loss_function must be one of {list(_DISTANCES)}, got {loss_function!r}"
+            )
+        super().__init__(
+            value_network,
+            loss_function=loss_function,
+            delay_value=delay_value,
+            double_dqn=double_dqn,
+            action_space=action_space,
+        )
+        if self.action_space not in ("categorical", "one_hot"):
+            raise ValueError(
+                f"action_space must be categorical or one-hot, got {self.action_space}"
+            )
+        self.stack = stack_of(self.value_network)
+        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+        self._function = ValueFunction(self.value_network)
+
+    # -- parameters -------------------------------------------------------------------------
+
+    def _tensors(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Returns the online and the target network's tensors by name."""
+        # TorchRL erases attributes that begin with _cache when it casts or moves the loss.
+        cached = self.__dict__.get("_cache_tensors")
+        if cached is None:
+            cached = (
+                self._function.tensors(self.value_network_params),
+                self._function.tensors(self.target_value_network_params),
+            )
+            self.__dict__["_cache_tensors"] = cached
+        return cached
+
+    def load_state_dict(
+        self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False
+    ) -> Any:
+        """Loads parameters, targets and buffers, as ``nn.Module`` has it."""
+        self.__dict__.pop("_cache_tensors", None)
+        return super().load_state_dict(state_dict, strict, assign)
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        state.pop("_cache_tensors", None)
+        return state
+
+    # -- forward ----------------------------------------------------------------------------
+
+    def _predict(
+        self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]
+    ) -> tuple[Tensor, Tensor | None]:
+        """Returns the values [*stack, *batch, N] to learn and a penalty [*stack] or None."""
+        raise NotImplementedError
+
+    def _target_values(self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]) -> Tensor:
+        """Returns the frozen network's values [*stack, *batch, N] of the next state."""
+        return self._function(tensors, inputs, "mean")
+
+    def _data_loss(self, td_error: Tensor) -> Tensor:
+        """Returns each row's loss."""
+        return _DISTANCES[self.loss_function](td_error)
+
+    @dispatch  # type: ignore[untyped-decorator]
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Returns the losses of a batch of transitions.
+
+        Also writes the squared TD error [*stack, *batch, 1] into the input under the priority
+        key, for prioritised replay.
+
+        Args:
+            tensordict: a batch [*stack, *batch].
+
+        Returns:
+            a TensorDict with the scalar "loss" to differentiate and, without a graph,
+            "loss_value", "td_error" (mean of |target - Q|) and "q_value" (mean of Q at the
+            actions taken), each [*stack]; and what the subclass adds.
+        """
+        keys = self.tensor_keys
+        online, target = self._tensors()
+        values, penalty = self._predict(
+            online, [tensordict.get(key) for key in self._function.in_keys]
+        )
+        index = self._action_index(tensordict.get(keys.action), values)
+        chosen = values.gather(-1, index).squeeze(-1)
+        with torch.no_grad():
+            td_target = self._td_target(tensordict.get("next"), online, target)
+        td_error = td_target - chosen
+        weight = self._row_weights(tensordict, td_error)
+        if weight is not None:
+            # Select, then multiply: a row that does not count may hold anything.
+            td_error = torch.where(weight > 0, td_error, 0.0)
+        loss_value = self._row_mean(self._data_loss(td_error), weight)
+        out = {}
+        if penalty is not None:
+            loss_value = loss_value + penalty
+        with torch.no_grad():
+            error = td_error.detach()
+            tensordict.set(keys.priority, error.square().unsqueeze(-1), inplace=True)
+            out["td_error"] = self._row_mean(error.abs(), weight)
+            q = chosen.detach()
+            if weight is not None:
+                q = torch.where(weight > 0, q, 0.0)
+            out["q_value"] = self._row_mean(q, weight)
+        loss = loss_value.sum() if self.stack else loss_value
+        return TensorDict({"loss": loss, "loss_value": loss_value.detach(), **out, **self._extra()})
+
+    def _extra(self) -> dict[str, Tensor]:
+        """Returns further entries of the output."""
+        return {}
+
+    def _action_index(self, action: Tensor, values: Tensor) -> Tensor:
+        """Returns the index of the action, [*stack, *batch, 1]."""
+        if self.action_space == "one_hot":
+            return action.to(torch.uint8).argmax(-1, keepdim=True)
+        return action if action.ndim == values.ndim else action.unsqueeze(-1)
+
+    def _td_target(
+        self,
+        following: TensorDictBase,
+        online: dict[str, Tensor],
+        target: dict[str, Tensor],
+    ) -> Tensor:
+        """Returns r + γ max Q(s', ·) over legal actions, r where the episode ended."""
+        keys = self.tensor_keys
+        inputs = [following.get(key) for key in self._function.in_keys]
+        values = self._target_values(target, inputs)
+        mask = None
+        if self._function.action_mask_key is not None:
+            mask = following.get(self._function.action_mask_key)
+        if self.double_dqn:
+            choice = self._function(online, inputs, "mean")
+            best = _masked(choice, mask).argmax(-1, keepdim=True)
+            value = _masked(values, mask).gather(-1, best).squeeze(-1)
+        else:
+            value = _masked(values, mask).amax(-1)
+        reward = following.get(keys.reward).squeeze(-1)
+        terminated = following.get(keys.terminated).squeeze(-1)
+        return torch.where(terminated, reward, reward + self.value_estimator.gamma * value)
+
+    def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
+        """Returns the weight of each row [*stack, *batch], None if all count alike."""
+        weight = None
+        for key in self._loss_mask_keys():
+            mask = tensordict.get(key, None)
+            if mask is not None:
+                mask = self._expand_loss_mask(mask, like).to(like.dtype)
+                weight = mask if weight is None else weight * mask
+        if self.use_prioritized_weights in (True, "auto"):
+            priority = tensordict.get(self.tensor_keys.priority_weight, None)
+            if priority is not None:
+                priority = self._expand_loss_mask(priority, like).to(like.dtype)
+                weight = priority if weight is None else weight * priority
+        return weight
+
+    def _row_mean(self, rows: Tensor, weight: Tensor | None) -> Tensor:
+        """Returns the weighted mean over the batch dimensions, [*stack]; 0 if no row counts."""
+        dims = tuple(range(len(self.stack), rows.ndim))
+        if not dims:
+            return rows
+        if weight is None:
+            return rows.mean(dims)
+        total = weight.sum(dims)
+        return (rows * weight).sum(dims) / torch.where(total > 0, total, 1.0)
+
+
+_DISTANCES = {
+    "l2": torch.square,
+    "l1": torch.abs,
+    "smooth_l1": lambda error: torch.nn.functional.smooth_l1_loss(
+        error, torch.zeros_like(error), reduction="none"
+    ),
+}
+
+
+def _masked(values: Tensor, mask: Tensor | None) -> Tensor:
+    if mask is None:
+        return values
+    return torch.where(mask, values, torch.finfo(values.dtype).min)
+
+
+def stack_of(network: nn.Module) -> torch.Size:
+    """Returns the stack dimension that the layers of a network have in common, () if none.
+
+    Raises:
+        ValueError: if they differ.
+    """
+    found = (getattr(module, "stack", None) for module in network.modules())
+    stacks = {stack for stack in found if isinstance(stack, torch.Size)}
+    if len(stacks) > 1:
+        raise ValueError(
+            f"the network's layers must have one stack dimension in common, got {stacks}"
+        )
+    return stacks.pop() if stacks else torch.Size(())
