@@ -1,0 +1,291 @@
+"""The dialogue environment: the simulator as TorchRL knows an environment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from tensordict import TensorDict
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from bbq_torchrl.domains import tensorise
+from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.envs.schedule import ExtensionSchedule
+    from bbq_torchrl.simulator import FeatureLayout, SlotErrorMode
+
+__all__ = ["DialogueEnv"]
+
+
+class DialogueEnv(EnvBase):
+    """Dialogues of an agent with agenda-based users, any number side by side.
+
+    ================  =============  =======================================================
+    key               shape          meaning
+    ================  =============  =======================================================
+    ``observation``   ``*B, F``      float32 features; ``env.layout`` says which is where
+    ``action_mask``   ``*B, N``      bool, the legal actions
+    ``action``        ``*B``         int64, index of one of ``env.domain.actions``
+    ``reward``        ``*B, 1``      float32
+    ``done``          ``*B, 1``      bool; always ``terminated``, never ``truncated``
+    ``success``       ``*B, 1``      bool, the dialogue has ended in success
+    ``turns``         ``*B, 1``      int64, turns that the agent has taken
+    ``goal_id``       ``*B, 1``      int64, which of the domain's goals the user has
+    ================  =============  =======================================================
+
+    The environment keeps the state of its dialogues (``env.dialogues``) and the generator of all
+    its random choices; ``state_dict`` holds both. A dialogue that has ended stays as it is until it
+    is reset. Each call draws numbers for the whole batch, so that what one dialogue does never
+    shifts the random numbers of another.
+
+    Args:
+        domain: what the dialogues are about.
+        batch_size: the shape of the batch of dialogues.
+        slot_error_prob: probability that an informed slot is misunderstood; ``None`` for the
+            domain's reference difficulty.
+        slot_error_mode: what becomes of it, see :class:`~bbq_torchrl.simulator.ErrorModel`.
+        intent_error_prob: probability that the user's act is misunderstood.
+        max_turn: acts of both sides after which a dialogue has failed.
+        success_reward: reward of the turn that ends a dialogue in success.
+        failure_reward: reward of the turn that ends a dialogue otherwise.
+        turn_reward: reward of every other turn.
+        schedule: domain extension; ``None`` for all slots from the start.
+        seed: seed of the generator; ``None`` takes one from torch's global generator.
+        device: where the dialogues are.
+
+    Raises:
+        ValueError: if a setting is out of range, or the schedule adds a slot the domain lacks.
+        RuntimeError: if ``device`` is a device that is absent.
+
+    Example:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> env = DialogueEnv(movie_domain(), batch_size=(50,), seed=0)
+        >>> rollout = env.rollout(5, break_when_any_done=False)
+        >>> rollout["observation"].shape
+        torch.Size([50, 5, 268])
+        >>> rollout["next", "reward"].shape
+        torch.Size([50, 5, 1])
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        *,
+        batch_size: Sequence[int] = (),
+        slot_error_prob: float | None = None,
+        slot_error_mode: SlotErrorMode = "value",
+        intent_error_prob: float = 0.0,
+        max_turn: int = 40,
+        success_reward: float = 40.0,
+        failure_reward: float = -10.0,
+        turn_reward: float = -1.0,
+        schedule: ExtensionSchedule | None = None,
+        seed: int | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
+        if slot_error_prob is None:
+            slot_error_prob = domain.reference_slot_error_prob
+        tensors = tensorise(domain)
+        self.domain = domain
+        self.schedule = schedule
+        self.simulator = Simulator(
+            tensors,
+            errors=ErrorModel(tensors, slot_error_prob, slot_error_mode, intent_error_prob),
+            rewards=Rewards(success_reward, failure_reward, turn_reward),
+            max_turn=max_turn,
+        ).to(self.device)
+        self._dialogues: TensorDict | None = None
+        self._generator = torch.Generator(self.device)
+        self._set_seed(seed)
+        self._make_specs()
+        self.set_round(0)
+
+    # -- what there is ---------------------------------------------------------------------------
+
+    @property
+    def layout(self) -> FeatureLayout:
+        """Which feature of the observation is where."""
+        return self.simulator.layout
+
+    @property
+    def round(self) -> int:
+        """The round of training that the domain extension is in."""
+        return self._round
+
+    @property
+    def active_slots(self) -> torch.Tensor:
+        """The slots active in this round, bool ``[S]``."""
+        return self._active
+
+    @property
+    def dialogues(self) -> TensorDict:
+        """The state of the dialogues, see :class:`~bbq_torchrl.simulator.Simulator`.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
+        if self._dialogues is None:
+            raise RuntimeError("there are no dialogues yet: call reset() first")
+        return self._dialogues
+
+    @property
+    def max_agent_turns(self) -> int:
+        """How many turns of the agent a dialogue lasts at most."""
+        return self.simulator.max_agent_turns
+
+    def set_round(self, round: int) -> None:
+        """Enters a round of training: the domain extension activates its slots.
+
+        Dialogues under way keep the goals they started with. Without a schedule every slot is
+        active in every round.
+
+        Args:
+            round: the round, counted from 0.
+
+        Raises:
+            ValueError: if the round is below 0.
+        """
+        if round < 0:
+            raise ValueError(f"round must be 0 or later, got {round}")
+        self._round = round
+        slots = self.domain.slots
+        if self.schedule is not None:
+            slots = self.schedule.active(self.domain, round)
+        self._active = torch.tensor([slot in slots for slot in self.domain.slots]).to(self.device)
+        legal = self.simulator.action_mask(self._active)
+        self._action_mask = legal.expand(*self.batch_size, -1)
+        # rand_action draws from the spec: its mask keeps random actions legal, with or without
+        # TorchRL's ActionMask.
+        self.action_spec = self._action_spec(None if self.schedule is None else self._action_mask)
+
+    # -- what TorchRL calls ----------------------------------------------------------------------
+
+    def _make_specs(self) -> None:
+        batch, device = self.batch_size, self.device
+        tensors, one = self.simulator.domain, (*self.batch_size, 1)
+        self.observation_spec = Composite(
+            observation=Unbounded((*batch, self.layout.size), device=device, dtype=torch.float32),
+            action_mask=Binary(
+                tensors.n_actions, (*batch, tensors.n_actions), device=device, dtype=torch.bool
+            ),
+            success=Binary(1, one, device=device, dtype=torch.bool),
+            turns=Bounded(0, self.max_agent_turns, one, device=device, dtype=torch.int64),
+            goal_id=Bounded(0, len(self.domain.goals) - 1, one, device=device, dtype=torch.int64),
+            shape=batch,
+        )
+        self.action_spec = self._action_spec(None)
+        self.reward_spec = Unbounded(one, device=device, dtype=torch.float32)
+        flag = Binary(1, one, device=device, dtype=torch.bool)
+        self.done_spec = Composite(
+            done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=batch
+        )
+
+    def _action_spec(self, mask: torch.Tensor | None) -> Categorical:
+        return Categorical(
+            len(self.domain.actions),
+            self.batch_size,
+            device=self.device,
+            dtype=torch.int64,
+            mask=mask,
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is None:
+            seed = int(torch.randint(1 << 62, ()))
+        self._generator.manual_seed(seed)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
+        draws = self.simulator.draw_reset(self.batch_size, self._generator)
+        started = self.simulator.reset(draws, self._active)
+        which = None if tensordict is None else tensordict.get("_reset", None)
+        if which is not None and self._dialogues is not None:
+            started = started.where(which.view(self.batch_size), self._dialogues)
+        self._dialogues = started
+        return self._emit(started)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        draws = self.simulator.draw_turn(self.batch_size, self._generator)
+        self._dialogues = self.simulator.turn(
+            self.dialogues, tensordict["action"], draws, self._active
+        )
+        emitted = self._emit(self._dialogues)
+        emitted["reward"] = self._dialogues["reward"][..., None]
+        return emitted
+
+    def _emit(self, state: TensorDict) -> TensorDict:
+        """Returns what the agent is told of the dialogues."""
+        done = state["done"][..., None]
+        return TensorDict(
+            {
+                "observation": self.simulator.observe(state, self._active),
+                "action_mask": self._action_mask.clone(),
+                "success": state["success"][..., None],
+                # The simulator counts the acts of both sides.
+                "turns": state["turn"][..., None] // 2,
+                "goal_id": state["goal_id"][..., None],
+                "done": done,
+                "terminated": done.clone(),
+                "truncated": torch.zeros_like(done),
+            },
+            batch_size=self.batch_size,
+            device=self.device,
+        )
+
+    # -- moving and saving -----------------------------------------------------------------------
+
+    def to(self, device: torch.device | str) -> DialogueEnv:
+        """Moves the environment to a device. Returns itself.
+
+        A generator belongs to its device: the environment goes on with a new one, seeded from the
+        old one.
+        """
+        device = torch.device(device)
+        if device != self.device:
+            seed = torch.randint(
+                1 << 62, (), generator=self._generator, device=self._generator.device
+            )
+            super().to(device)
+            self._generator = torch.Generator(self.device).manual_seed(int(seed))
+            self.simulator = self.simulator.to(self.device)
+            if self._dialogues is not None:
+                self._dialogues = self._dialogues.to(self.device)
+            self.set_round(self._round)
+        return self
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Returns what ``state_dict`` saves: the dialogues, the generator and the round."""
+        dialogues = self._dialogues
+        return {
+            "dialogues": None
+            if dialogues is None
+            else {key: value.clone() for key, value in dialogues.items()},
+            "generator": self._generator.get_state(),
+            "round": self._round,
+        }
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Goes on from what :meth:`get_extra_state` returned.
+
+        Raises:
+            ValueError: if the dialogues saved are another batch than this environment's.
+        """
+        saved = state["dialogues"]
+        if saved is not None:
+            batch = saved["done"].shape
+            if batch != self.batch_size:
+                raise ValueError(
+                    f"the saved dialogues have batch size {list(batch)}, "
+                    f"the environment has {list(self.batch_size)}"
+                )
+            saved = TensorDict(saved, batch_size=batch).to(self.device).clone()
+        self._dialogues = saved
+        self._generator.set_state(state["generator"].cpu())
+        self.set_round(state["round"])

@@ -1,0 +1,74 @@
+"""The scripted policies of a domain as policies for its environment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
+    from torchrl.envs import EnvBase
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.simulator import FeatureLayout
+
+__all__ = ["RANDOM_POLICY", "scripted_policy"]
+
+RANDOM_POLICY = "random"
+"""The name of the policy that every domain has besides its own."""
+
+
+def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
+    """Returns a policy by name, on the environment's device.
+
+    Args:
+        name: one of the domain's policies (the movie domain has ``rule``, ``rule_inform``,
+            ``careful_essential`` and ``careful``), or ``"random"``.
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms.
+
+    Raises:
+        ValueError: if there is no such policy.
+
+    Example:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> from bbq_torchrl.envs import DialogueEnv
+        >>> env = DialogueEnv(movie_domain(), batch_size=(3,), seed=0)
+        >>> rollout = env.rollout(2, scripted_policy("rule", env))
+        >>> [env.domain.action_names[action] for action in rollout["action"][0]]
+        ['request(moviename)', 'request(starttime)']
+    """
+    domain: Domain = env.domain
+    if name == RANDOM_POLICY:
+        return RandomPolicy()
+    if name not in domain.policies:
+        raise ValueError(
+            f"policy must be one of {', '.join((RANDOM_POLICY, *domain.policies))}, got {name!r}"
+        )
+    specification = domain.policies[name]
+    policy: TensorDictModuleBase
+    if specification.kind == "script":
+        policy = SequencePolicy([domain.action_index(step) for step in specification.steps])
+    else:
+        policy = _careful(domain, env.layout, specification.steps)
+    return policy.to(env.device)
+
+
+def _careful(domain: Domain, layout: FeatureLayout, slots: tuple[str, ...]) -> CarefulPolicy:
+    """Returns the careful policy that requests the given slots."""
+    answers = [
+        slot
+        for slot in domain.slots
+        if slot not in domain.special_slots and f"inform({slot})" in domain.action_names
+    ]
+    return CarefulPolicy(
+        request_actions=[domain.action_index(f"request({slot})") for slot in slots],
+        requested_columns=[layout.column("agent_requested", slot) for slot in slots],
+        filled_columns=[layout.column("filled", slot) for slot in slots],
+        answer_actions=[domain.action_index(f"inform({slot})") for slot in answers],
+        asked_columns=[layout.column("user_requested", slot) for slot in answers],
+        answered_column=layout.column("agent_act", "inform"),
+        complete_action=domain.action_index(f"inform({domain.complete_slot})"),
+        complete_column=layout.column("agent_informed", domain.complete_slot),
+        end_action=domain.action_index("thanks"),
+    )

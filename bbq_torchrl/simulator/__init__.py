@@ -1,0 +1,19 @@
+"""The simulator: users, a tracker and a shelf of records as batched tensor functions."""
+
+from __future__ import annotations
+
+from bbq_torchrl.simulator.errors import ErrorModel, SlotErrorMode
+from bbq_torchrl.simulator.features import FeatureLayout
+from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
+from bbq_torchrl.simulator.simulator import Rewards, Simulator
+from bbq_torchrl.simulator.transcript import Transcript
+
+__all__ = [
+    "ErrorModel",
+    "FeatureLayout",
+    "KnowledgeBase",
+    "Rewards",
+    "Simulator",
+    "SlotErrorMode",
+    "Transcript",
+]

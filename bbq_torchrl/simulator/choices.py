@@ -1,0 +1,52 @@
+"""Random choices as functions of uniform numbers: whoever holds the numbers can repeat them.
+
+Nothing here draws: the numbers come from the one generator that the environment owns.
+"""
+
+from __future__ import annotations
+
+import torch
+
+__all__ = ["index_below", "one_of", "pick_slot"]
+
+
+def index_below(uniform: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
+    """Chooses an index below ``count``, ``floor(uniform * count)``. Returns long, same shape.
+
+    Args:
+        uniform: float32 in [0, 1).
+        count: how many there are to choose from, at least 0; 0 gives 0.
+
+    Example:
+        >>> index_below(torch.tensor([0.0, 0.49, 0.99]), 2)
+        tensor([0, 0, 1])
+    """
+    # In float32 the product can round up to count itself.
+    return (uniform.double() * count).long()
+
+
+def pick_slot(pool: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
+    """Chooses one slot of each set, all alike. Returns a one-hot bool ``[*B, S]``, none if empty.
+
+    The slot with the largest number wins; ties go to the lowest slot.
+
+    Args:
+        pool: bool ``[*B, S]``, the slots to choose from.
+        uniform: float32 ``[*B, S]`` in [0, 1).
+
+    Example:
+        >>> pick_slot(torch.tensor([True, False, True]), torch.tensor([0.2, 0.9, 0.3]))
+        tensor([False, False,  True])
+    """
+    return one_of(torch.where(pool, uniform, -1.0).argmax(-1), pool.shape[-1]) & pool
+
+
+def one_of(index: torch.Tensor, count: int) -> torch.Tensor:
+    """Marks an index in a row of flags. Returns bool ``[*B, count]``, no flag where it is below 0.
+
+    Example:
+        >>> one_of(torch.tensor([1, -1]), 3)
+        tensor([[False,  True, False],
+                [False, False, False]])
+    """
+    return index[..., None] == torch.arange(count, device=index.device)

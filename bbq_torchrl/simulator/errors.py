@@ -1,0 +1,162 @@
+"""What goes wrong between the user's mouth and the tracker's ear."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, get_args
+
+import torch
+
+from bbq_torchrl.domains.values import NONE
+from bbq_torchrl.simulator.choices import index_below
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.domains import DomainTensors
+
+__all__ = ["ErrorModel", "SlotErrorMode"]
+
+SlotErrorMode = Literal["value", "slot", "delete", "mixed"]
+
+
+class ErrorModel:
+    """Stands for the errors of speech recognition and language understanding.
+
+    Every slot the user informs is hit with ``slot_error_prob``, independently; requested slots are
+    never hit. What a hit does depends on the mode:
+
+    - ``"value"``: the value becomes one of the slot's error values (possibly the same again; a slot
+      without such values is spared);
+    - ``"slot"``: slot and value become those of another active slot that has error values (deleted
+      if there is none). The replacement overrides what was informed of that slot; where several
+      replacements meet, that of the highest source slot stays;
+    - ``"delete"``: the slot is dropped;
+    - ``"mixed"``: one of the three, a third each.
+
+    With ``intent_error_prob`` the act that is heard is any act, all alike. The agenda simulator of
+    Li et al. (2016) is the model for all of it (where a slip makes ``"slot"`` a deletion).
+
+    Args:
+        domain: the domain's tensors.
+        slot_error_prob: probability in [0, 1] that an informed slot is hit.
+        slot_error_mode: what a hit does.
+        intent_error_prob: probability in [0, 1] that the act is heard as any act.
+
+    Raises:
+        ValueError: if a probability or the mode is none.
+    """
+
+    def __init__(
+        self,
+        domain: DomainTensors,
+        slot_error_prob: float = 0.0,
+        slot_error_mode: SlotErrorMode = "value",
+        intent_error_prob: float = 0.0,
+    ) -> None:
+        _check_probability("slot_error_prob", slot_error_prob)
+        _check_probability("intent_error_prob", intent_error_prob)
+        if slot_error_mode not in get_args(SlotErrorMode):
+            raise ValueError(
+                f"slot_error_mode must be one of {', '.join(get_args(SlotErrorMode))}, "
+                f"got {slot_error_mode!r}"
+            )
+        self.slot_error_prob = slot_error_prob
+        self.slot_error_mode = slot_error_mode
+        self.intent_error_prob = intent_error_prob
+        self._n_acts = domain.n_acts
+        self._count = domain.error_count
+        self._width = domain.error_values.shape[-1]
+        self._values = domain.error_values.flatten()
+        self._first = torch.arange(domain.n_slots) * self._width
+
+    def to(self, device: torch.device | str) -> ErrorModel:
+        """Returns the same error model with every tensor on ``device``."""
+        moved = object.__new__(ErrorModel)
+        for name, value in vars(self).items():
+            setattr(moved, name, value.to(device) if isinstance(value, torch.Tensor) else value)
+        return moved
+
+    def distort(
+        self, informs: torch.Tensor, draws: TensorDictBase, active: torch.Tensor
+    ) -> torch.Tensor:
+        """Returns what is transmitted of the informed slots: value ids, long ``[*B, S]``.
+
+        Args:
+            informs: long ``[*B, S]``, what the user means to inform.
+            draws: uniform ``error``, ``error_kind``, ``error_slot`` and ``error_value``, each
+                float32 ``[*B, S]``.
+            active: bool ``[S]``, the slots that a slot error can put in place.
+        """
+        if self.slot_error_prob == 0.0:
+            return informs
+        is_hit = (informs != NONE) & (draws["error"] < self.slot_error_prob)
+        if self.slot_error_mode == "delete":
+            return informs.masked_fill(is_hit, NONE)
+        if self.slot_error_mode == "value":
+            return torch.where(is_hit & (self._count > 0), self._other_value(draws), informs)
+        is_value_hit = torch.zeros_like(is_hit)
+        is_slot_hit = is_hit
+        if self.slot_error_mode == "mixed":
+            kind = draws["error_kind"]
+            is_value_hit = is_hit & (kind < 1 / 3)
+            is_slot_hit = is_hit & (kind >= 1 / 3) & (kind < 2 / 3)
+        # A value hit without error values spares the slot; it then is no replacement either.
+        is_value_hit &= self._count > 0
+        is_spared = ~is_hit
+        if self.slot_error_mode == "mixed":
+            is_spared |= is_hit & (draws["error_kind"] < 1 / 3) & (self._count == 0)
+        transmitted = torch.where(is_spared, informs, NONE)
+        return self._overlay(transmitted, is_value_hit, is_slot_hit, draws, active)
+
+    def hear(self, act: torch.Tensor, draws: TensorDictBase) -> torch.Tensor:
+        """Returns the act that is heard, long ``[*B]``.
+
+        Args:
+            act: long ``[*B]``, the act that the user means.
+            draws: uniform ``intent`` and ``intent_act``, each float32 ``[*B]``.
+        """
+        if self.intent_error_prob == 0.0:
+            return act
+        any_act = index_below(draws["intent_act"], self._n_acts)
+        return torch.where(draws["intent"] < self.intent_error_prob, any_act, act)
+
+    def _other_value(self, draws: TensorDictBase) -> torch.Tensor:
+        """Draws an error value of each slot. Returns value ids, long ``[*B, S]``."""
+        return self._values[self._first + index_below(draws["error_value"], self._count)]
+
+    def _overlay(
+        self,
+        transmitted: torch.Tensor,
+        is_value_hit: torch.Tensor,
+        is_slot_hit: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> torch.Tensor:
+        """Lays the replacements over what was spared. Returns value ids, long ``[*B, S]``."""
+        slots = torch.arange(active.shape[-1], device=active.device)
+        is_candidate = active & (self._count > 0)
+        # The candidates in slot order, then the rest; and each slot's place among the candidates.
+        candidates = (~is_candidate).to(torch.uint8).argsort(stable=True)
+        rank = is_candidate.cumsum(0) - 1
+        n_others = is_candidate.sum() - is_candidate.long()
+        place = index_below(draws["error_slot"], n_others)
+        place = place + (is_candidate & (place >= rank)).long()
+        other = candidates[place.clamp(max=active.shape[-1] - 1)]
+        target = torch.where(is_slot_hit, other, slots)
+        value = self._values[
+            target * self._width + index_below(draws["error_value"], self._count[target])
+        ]
+        is_replaced = is_value_hit | (is_slot_hit & (n_others > 0))
+        # One maximum finds, for every target, the replacement of the highest source.
+        step = int(self._values.shape[0]) + _ID_LIMIT
+        ordered = torch.where(is_replaced, (slots + 1) * step + value, 0)
+        last = torch.zeros_like(transmitted).scatter_reduce(-1, target, ordered, "amax")
+        return torch.where(last > 0, last % step, transmitted)
+
+
+_ID_LIMIT = 1 << 32  # above every value id
+
+
+def _check_probability(name: str, value: float) -> None:
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"{name} must be a probability between 0 and 1, got {value!r}")

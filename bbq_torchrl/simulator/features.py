@@ -1,0 +1,181 @@
+"""What the agent sees: the layout of the features, and the features of a state."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+
+from bbq_torchrl.domains.values import NONE
+from bbq_torchrl.simulator.choices import one_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
+
+__all__ = ["FeatureGroup", "FeatureLayout", "Features"]
+
+_TURN_SCALE = 10.0  # acts; keeps the turn feature near the size of the flags
+_COUNT_SCALE = 100.0  # records
+
+
+class FeatureGroup(NamedTuple):
+    """A run of features of one kind.
+
+    Args:
+        name: what the group is called.
+        members: what each of its features is about.
+        meaning: what the features are, in a sentence.
+    """
+
+    name: str
+    members: tuple[str, ...]
+    meaning: str
+
+
+class FeatureLayout:
+    """Says which feature is where: the one table that code, tests and docs read.
+
+    ``2 A + 7 S + 3 + T`` features for ``A`` acts, ``S`` slots and a one-hot turn of width ``T``;
+    Li et al. (2016) have the order, Lipton et al. (2018) the list and the total of 268.
+
+    Args:
+        domain: the domain's tensors.
+
+    Example:
+        >>> from bbq_torchrl.domains import movie_domain, tensorise
+        >>> layout = FeatureLayout(tensorise(movie_domain()))
+        >>> layout.size
+        268
+        >>> layout["user_act"]
+        slice(0, 11, None)
+        >>> layout.column("user_requested", "theater")
+        62
+        >>> layout.names[62]
+        'user_requested:theater'
+    """
+
+    def __init__(self, domain: DomainTensors) -> None:
+        acts, slots = tuple(domain.act), tuple(domain.slot)
+        self.groups = (
+            FeatureGroup("user_act", acts, "the act heard from the user"),
+            FeatureGroup(
+                "user_informed", slots, "the slots that the user informed in its last act"
+            ),
+            FeatureGroup("user_requested", slots, "the slots that the user waits to be told"),
+            FeatureGroup("agent_act", acts, "the agent's last act, none in the first state"),
+            FeatureGroup("agent_informed", slots, "the slots that the agent's last act informed"),
+            FeatureGroup("agent_requested", slots, "the slot that the agent's last act requested"),
+            FeatureGroup("filled", slots, "the slots that the tracker holds a value of"),
+            FeatureGroup("turn", ("scaled",), "acts so far, of both sides, divided by 10"),
+            FeatureGroup(
+                "turn_onehot",
+                tuple(str(count) for count in range(domain.turn_width)),
+                "acts so far as one-hot, clamped at the end",
+            ),
+            FeatureGroup(
+                "kb_match", (*slots, "all"), "whether the count of the same name is above 0"
+            ),
+            FeatureGroup(
+                "kb_count",
+                (*slots, "all"),
+                "records / 100: of a filled slot those with its value; "
+                "of any other, and in 'all', those that match everything held",
+            ),
+        )
+        self._slices: dict[str, slice] = {}
+        start = 0
+        for group in self.groups:
+            self._slices[group.name] = slice(start, start + len(group.members))
+            start += len(group.members)
+        self.size = start
+
+    def __getitem__(self, name: str) -> slice:
+        """Returns where the group's features are."""
+        if name not in self._slices:
+            raise KeyError(f"{name!r} is no group of features; there are {', '.join(self._slices)}")
+        return self._slices[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._slices)
+
+    def __len__(self) -> int:
+        return len(self._slices)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The features by name, ``"group:member"``."""
+        return tuple(f"{group.name}:{member}" for group in self.groups for member in group.members)
+
+    @cached_property
+    def _columns(self) -> dict[str, int]:
+        return {name: index for index, name in enumerate(self.names)}
+
+    def column(self, group: str, member: str) -> int:
+        """Returns the index of one feature.
+
+        Raises:
+            KeyError: if there is no such feature.
+        """
+        within = self[group]
+        if f"{group}:{member}" not in self._columns:
+            members = (name.partition(":")[2] for name in self.names[within])
+            raise KeyError(f"{member!r} is no feature of {group!r}, which has {', '.join(members)}")
+        return self._columns[f"{group}:{member}"]
+
+
+class Features:
+    """Turns states into what the agent sees.
+
+    Args:
+        domain: the domain's tensors.
+        knowledge_base: the domain's records.
+    """
+
+    def __init__(self, domain: DomainTensors, knowledge_base: KnowledgeBase) -> None:
+        self.layout = FeatureLayout(domain)
+        self._knowledge_base = knowledge_base
+        self._n_acts = domain.n_acts
+        self._turn_width = domain.turn_width
+
+    def __call__(self, state: TensorDictBase, active: torch.Tensor) -> torch.Tensor:
+        """Returns the features, float32 ``[*B, F]``.
+
+        Args:
+            state: the simulator's state.
+            active: bool ``[S]``; the knowledge-base features of the other slots are 0.
+        """
+        held = state["held"]
+        is_filled = held != NONE
+        # The user's first act counts one, each later turn adds the agent's and the user's.
+        acts = state["turn"] + 1
+        flags = torch.cat(
+            [
+                one_of(state["heard_act"], self._n_acts),
+                state["user_informs"] != NONE,
+                state["pending"],
+                one_of(state["agent_act"], self._n_acts),
+                state["agent_informs"] != NONE,
+                state["agent_requests"],
+                is_filled,
+            ],
+            dim=-1,
+        )
+        everything = self._knowledge_base.matching_counts(held)[..., None]
+        by_slot = torch.where(is_filled, self._knowledge_base.value_counts(held), everything)
+        counts = torch.cat([by_slot * active, everything], dim=-1)
+        return torch.cat(
+            [
+                flags.float(),
+                acts[..., None] / _TURN_SCALE,
+                one_of(acts.clamp(max=self._turn_width - 1), self._turn_width).float(),
+                (counts > 0).float(),
+                counts / _COUNT_SCALE,
+            ],
+            dim=-1,
+        )

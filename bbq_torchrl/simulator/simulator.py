@@ -1,0 +1,310 @@
+"""Dialogues as tensors: a state, and the function from state and action to the next state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.domains.values import NO_MATCH, NONE
+from bbq_torchrl.simulator.errors import ErrorModel
+from bbq_torchrl.simulator.features import Features
+from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
+from bbq_torchrl.simulator.tracker import Tracker
+from bbq_torchrl.simulator.user import User
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.simulator.features import FeatureLayout
+    from bbq_torchrl.simulator.tracker import AgentTurn
+    from bbq_torchrl.simulator.user import Reply
+
+__all__ = ["Rewards", "Simulator"]
+
+_ACTS_PER_TURN = 2
+_SLOT_DRAWS = ("agenda", "error", "error_kind", "error_slot", "error_value")
+_SCALAR_DRAWS = ("intent", "intent_act", "offer")
+
+
+@dataclass(frozen=True)
+class Rewards:
+    """What the agent gets for a turn (Lipton et al., 2018).
+
+    Args:
+        success: for the turn that ends a dialogue in success.
+        failure: for the turn that ends a dialogue otherwise, running out of turns included.
+        turn: for every other turn.
+    """
+
+    success: float = 40.0
+    failure: float = -10.0
+    turn: float = -1.0
+
+
+class Simulator:
+    """Many dialogues between an agent and agenda-based users, as pure functions on a state.
+
+    The state of any batch ``[*B]`` of dialogues is one TensorDict:
+
+    ===================  ======  ========  ========================================================
+    key                  dtype   shape     meaning
+    ===================  ======  ========  ========================================================
+    ``goal_id``          long    ``*B``    which of the domain's goals the user has
+    ``constraints``      long    ``*B, S``  the goal's value of each slot, 0 where it has none
+    ``requests``         bool    ``*B, S``  the slots the goal requests, the ticket included
+    ``agenda``           bool    ``*B, S``  what the user has not yet spoken of
+    ``pending``          bool    ``*B, S``  what the user waits to be told
+    ``history``          long    ``*B, S``  the latest value that either side informed
+    ``constraints_met``  bool    ``*B``    the user's verdict on the latest offer of a booking
+    ``user_act``         long    ``*B``    the act the user meant
+    ``meant_informs``    long    ``*B, S``  the values the user meant to inform
+    ``heard_act``        long    ``*B``    the act the tracker heard
+    ``user_informs``     long    ``*B, S``  the values transmitted
+    ``held``             long    ``*B, S``  the values the tracker holds
+    ``agent_act``        long    ``*B``    the agent's last act, -1 before its first
+    ``agent_informs``    long    ``*B, S``  the values the agent's last act informed
+    ``agent_requests``   bool    ``*B, S``  the slot the agent's last act requested
+    ``turn``             long    ``*B``    0 at first, plus 2 each turn
+    ``done``             bool    ``*B``    the dialogue has ended
+    ``success``          bool    ``*B``    it has ended in success
+    ``reward``           float   ``*B``    for the last turn; 0 at first
+    ===================  ======  ========  ========================================================
+
+    Random choices are functions of uniform numbers that :meth:`draw_reset` and :meth:`draw_turn`
+    draw up front; a turn is a pure function of state, action and draws.
+
+    Args:
+        domain: the domain's tensors.
+        errors: the error model; ``None`` for a user who is always understood.
+        rewards: what the agent gets for a turn.
+        max_turn: acts of both sides after which a dialogue has failed, at least 2.
+
+    Raises:
+        ValueError: if ``max_turn`` is below 2.
+    """
+
+    def __init__(
+        self,
+        domain: DomainTensors,
+        *,
+        errors: ErrorModel | None = None,
+        rewards: Rewards | None = None,
+        max_turn: int = 40,
+    ) -> None:
+        if max_turn < _ACTS_PER_TURN:
+            raise ValueError(f"max_turn must be at least {_ACTS_PER_TURN}, got {max_turn}")
+        self.rewards = Rewards() if rewards is None else rewards
+        self.max_turn = max_turn
+        self._build(domain, KnowledgeBase(domain), ErrorModel(domain) if errors is None else errors)
+
+    def _build(
+        self, domain: DomainTensors, knowledge_base: KnowledgeBase, errors: ErrorModel
+    ) -> None:
+        self.domain = domain
+        self.knowledge_base = knowledge_base
+        self.errors = errors
+        self.user = User(domain)
+        self.tracker = Tracker(domain, knowledge_base)
+        self.features = Features(domain, knowledge_base)
+        self._is_ticket = torch.arange(domain.n_slots, device=self.device) == domain.ticket
+        slot = torch.stack([domain.action_request, domain.action_inform, domain.action_offer])
+        self._action_slot = slot.amax(0)
+
+    def to(self, device: torch.device | str) -> Simulator:
+        """Returns the same simulator with every tensor on ``device``."""
+        moved = object.__new__(Simulator)
+        moved.rewards, moved.max_turn = self.rewards, self.max_turn
+        moved._build(self.domain.to(device), self.knowledge_base.to(device), self.errors.to(device))
+        return moved
+
+    @property
+    def device(self) -> torch.device:
+        """Where the simulator's tensors are."""
+        return self.domain.records.device
+
+    @property
+    def layout(self) -> FeatureLayout:
+        """Which feature is where."""
+        return self.features.layout
+
+    @property
+    def max_agent_turns(self) -> int:
+        """How many turns of the agent a dialogue lasts at most; the last of them fails."""
+        return self.max_turn // _ACTS_PER_TURN + 1
+
+    def action_mask(self, active: torch.Tensor) -> torch.Tensor:
+        """Returns which actions are legal: bool ``[N]``, slotless acts and those of active slots.
+
+        Args:
+            active: bool ``[S]``.
+        """
+        return (self._action_slot < 0) | active[self._action_slot.clamp(min=0)]
+
+    def draw_reset(
+        self, batch_shape: Sequence[int], generator: torch.Generator | None = None
+    ) -> TensorDict:
+        """Draws the uniform numbers that start dialogues.
+
+        Returns:
+            A TensorDict ``[*B]`` of float32 in [0, 1): ``goal`` ``[*B]``, ``constraint`` and
+            ``request`` ``[*B, S]``.
+        """
+        return self._draw(batch_shape, ("constraint", "request"), ("goal",), generator)
+
+    def draw_turn(
+        self, batch_shape: Sequence[int], generator: torch.Generator | None = None
+    ) -> TensorDict:
+        """Draws the uniform numbers of one turn.
+
+        Returns:
+            A TensorDict ``[*B]`` of float32 in [0, 1): ``agenda``, ``error``, ``error_kind``,
+            ``error_slot`` and ``error_value`` ``[*B, S]``; ``intent``, ``intent_act`` and
+            ``offer`` ``[*B]``.
+        """
+        return self._draw(batch_shape, _SLOT_DRAWS, _SCALAR_DRAWS, generator)
+
+    def reset(self, draws: TensorDictBase, active: torch.Tensor) -> TensorDict:
+        """Starts dialogues. Returns the state after the users' first turn.
+
+        Args:
+            draws: what :meth:`draw_reset` drew, ``[*B]``.
+            active: bool ``[S]``; goals are restricted to these slots.
+        """
+        first = self.user.first_turn(draws, active)
+        no_value = torch.zeros_like(first.constraints)
+        no_slot = torch.zeros_like(first.requests)
+        no_number = torch.zeros_like(first.constraints[..., 0])
+        no = torch.zeros_like(first.requests[..., 0])
+        act = no_number + self.domain.act["request"]
+        return TensorDict(
+            {
+                "goal_id": self.user.goal_of(draws),
+                "constraints": first.constraints,
+                "requests": first.requests,
+                "agenda": first.agenda,
+                "pending": first.pending,
+                "history": no_value,
+                "constraints_met": no,
+                "user_act": act,
+                "meant_informs": first.informs,
+                "heard_act": act,
+                "user_informs": first.informs,
+                "held": first.informs,
+                "agent_act": no_number - 1,
+                "agent_informs": no_value,
+                "agent_requests": no_slot,
+                "turn": no_number,
+                "done": no,
+                "success": no,
+                "reward": no.float(),
+            },
+            batch_size=draws.batch_size,
+            device=self.device,
+        )
+
+    def turn(
+        self,
+        state: TensorDictBase,
+        action: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> TensorDict:
+        """Plays one turn: the agent's act and the users' reply. Returns the next state.
+
+        A dialogue that has ended stays as it is, with a reward of 0.
+
+        Args:
+            state: the state, ``[*B]``; left as it is.
+            action: long ``[*B]``, indices of the domain's actions.
+            draws: what :meth:`draw_turn` drew, ``[*B]``.
+            active: bool ``[S]``, the slots active now.
+        """
+        was_done = state["done"]
+        agent = self.tracker.complete(state["held"], action)
+        turn = torch.where(was_done, state["turn"], state["turn"] + _ACTS_PER_TURN)
+        is_over = was_done | (turn > self.max_turn)
+        reply = self.user.reply(state, agent, is_over, draws)
+        is_done = is_over | agent.is_end
+        success = torch.where(
+            was_done, state["success"], self._is_success(state, agent, reply) & ~is_over
+        )
+        transmitted = self.errors.distort(reply.informs, draws, active)
+        heard = torch.where(is_done, reply.act, self.errors.hear(reply.act, draws))
+        is_kept = was_done[..., None]
+        held = self.tracker.hear(self.tracker.hold(state["held"], agent), transmitted)
+        return TensorDict(
+            {
+                "goal_id": state["goal_id"],
+                "constraints": state["constraints"],
+                "requests": state["requests"],
+                "agenda": reply.agenda,
+                "pending": reply.pending,
+                "history": reply.history,
+                "constraints_met": reply.constraints_met,
+                "user_act": reply.act,
+                "meant_informs": reply.informs,
+                "heard_act": heard,
+                "user_informs": transmitted,
+                "held": torch.where(is_kept, state["held"], held),
+                "agent_act": torch.where(was_done, state["agent_act"], agent.act),
+                "agent_informs": torch.where(is_kept, state["agent_informs"], agent.informs),
+                "agent_requests": torch.where(is_kept, state["agent_requests"], agent.requests),
+                "turn": turn,
+                "done": is_done,
+                "success": success,
+                "reward": self._reward(was_done, is_done, success),
+            },
+            batch_size=state.batch_size,
+            device=self.device,
+        )
+
+    def observe(self, state: TensorDictBase, active: torch.Tensor) -> torch.Tensor:
+        """Returns the features of the states, float32 ``[*B, F]``.
+
+        Args:
+            state: the state, ``[*B]``.
+            active: bool ``[S]``; features of the other slots are 0.
+        """
+        return self.features(state, active)
+
+    def _is_success(self, state: TensorDictBase, agent: AgentTurn, reply: Reply) -> torch.Tensor:
+        """Returns whether the agent ends the dialogues in success, bool ``[*B]``."""
+        constraints, history = state["constraints"], reply.history
+        is_left = (reply.pending | reply.agenda) & ~self._is_ticket
+        is_false = (constraints != NONE) & (history != NONE) & (history != constraints)
+        spoils = is_left | is_false | (history == NO_MATCH)
+        return agent.is_end & state["constraints_met"] & ~spoils.any(-1)
+
+    def _reward(
+        self, was_done: torch.Tensor, is_done: torch.Tensor, success: torch.Tensor
+    ) -> torch.Tensor:
+        """Returns the reward of the turn, float32 ``[*B]``."""
+        rewards = self.rewards
+        at_end = torch.where(success, rewards.success, rewards.failure)
+        return torch.where(was_done, 0.0, torch.where(is_done, at_end, rewards.turn))
+
+    def _draw(
+        self,
+        batch_shape: Sequence[int],
+        per_slot: tuple[str, ...],
+        per_dialogue: tuple[str, ...],
+        generator: torch.Generator | None,
+    ) -> TensorDict:
+        """Draws all numbers in one call and names the parts."""
+        n_slots = self.domain.n_slots
+        width = len(per_slot) * n_slots + len(per_dialogue)
+        uniform = torch.rand(*batch_shape, width, generator=generator, device=self.device)
+        by_slot = uniform[..., : len(per_slot) * n_slots].unflatten(-1, (len(per_slot), n_slots))
+        draws = dict(zip(per_slot, by_slot.unbind(-2), strict=True))
+        scalars = uniform[..., len(per_slot) * n_slots :].unbind(-1)
+        return TensorDict(
+            draws | dict(zip(per_dialogue, scalars, strict=True)),
+            batch_size=torch.Size(batch_shape),
+            device=self.device,
+        )

@@ -1,0 +1,153 @@
+"""The agent's side: the tracker completes the agent's acts and remembers what was said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
+from bbq_torchrl.simulator.choices import index_below, one_of
+
+if TYPE_CHECKING:
+    from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
+
+__all__ = ["AgentTurn", "Tracker"]
+
+
+@dataclass(frozen=True)
+class AgentTurn:
+    """The agent's act with everything filled in.
+
+    Args:
+        act: long ``[*B]``, the dialogue act.
+        slot: long ``[*B]``, the slot it speaks of, 0 where it has none.
+        is_slot: bool ``[*B, S]``, the same as flags, none where it has none.
+        value: long ``[*B]``, the value it informs: of an inform the slot's value, of a booking
+            "ticket available" or "no match", of a multiple choice whether there was any.
+        informs: long ``[*B, S]``, all values it informs; a booking repeats those held.
+        requests: bool ``[*B, S]``, the slot it requests.
+        is_request: bool ``[*B]``, it requests its slot.
+        is_inform: bool ``[*B]``, it informs its slot, which is not the complete slot.
+        is_booking: bool ``[*B]``, it informs the complete slot, that is, it offers a booking.
+        is_multiple_choice: bool ``[*B]``, it offers the values of its slot.
+        is_confirm_answer: bool ``[*B]``, it asks the user to go on.
+        is_end: bool ``[*B]``, it ends the dialogue.
+        offered: bool ``[*B, V]``, the values that a multiple choice offers, from ``FIRST_VALUE``
+            on; ``None`` in a domain without such actions.
+    """
+
+    act: torch.Tensor
+    slot: torch.Tensor
+    is_slot: torch.Tensor
+    value: torch.Tensor
+    informs: torch.Tensor
+    requests: torch.Tensor
+    is_request: torch.Tensor
+    is_inform: torch.Tensor
+    is_booking: torch.Tensor
+    is_multiple_choice: torch.Tensor
+    is_confirm_answer: torch.Tensor
+    is_end: torch.Tensor
+    offered: torch.Tensor | None
+
+    def choose(self, uniform: torch.Tensor) -> torch.Tensor:
+        """Chooses one of the values offered. Returns value ids, long ``[*B]``.
+
+        "I do not care" where nothing is offered.
+
+        Args:
+            uniform: float32 ``[*B]`` in [0, 1).
+
+        Raises:
+            ValueError: if the domain has no multiple choice.
+        """
+        if self.offered is None:
+            raise ValueError("the domain has no action of kind 'multiple_choice'")
+        count = self.offered.sum(-1)
+        rank = self.offered.cumsum(-1) - 1
+        is_chosen = self.offered & (rank == index_below(uniform, count)[..., None])
+        chosen = is_chosen.to(torch.uint8).argmax(-1) + FIRST_VALUE
+        return torch.where(count > 0, chosen, DONT_CARE)
+
+
+class Tracker:
+    """Completes the agent's de-lexicalised actions from the knowledge base.
+
+    Args:
+        domain: the domain's tensors.
+        knowledge_base: the domain's records.
+    """
+
+    def __init__(self, domain: DomainTensors, knowledge_base: KnowledgeBase) -> None:
+        self._knowledge_base = knowledge_base
+        self._has_choices = bool((domain.action_offer >= 0).any())
+        self._act = domain.action_act
+        request, inform, choice = domain.action_request, domain.action_inform, domain.action_offer
+        slot = torch.maximum(torch.maximum(request, inform), choice)
+        self._slot = slot.clamp(min=0)
+        self._is_slot = one_of(slot, domain.n_slots)
+        is_booking = inform == domain.complete
+        ends = (self._act == domain.act["thanks"]) | (self._act == domain.act["closing"])
+        self._kinds = torch.stack(
+            [
+                request >= 0,
+                (inform >= 0) & ~is_booking,
+                is_booking,
+                choice >= 0,
+                self._act == domain.act["confirm_answer"],
+                ends,
+                is_booking | (inform == domain.ticket),
+            ],
+            dim=-1,
+        )
+
+    def complete(self, held: torch.Tensor, action: torch.Tensor) -> AgentTurn:
+        """Fills the agent's action in from the records that match all values held.
+
+        Args:
+            held: long ``[*B, S]``, the values held before the act.
+            action: long ``[*B]``, indices of the domain's actions.
+        """
+        slot, is_slot = self._slot[action], self._is_slot[action]
+        request, inform, booking, choice, confirm, end, special = self._kinds[action].unbind(-1)
+        offered = None
+        if self._has_choices:
+            counts, total = self._knowledge_base.counts_by_value(held, slot)
+            offered = counts > 0
+            filled, has_match = self._knowledge_base.most_frequent(counts), total > 0
+            special = special | choice
+            has_match = torch.where(choice, offered.any(-1), has_match)
+        else:
+            filled, has_match = self._knowledge_base.fill(held, slot)
+        value = torch.where(special, torch.where(has_match, AVAILABLE, NO_MATCH), filled)
+        repeated = torch.where(booking[..., None], held, NONE)
+        says = is_slot & ~request[..., None]
+        return AgentTurn(
+            act=self._act[action],
+            slot=slot,
+            is_slot=is_slot,
+            value=value,
+            informs=torch.where(says, value[..., None], repeated),
+            requests=is_slot & request[..., None],
+            is_request=request,
+            is_inform=inform,
+            is_booking=booking,
+            is_multiple_choice=choice,
+            is_confirm_answer=confirm,
+            is_end=end,
+            offered=offered,
+        )
+
+    @staticmethod
+    def hold(held: torch.Tensor, agent: AgentTurn) -> torch.Tensor:
+        """Returns the values held after the agent's act, long ``[*B, S]``."""
+        is_told = agent.is_slot & (agent.is_inform | agent.is_booking)[..., None]
+        return torch.where(is_told, agent.value[..., None], held)
+
+    @staticmethod
+    def hear(held: torch.Tensor, informs: torch.Tensor) -> torch.Tensor:
+        """Returns the values held after the user's act, long ``[*B, S]``; the latest wins."""
+        return torch.where(informs != NONE, informs, held)

@@ -1,0 +1,200 @@
+"""The agenda-based user: what it says first, and how it replies to each act of the agent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.domains.values import DONT_CARE, NO_MATCH, NONE
+from bbq_torchrl.simulator.choices import index_below, pick_slot
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.simulator.tracker import AgentTurn
+
+__all__ = ["FirstTurn", "Reply", "User"]
+
+
+@dataclass(frozen=True)
+class FirstTurn:
+    """A user at the start of a dialogue.
+
+    Args:
+        constraints: long ``[*B, S]``, the goal's value of each slot, 0 where it has none.
+        requests: bool ``[*B, S]``, the slots the goal requests, the ticket included.
+        agenda: bool ``[*B, S]``, what is not yet spoken of.
+        pending: bool ``[*B, S]``, what is requested and not yet answered.
+        informs: long ``[*B, S]``, the values informed in the first turn.
+    """
+
+    constraints: torch.Tensor
+    requests: torch.Tensor
+    agenda: torch.Tensor
+    pending: torch.Tensor
+    informs: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Reply:
+    """A user's reply.
+
+    Args:
+        act: long ``[*B]``, the act the user means.
+        informs: long ``[*B, S]``, the values the user means to inform.
+        agenda: bool ``[*B, S]``, what is not yet spoken of.
+        pending: bool ``[*B, S]``, what is requested and not yet answered.
+        history: long ``[*B, S]``, the latest value either side has informed.
+        constraints_met: bool ``[*B]``, the verdict on the latest offer.
+    """
+
+    act: torch.Tensor
+    informs: torch.Tensor
+    agenda: torch.Tensor
+    pending: torch.Tensor
+    history: torch.Tensor
+    constraints_met: torch.Tensor
+
+
+class User:
+    """The agenda-based user of Li et al. (2016), for any number of dialogues at once.
+
+    It holds nothing but the domain's tables; who the users are is in the state that it is given.
+
+    Args:
+        domain: the domain's tensors.
+    """
+
+    def __init__(self, domain: DomainTensors) -> None:
+        self._domain = domain
+        self._act = domain.act
+        slots = torch.arange(domain.n_slots, device=domain.records.device)
+        self._is_ticket = slots == domain.ticket
+        self._is_opening = slots == domain.opening
+
+    def first_turn(self, draws: TensorDictBase, active: torch.Tensor) -> FirstTurn:
+        """Returns the users' first turn: a request, with what opens the dialogue informed.
+
+        Args:
+            draws: uniform ``goal`` ``[*B]``, ``constraint`` and ``request`` ``[*B, S]``.
+            active: bool ``[S]``; the goals are restricted to these slots (and the ticket).
+        """
+        domain = self._domain
+        goal = self.goal_of(draws)
+        constraints = domain.goal_constraints[goal] * active
+        requests = (domain.goal_requests[goal] & active) | self._is_ticket
+        is_constraint = constraints != NONE
+        is_said = (self._is_opening & is_constraint) | pick_slot(is_constraint, draws["constraint"])
+        other_requests = requests & ~self._is_ticket
+        has_other = other_requests.any(-1, keepdim=True)
+        return FirstTurn(
+            constraints=constraints,
+            requests=requests,
+            agenda=(is_constraint & ~is_said) | requests,
+            pending=pick_slot(other_requests, draws["request"]) | (self._is_ticket & ~has_other),
+            informs=constraints * is_said,
+        )
+
+    def goal_of(self, draws: TensorDictBase) -> torch.Tensor:
+        """Returns the goals drawn, long ``[*B]``."""
+        return index_below(draws["goal"], self._domain.goal_constraints.shape[0])
+
+    def reply(
+        self,
+        state: TensorDictBase,
+        agent: AgentTurn,
+        is_over: torch.Tensor,
+        draws: TensorDictBase,
+    ) -> Reply:
+        """Returns the users' reply to the agent's act.
+
+        Args:
+            state: the state before the agent's act.
+            agent: the agent's act as the tracker has completed it.
+            is_over: bool ``[*B]``, dialogues in which the user does not listen any more.
+            draws: uniform ``agenda`` ``[*B, S]`` and ``offer`` ``[*B]``.
+        """
+        constraints, agenda, pending = state["constraints"], state["agenda"], state["pending"]
+        is_constraint = constraints != NONE
+        is_slot, goes_on_listening = agent.is_slot, ~is_over
+
+        def of_slot(values: torch.Tensor) -> torch.Tensor:
+            return values.gather(-1, agent.slot[..., None]).squeeze(-1)
+
+        def at_slot(is_so: torch.Tensor) -> torch.Tensor:
+            return is_slot & is_so[..., None]
+
+        # What was transmitted enters history now, errors included.
+        transmitted = state["user_informs"]
+        enters = (transmitted != NONE) & goes_on_listening[..., None]
+        history = torch.where(enters, transmitted, state["history"])
+
+        # What the agent does, and what its slot is to this user.
+        asks = agent.is_request & goes_on_listening
+        tells = agent.is_inform & goes_on_listening
+        books = agent.is_booking & goes_on_listening
+        confirms = agent.is_confirm_answer & goes_on_listening
+        wanted, heard_before = of_slot(constraints), of_slot(history)
+        is_wanted = wanted != NONE
+        is_open = of_slot(state["requests"]) & ~is_wanted
+        is_on_agenda = of_slot(agenda)
+
+        repeats_wish = asks & is_wanted
+        passes_on = asks & is_open & ~is_on_agenda & (heard_before != NONE)
+        asks_back = asks & is_open & is_on_agenda
+        has_no_view = asks & ~(repeats_wish | passes_on | asks_back)
+        is_right = agent.value == wanted
+        corrects = tells & is_wanted & ~is_right
+        learns = tells & ~is_wanted
+        says_slot = repeats_wish | passes_on | has_no_view | corrects
+        said = torch.where(is_wanted, wanted, torch.where(passes_on, heard_before, DONT_CARE))
+        leaves = repeats_wish | tells
+        if agent.offered is not None:
+            chooses = agent.is_multiple_choice & goes_on_listening
+            said = torch.where(chooses & ~is_wanted, agent.choose(draws["offer"]), said)
+            says_slot, leaves = says_slot | chooses, leaves | (chooses & is_wanted)
+        is_idle = ~(pending | agenda).any(-1)
+
+        # The verdict on a booking.
+        is_met = (~is_constraint | (state["held"] == constraints)).all(-1)
+        constraints_met = torch.where(books, is_met, state["constraints_met"])
+        is_refused = self._is_ticket & (books & (agent.value == NO_MATCH))[..., None]
+
+        history = torch.where(at_slot(tells), agent.value[..., None], history)
+        history = torch.where(is_refused, NO_MATCH, history)
+        clears = repeats_wish | passes_on | (books & ~is_met)
+        pending = pending & ~(clears[..., None] | at_slot(learns) | is_refused)
+        pending = pending | at_slot(asks_back)
+        agenda = agenda & ~(at_slot(leaves) | is_refused)
+
+        # Going on: with what is pending, else with a slot of the agenda, else with the ticket.
+        goes_on = tells & ~corrects
+        moves_on = goes_on & ~pending.any(-1)
+        from_any = agenda & confirms[..., None]
+        pool = from_any | (agenda & ~self._is_ticket & moves_on[..., None])
+        picked = pick_slot(pool, draws["agenda"])
+        has_pool = pool.any(-1)
+        picks_wish = (picked & is_constraint).any(-1)
+        asks_ticket = (
+            moves_on & agenda[..., self._domain.ticket] & (~has_pool | learns & picks_wish)
+        )
+        pending = pending | (picked & ~is_constraint) | (self._is_ticket & asks_ticket[..., None])
+        is_said = is_constraint & (picked | (agenda & asks_back[..., None]))
+        agenda = agenda & ~is_said
+
+        informs = torch.where(at_slot(says_slot), said[..., None], constraints * is_said)
+
+        ids = self._act
+        act = torch.where(says_slot, ids["inform"], state["user_act"])
+        act = torch.where(has_no_view & is_idle, ids["thanks"], act)
+        is_asking = asks_back | (goes_on & pending.any(-1)) | (confirms & has_pool & ~picks_wish)
+        is_thanking = (books & is_met) | ((goes_on | confirms) & ~has_pool)
+        act = torch.where(is_thanking, ids["thanks"], act)
+        act = torch.where((goes_on | confirms) & picks_wish, ids["inform"], act)
+        act = torch.where(is_asking, ids["request"], act)
+        act = torch.where(books & ~is_met, ids["deny"], act)
+        act = torch.where(agent.is_end | is_over, ids["closing"], act)
+        return Reply(act, informs, agenda, pending, history, constraints_met)
