@@ -160,8 +160,8 @@ def _check_value(
     domain: Domain, where: str, slot: str, value: object, *, reserved: tuple[int, ...] = ()
 ) -> None:
     _check_slots(domain, where, [slot])
-    if not isinstance(value, str) or not value.strip():
-        raise ValueError(f"{where}: {slot} must have a text that is not blank, got {value!r}")
+    if not isinstance(value, str) or not value.strip() or value.splitlines() != [value]:
+        raise ValueError(f"{where}: {slot} must have one line of text, not blank, got {value!r}")
     taken = {fold(text) for key, text in RESERVED_TEXT.items() if key not in reserved}
     if fold(value) in taken:
         raise ValueError(f"{where}: {slot} must not have the reserved value {value!r}")

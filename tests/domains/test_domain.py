@@ -1,0 +1,217 @@
+"""A domain that exists is consistent: everything else is refused by name."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import pytest
+
+from bbq_torchrl.domains import Action, Domain, Goal, ScriptedPolicySpec
+
+REQUESTED = [
+    "moviename",
+    "theater",
+    "starttime",
+    "date",
+    "numberofpeople",
+    "genre",
+    "state",
+    "city",
+    "zip",
+    "critic_rating",
+    "mpaa_rating",
+    "distanceconstraints",
+    "video_format",
+    "theater_chain",
+    "price",
+    "actor",
+]
+
+
+def test_movie_domain_has_the_sizes_of_the_paper(movie: Domain):
+    assert (len(movie.acts), len(movie.slots), len(movie.actions)) == (11, 29, 39)
+
+
+def test_movie_actions_are_slotless_acts_then_requests_then_informs(movie: Domain):
+    informed = [slot for slot in REQUESTED if slot != "numberofpeople"]
+    expected = ["greeting", "thanks", "deny", "confirm_question", "confirm_answer", "closing"]
+    expected += [f"request({slot})" for slot in REQUESTED]
+    expected += [f"inform({slot})" for slot in [*informed, "taskcomplete", "ticket"]]
+    assert list(movie.action_names) == expected
+
+
+def test_nineteen_actions_need_no_more_than_the_essential_slots(movie: Domain):
+    active = [a for a in movie.actions if a.slot is None or a.slot in movie.essential]
+    assert len(active) == 19
+
+
+def test_movie_extension_adds_ten_slots_that_have_actions(movie: Domain):
+    assert movie.extension_order == (
+        "genre",
+        "state",
+        "zip",
+        "critic_rating",
+        "mpaa_rating",
+        "distanceconstraints",
+        "video_format",
+        "theater_chain",
+        "price",
+        "actor",
+    )
+    active = {*movie.essential, *movie.extension_order}
+    assert all(action.slot is None or action.slot in active for action in movie.actions)
+
+
+def test_rule_policy_is_the_eight_turns_of_the_reference_setting(movie: Domain):
+    rule, longer = movie.policies["rule"], movie.policies["rule_inform"]
+    asked = ["moviename", "starttime", "city", "date", "theater", "numberofpeople"]
+    assert rule == ScriptedPolicySpec(
+        "script", (*(f"request({slot})" for slot in asked), "inform(taskcomplete)", "thanks")
+    )
+    assert longer.steps == (
+        *rule.steps[:6],
+        "inform(moviename)",
+        "inform(theater)",
+        *rule.steps[6:],
+    )
+
+
+def test_careful_policies_differ_in_the_further_slots_they_request(movie: Domain):
+    short, long = movie.policies["careful_essential"], movie.policies["careful"]
+    assert short.kind == long.kind == "careful"
+    assert long.steps == (
+        *short.steps,
+        "state",
+        "zip",
+        "distanceconstraints",
+        "video_format",
+        "theater_chain",
+    )
+
+
+@pytest.mark.parametrize(
+    "text", ["thanks", "request(city)", "inform(ticket)", "multiple_choice(city)"]
+)
+def test_an_action_reads_as_it_is_written(text: str):
+    assert str(Action.parse(text)) == text
+
+
+@pytest.mark.parametrize("text", ["", "request()", "request(city", "thanks (city)", "deny(city)"])
+def test_text_that_is_no_action_is_refused(text: str):
+    with pytest.raises(ValueError, match="action"):
+        Action.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "act", "slot"),
+    [("act", "thanks", "city"), ("request", "request", None), ("inform", "request", "city")],
+)
+def test_an_action_whose_parts_disagree_is_refused(kind, act, slot):
+    with pytest.raises(ValueError, match="kind"):
+        Action(kind, act, slot)
+
+
+def test_an_unknown_kind_of_action_is_refused():
+    with pytest.raises(ValueError, match="kind must be one of"):
+        Action("shout", "shout", "city")
+
+
+def test_action_index_names_the_actions_where_there_is_no_such_one(restaurant: Domain):
+    assert restaurant.actions[restaurant.action_index("inform(area)")].slot == "area"
+    with pytest.raises(ValueError, match=r"request\(moviename\).*restaurant.*request\(cuisine\)"):
+        restaurant.action_index("request(moviename)")
+
+
+def test_a_domain_survives_pickling(restaurant: Domain):
+    assert pickle.loads(pickle.dumps(restaurant)) == restaurant
+
+
+ACTIONS = tuple(map(Action.parse, ["thanks", "request(area)", "inform(booking)"]))
+FAULTS = {
+    "no name": ({"name": ""}, "name"),
+    "slot twice": ({"slots": ("area", "area")}, r"slots must be distinct.*area"),
+    "act twice": ({"acts": ("inform", "inform")}, r"acts must be distinct.*inform"),
+    "act missing": ({"acts": ("request", "inform")}, r"acts must contain.*deny"),
+    "act not a word": ({"acts": ("a b",)}, "identifiers.*a b"),
+    "slot not a word": ({"slots": ("a b",)}, "letters.*a b"),
+    "essential unknown": ({"essential": ("zip",)}, "essential.*unknown slot 'zip'.*cuisine"),
+    "extension unknown": ({"extension_order": ("zip",)}, "extension_order.*unknown slot 'zip'"),
+    "extension essential": ({"extension_order": ("area",)}, "extension_order.*area"),
+    "free unknown": ({"free_slots": ("zip",)}, "free_slots.*unknown slot 'zip'"),
+    "ticket unknown": ({"ticket_slot": "zip"}, "ticket_slot.*unknown slot 'zip'"),
+    "complete unknown": ({"complete_slot": "zip"}, "complete_slot.*unknown slot 'zip'"),
+    "ticket is complete": ({"complete_slot": "table"}, "must differ.*table"),
+    "ticket not free": ({"free_slots": ("booking",)}, "ticket_slot must be among free_slots"),
+    "ticket not essential": (
+        {"essential": ("booking",)},
+        "ticket_slot must be among essential",
+    ),
+    "opening unknown": ({"opening_slot": "zip"}, "opening_slot.*unknown slot 'zip'"),
+    "opening special": ({"opening_slot": "table"}, "opening_slot.*table"),
+    "action twice": ({"actions": (*ACTIONS, ACTIONS[-1])}, r"distinct.*inform\(booking\)"),
+    "action order": ({"actions": ACTIONS[::-1]}, "slotless acts, then requests"),
+    "action act unknown": (
+        {"actions": (Action("act", "shrug"), *ACTIONS)},
+        "unknown act 'shrug'",
+    ),
+    "action slot unknown": (
+        {"actions": (*ACTIONS, Action.parse("inform(zip)"))},
+        "unknown slot 'zip'",
+    ),
+    "action without slot": ({"actions": (Action("act", "inform"), *ACTIONS)}, "needs a slot"),
+    "ticket requested": (
+        {"actions": (ACTIONS[0], Action.parse("request(table)"), *ACTIONS[2:])},
+        "no user constrains table",
+    ),
+    "no offer": ({"actions": ACTIONS[:2]}, r"must contain inform\(booking\)"),
+    "no end": ({"actions": ACTIONS[1:]}, "thanks or closing"),
+    "policy kind": ({"policies": {"x": ScriptedPolicySpec("wild", ("thanks",))}}, "x.*'wild'"),
+    "policy empty": ({"policies": {"x": ScriptedPolicySpec("script", ())}}, "x.*one step"),
+    "policy action": (
+        {"policies": {"x": ScriptedPolicySpec("script", ("inform(terrace)",))}},
+        r"policies\.x needs.*inform\(terrace\)",
+    ),
+    "policy slot": (
+        {"policies": {"x": ScriptedPolicySpec("careful", ("zip",))}},
+        "unknown slot 'zip'",
+    ),
+    "policy request": (
+        {"policies": {"x": ScriptedPolicySpec("careful", ("terrace",))}},
+        r"needs.*request\(terrace\)",
+    ),
+    "turn width": ({"turn_width": 0}, "turn_width.*0"),
+    "error prob": ({"reference_slot_error_prob": 1.5}, "between 0 and 1.*1.5"),
+    "error prob nan": ({"reference_slot_error_prob": float("nan")}, "between 0 and 1"),
+    "no records": ({"records": ()}, "knowledge base.*empty"),
+    "empty record": ({"records": ({},)}, "record 0"),
+    "record slot": ({"records": ({"zip": "1"},)}, "record 0.*unknown slot 'zip'"),
+    "record blank": ({"records": ({"area": " "},)}, "record 0.*area.*blank"),
+    "record lines": ({"records": ({"area": "a\nb"},)}, "record 0.*area.*one line"),
+    "record number": ({"records": ({"area": 3},)}, "record 0.*area.*3"),
+    "record reserved": ({"records": ({"area": "No Match"},)}, "reserved.*No Match"),
+    "record special": ({"records": ({"table": "1"},)}, "special slot 'table'"),
+    "no goals": ({"goals": ()}, "no goals"),
+    "goal slot": ({"goals": (Goal({"zip": "1"}),)}, "goal 0.*unknown slot 'zip'"),
+    "goal request": ({"goals": (Goal({}, ("zip",)),)}, "goal 0.*unknown slot 'zip'"),
+    "goal reserved": ({"goals": (Goal({"area": "no match"}),)}, "reserved.*no match"),
+    "goal ticket": ({"goals": (Goal({}, ("table",)),)}, "must not name 'table'"),
+    "goal both": ({"goals": (Goal({"area": "north"}, ("area",)),)}, "constrain and request"),
+    "goal twice": ({"goals": (Goal({}, ("area", "area")),)}, "once.*area"),
+    "values slot": ({"error_values": {"zip": ("1",)}}, "unknown slot 'zip'"),
+    "values empty": ({"error_values": {"area": ()}}, "area.*at least one"),
+    "values blank": ({"error_values": {"area": ("",)}}, "area.*blank"),
+    "values reserved": ({"error_values": {"area": ("I do not care",)}}, "reserved"),
+    "values special": ({"error_values": {"booking": ("yes",)}}, "special slot 'booking'"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_is_refused_by_name(restaurant: Domain, change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(restaurant, **change)
+
+
+def test_a_user_may_not_care(restaurant: Domain):
+    goal = Goal({"area": "i do NOT care"})
+    assert replace(restaurant, goals=(goal,)).goals == (goal,)

@@ -1,0 +1,232 @@
+"""The folder of a domain: what is written is read back, and damage is named."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bbq_torchrl.domains import Domain, Goal, load_domain, save_data
+
+
+@pytest.fixture
+def folder(restaurant_folder: Path, tmp_path: Path) -> Path:
+    """A copy of the restaurant domain that a test may damage."""
+    return Path(shutil.copytree(restaurant_folder, tmp_path / "restaurant"))
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_restaurant_is_read_as_it_stands(restaurant: Domain):
+    assert restaurant.name == "restaurant"
+    assert (len(restaurant.records), len(restaurant.goals)) == (48, 20)
+    assert restaurant.records[0] == {
+        "cuisine": "italian",
+        "day": "saturday",
+        "hour": "7:30 pm",
+        "price_range": "moderate",
+        "restaurant": "Trattoria Lina",
+    }
+    assert restaurant.opening_slot is None
+    assert [str(a) for a in restaurant.actions[-2:]] == [
+        "multiple_choice(cuisine)",
+        "multiple_choice(area)",
+    ]
+
+
+def test_path_may_be_text(restaurant_folder: Path, restaurant: Domain):
+    assert load_domain(str(restaurant_folder)) == restaurant
+
+
+def test_saving_what_was_loaded_changes_no_byte(restaurant: Domain, folder: Path, tmp_path: Path):
+    columns = (folder / "knowledge_base.csv").read_text().splitlines()[0].split(",")
+    save_data(tmp_path, columns, restaurant.records, restaurant.goals, restaurant.error_values)
+    for name in ("knowledge_base.csv", "goals.jsonl", "values.json"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+
+
+# Whatever may stand in a line: commas, quotes, spaces at the ends, other scripts.
+RESERVED = {"i do not care", "no match", "ticket available"}
+TEXT = st.text(
+    st.characters(exclude_categories=["Cs", "Cc", "Zl", "Zp"]) | st.sampled_from(",\"'\t")
+)
+VALUE = TEXT.filter(lambda text: text.strip() and text.casefold() not in RESERVED)
+SLOTS = ["cuisine", "area", "day"]
+RECORD = st.dictionaries(st.sampled_from(SLOTS), VALUE, min_size=1)
+
+
+@given(records=st.lists(RECORD, min_size=1, max_size=5), extra=st.lists(VALUE, max_size=3))
+@settings(max_examples=60, deadline=None)
+def test_any_records_goals_and_values_survive_the_files(restaurant_folder, records, extra):
+    goals = tuple(Goal(record, ("phone",)) for record in records)
+    values = {"hour": tuple(extra)} if extra else {}
+    with tempfile.TemporaryDirectory() as name:
+        shutil.copy(restaurant_folder / "domain.yaml", name)
+        save_data(name, SLOTS, records, goals, values)
+        domain = load_domain(name)
+    assert domain.records == tuple(records)
+    assert domain.goals == goals
+    assert domain.error_values == values
+
+
+FILES = ["domain.yaml", "knowledge_base.csv", "goals.jsonl", "values.json"]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_missing_file_is_named(folder: Path, name: str):
+    (folder / name).unlink()
+    with pytest.raises(FileNotFoundError, match=name):
+        load_domain(folder)
+
+
+def test_a_missing_folder_is_named(tmp_path: Path):
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        load_domain(tmp_path / "nowhere")
+
+
+CSV_FAULTS = {
+    "empty file": ("", "header.*missing"),
+    "no records": ("area,day\n", "knowledge base.*empty"),
+    "too few fields": ("area,day\nnorth,today\nnorth\n", "line 3 has 1 fields.*2"),
+    "too many fields": ("area,day\nnorth,today,noon\n", "line 2 has 3 fields.*2"),
+    "cut off": ("area,day\nnorth,tod", "truncated"),
+    "open quote": ('area,day\n"north,today\n', "line 2 is not valid CSV"),
+    "broken quote": ('area,day\n"nor"th,today\n', "line 2 is not valid CSV"),
+    "unknown slot": ("area,zip\nnorth,1\n", "unknown slot 'zip'.*cuisine"),
+    "no header": ("north,today\nsouth,today\n", "unknown slot 'north'"),
+    "column twice": ("area,area\nnorth,south\n", "header.*once"),
+    "column without name": ("area,\nnorth,south\n", "header"),
+    "empty line": ("area,day\n\nnorth,today\n", "line 2 has 0 fields"),
+    "line break": ('area,day\n"no\nrth",today\n', "record 0: area.*one line"),
+    "empty row": ("area,day\n,\n", "record 0"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), CSV_FAULTS.values(), ids=CSV_FAULTS)
+def test_a_damaged_knowledge_base_is_refused(folder: Path, text: str, message: str):
+    (folder / "knowledge_base.csv").write_text(text)
+    with pytest.raises(ValueError, match=message) as caught:
+        load_domain(folder)
+    assert str(folder) in str(caught.value)
+
+
+def test_a_file_that_is_no_text_is_refused(folder: Path):
+    (folder / "knowledge_base.csv").write_bytes(b"area,day\n\xff\xfe,x\n")
+    with pytest.raises(ValueError, match=r"knowledge_base\.csv must be UTF-8"):
+        load_domain(folder)
+
+
+def test_a_byte_order_mark_is_no_part_of_the_header(folder: Path, restaurant: Domain):
+    path = folder / "knowledge_base.csv"
+    path.write_text(path.read_text(), encoding="utf-8-sig")
+    assert load_domain(folder) == restaurant
+
+
+GOAL_FAULTS = {
+    "not JSON": ("{", "line 1 is not valid JSON"),
+    "no object": ("[]", "line 1 must have the keys"),
+    "key missing": ('{"constraints": {}}', "line 1 must have the keys"),
+    "key unknown": ('{"constraints": {}, "requests": [], "mood": 1}', "line 1 must have the keys"),
+    "key twice": ('{"constraints": {"a": "b", "a": "c"}, "requests": []}', "once.*'a'"),
+    "constraints list": ('{"constraints": [], "requests": []}', "constraints must map"),
+    "requests text": ('{"constraints": {}, "requests": "area"}', "requests must be a list"),
+    "request number": ('{"constraints": {}, "requests": [1]}', "requests must be a list"),
+    "value number": ('{"constraints": {"area": 1}, "requests": []}', "goal 0: area.*1"),
+    "unknown slot": ('{"constraints": {"zip": "1"}, "requests": []}', "unknown slot 'zip'"),
+    "unknown value": (
+        '{"constraints": {"area": "the moon"}, "requests": []}',
+        "goal 0 wants area = 'the moon'",
+    ),
+    "nothing": ("", "no goals"),
+}
+
+
+@pytest.mark.parametrize(("line", "message"), GOAL_FAULTS.values(), ids=GOAL_FAULTS)
+def test_damaged_goals_are_refused(folder: Path, line: str, message: str):
+    (folder / "goals.jsonl").write_text(line and f"{line}\n")
+    with pytest.raises(ValueError, match=message):
+        load_domain(folder)
+
+
+def test_a_goal_may_spell_a_value_in_another_case(folder: Path):
+    goal = {"constraints": {"area": "OLD town"}, "requests": []}
+    (folder / "goals.jsonl").write_text(json.dumps(goal) + "\n")
+    assert load_domain(folder).goals == (Goal({"area": "OLD town"}),)
+
+
+VALUES_FAULTS = {
+    "cut off": ('{"area": ["north"', "not valid JSON"),
+    "list": ("[]", "must map slots"),
+    "text": ('{"area": "north"}', "area must be a list"),
+    "number": ('{"area": [1]}', "area must be a list"),
+    "slot twice": ('{"area": ["x"], "area": ["y"]}', "once.*area"),
+    "unknown slot": ('{"zip": ["1"]}', "unknown slot 'zip'"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), VALUES_FAULTS.values(), ids=VALUES_FAULTS)
+def test_damaged_values_are_refused(folder: Path, text: str, message: str):
+    (folder / "values.json").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        load_domain(folder)
+
+
+YAML_FAULTS = {
+    "not YAML": ("name: restaurant", "name: [restaurant", "not valid YAML"),
+    "unknown key": ("name: restaurant", "name: restaurant\nmood: good", "unknown keys.*mood"),
+    "missing key": ("turn_width: 24", "", r"lacks the keys.*turn_width"),
+    "key twice": ("turn_width: 24", "turn_width: 24\nturn_width: 30", "once.*turn_width"),
+    "wrong number": ("turn_width: 24", "turn_width: wide", "turn_width must be an integer"),
+    "truth": ("turn_width: 24", "turn_width: true", "turn_width must be an integer"),
+    "probability": (
+        "reference_slot_error_prob: 0.1",
+        "reference_slot_error_prob: low",
+        "must be a number.*low",
+    ),
+    "name a number": ("ticket_slot: table", "ticket_slot: 3", "ticket_slot must be a text"),
+    "names a text": (
+        "free_slots: [party_size, table, booking]",
+        "free_slots: all",
+        "list of names",
+    ),
+    "no slot twice": ("slots: [table,", "slots: [table, table,", "slots must be distinct.*table"),
+    "action kind": ("  inform: [", "  tell: [", "unknown keys.*tell"),
+    "action act": ("  act: [thanks,", "  act: [shrug, thanks,", "unknown act 'shrug'"),
+    "action slot": ("  inform: [cuisine,", "  inform: [cuisine, zip,", "unknown slot 'zip'"),
+    "action twice": (
+        "  inform: [cuisine,",
+        "  inform: [cuisine, cuisine,",
+        r"distinct.*inform\(cuisine\)",
+    ),
+    "policy key": ("kind: careful", "sort: careful", "policies.careful has the unknown keys.*sort"),
+    "ticket unknown": ("ticket_slot: table", "ticket_slot: seat", "unknown slot 'seat'"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message"), YAML_FAULTS.values(), ids=YAML_FAULTS)
+def test_a_faulty_specification_is_refused(folder: Path, old: str, new: str, message: str):
+    edit(folder / "domain.yaml", old, new)
+    with pytest.raises(ValueError, match=message) as caught:
+        load_domain(folder)
+    assert str(folder) in str(caught.value)
+
+
+def test_a_specification_that_is_no_mapping_is_refused(folder: Path):
+    (folder / "domain.yaml").write_text("- restaurant\n")
+    with pytest.raises(ValueError, match="must be a mapping"):
+        load_domain(folder)
+
+
+def test_yaml_cannot_build_objects(folder: Path):
+    edit(folder / "domain.yaml", "name: restaurant", "name: !!python/name:os.system")
+    with pytest.raises(ValueError, match="not valid YAML"):
+        load_domain(folder)
