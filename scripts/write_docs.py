@@ -19,7 +19,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python scripts/write_docs.py` finds its own package
 
-from scripts.docs_blocks import config_blocks, domain_blocks, results_blocks  # noqa: E402
+from scripts.docs_blocks import (  # noqa: E402
+    config_blocks,
+    domain_blocks,
+    policies_blocks,
+    results_blocks,
+)
 
 _BLOCK = re.compile(r"(<!-- begin: (?P<name>[\w.-]+) -->\n).*?(<!-- end: (?P=name) -->)", re.DOTALL)
 
@@ -28,7 +33,7 @@ Block = Callable[[], str]
 
 def blocks() -> dict[str, Block]:
     """Returns every block that a page may hold, by name."""
-    return {**config_blocks(), **domain_blocks(), **results_blocks()}
+    return config_blocks() | domain_blocks() | policies_blocks() | results_blocks()
 
 
 def pages() -> list[Path]:

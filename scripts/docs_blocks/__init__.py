@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from scripts.docs_blocks.config import config_blocks
 from scripts.docs_blocks.domain import domain_blocks
+from scripts.docs_blocks.policies import policies_blocks
 from scripts.docs_blocks.results import results_blocks
 
-__all__ = ["config_blocks", "domain_blocks", "results_blocks"]
+__all__ = ["config_blocks", "domain_blocks", "policies_blocks", "results_blocks"]

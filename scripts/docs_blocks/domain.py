@@ -59,7 +59,7 @@ def _corpus() -> str:
             ("slots of a record, mean", f"{fmean(map(len, records)):.1f}"),
             ("goals", len(goals)),
             ("constraints of a goal, mean", f"{fmean(len(g.constraints) for g in goals):.1f}"),
-            ("requests of a goal besides ticket, mean", f"{fmean(len(g.requests) for g in goals):.1f}"),
+            ("its requests besides ticket, mean", f"{fmean(len(g.requests) for g in goals):.1f}"),
             ("goals whose constraints a record meets", f"{can_be_met.float().mean().item():.1%}"),
         ],
         numbers=1,

@@ -1,0 +1,128 @@
+"""Measures the scripted policies and writes results/policies.json.
+
+Plays every line of the table below by ``python -m bbq_torchrl.evaluate`` and keeps the command
+beside its answer; ``scripts/write_docs.py`` makes the documentation's tables from them.
+
+    python scripts/measure_policies.py                        our corpus
+    python scripts/measure_policies.py --miulab <folder>      also the public MiuLab corpus
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+FILE = Path(__file__).resolve().parent.parent / "results" / "policies.json"
+
+PLACE = "<folder>"
+"""Stands for the folder of the MiuLab corpus in the commands that are kept."""
+
+GOALS_V1 = "user_goals_first_turn_template.part.movie.v1.p"
+MIULAB = f"domain=miulab domain.path={PLACE}"
+REFERENCE = "dialogues=100000 batch=4096"
+SHORT = "dialogues=20000 batch=4096"
+
+
+class Measurement(NamedTuple):
+    """A policy in a setting.
+
+    Args:
+        corpus: ``movie`` or ``miulab``.
+        setting: goals and errors, as the tables call them.
+        policy: name of the scripted policy.
+        overrides: what the command line says besides the policy.
+    """
+
+    corpus: str
+    setting: str
+    policy: str
+    overrides: str
+
+
+MEASUREMENTS = (
+    *(
+        Measurement("movie", "reference", policy, REFERENCE if policy == "rule" else SHORT)
+        for policy in ("rule", "rule_inform", "careful_essential", "careful", "random")
+    ),
+    *(
+        Measurement("movie", "no error", policy, f"{SHORT} env.slot_error_prob=0")
+        for policy in ("rule", "rule_inform", "careful_essential", "careful")
+    ),
+    *(
+        Measurement(
+            "miulab", "reference", policy, f"{REFERENCE if policy == 'rule' else SHORT} {MIULAB}"
+        )
+        for policy in ("rule", "rule_inform", "careful_essential", "careful", "random")
+    ),
+    Measurement("miulab", "v2, error .05", "rule", f"{SHORT} {MIULAB} env.slot_error_prob=.05"),
+    *(
+        Measurement("miulab", "v2, no error", policy, f"{SHORT} {MIULAB} env.slot_error_prob=0")
+        for policy in ("rule", "rule_inform", "careful")
+    ),
+    *(
+        Measurement(
+            "miulab",
+            "v1, no error",
+            policy,
+            f"{SHORT} {MIULAB} domain.goals={GOALS_V1} env.slot_error_prob=0",
+        )
+        for policy in ("rule", "rule_inform", "careful_essential", "careful")
+    ),
+    *(
+        Measurement(
+            "miulab",
+            f"v1, error {probability}",
+            "rule",
+            f"{SHORT} {MIULAB} domain.goals={GOALS_V1} env.slot_error_prob={probability}",
+        )
+        for probability in (".05", ".10", ".20", ".30")
+    ),
+)
+
+
+def measure(measurement: Measurement, miulab: Path | None) -> dict[str, object]:
+    """Returns the measurement with its command and what the command answered."""
+    arguments = f"policy={measurement.policy} {measurement.overrides}".split()
+    given = [argument.replace(PLACE, str(miulab)) for argument in arguments]
+    answer = subprocess.run(
+        [sys.executable, "-m", "bbq_torchrl.evaluate", *given],
+        check=True,
+        capture_output=True,
+        text=True,
+        cwd=FILE.parent.parent,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    return {
+        "corpus": measurement.corpus,
+        "setting": measurement.setting,
+        "policy": measurement.policy,
+        "command": "python -m bbq_torchrl.evaluate " + " ".join(arguments),
+        "result": json.loads(answer.stdout.strip().splitlines()[-1]),
+    }
+
+
+def main() -> None:
+    """Measures, and keeps what was measured before of a corpus that is not given now."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--miulab", type=Path, help="folder of the MiuLab files")
+    miulab = parser.parse_args().miulab
+    corpora = {"movie"} if miulab is None else {"movie", "miulab"}
+    before = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else []
+    entries = [entry for entry in before if entry["corpus"] not in corpora]
+    for measurement in MEASUREMENTS:
+        if measurement.corpus in corpora:
+            entry = measure(measurement, miulab and miulab.resolve())
+            sys.stdout.write(f"{shlex.join(map(str, measurement[:3]))}: {entry['result']}\n")
+            entries.append(entry)
+    FILE.parent.mkdir(exist_ok=True)
+    FILE.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Tests of the documentation: what it shows runs, and what it says is so."""

@@ -1,0 +1,28 @@
+"""What the documentation's tests share: the pages and the code in them."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def snippets(page: Path, language: str) -> list[str]:
+    """Returns the page's fenced code of a language, in order."""
+    fence = re.compile(rf"^```{language}\n(.*?)^```", re.DOTALL | re.MULTILINE)
+    return fence.findall(page.read_text(encoding="utf-8"))
+
+
+def commands(program: str) -> list[tuple[str, list[str]]]:
+    """Returns (page, arguments) of every documented command line that starts with ``program``."""
+    found = []
+    for page in PAGES:
+        for text in snippets(page, "bash"):
+            for line in text.replace("\\\n", " ").splitlines():
+                _, is_there, arguments = line.partition(f"python {program}")
+                if is_there and not line.startswith("#"):
+                    found.append((page.name, shlex.split(arguments, comments=True)))
+    return found

@@ -1,0 +1,54 @@
+"""The tables in the documentation are those that the code and the results give."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import pytest
+
+from bbq_torchrl.config.schema import SCHEMAS, Config, EvaluateConfig
+from scripts import write_docs
+
+from .pages import ROOT
+
+CONFIGURATION = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
+
+
+def test_no_page_is_out_of_date() -> None:
+    pages = [page.name for page in write_docs.outdated(write_docs.blocks())]
+    assert pages == [], "run python scripts/write_docs.py"
+
+
+def test_every_block_is_on_a_page() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in write_docs.pages())
+    missing = [name for name in write_docs.blocks() if f"<!-- begin: {name} -->" not in text]
+    assert missing == []
+
+
+@pytest.mark.parametrize("group", SCHEMAS)
+def test_every_key_of_a_group_is_documented(group: str) -> None:
+    keys = {item.name for schema in SCHEMAS[group].values() for item in fields(schema)} - {"name"}
+    assert [key for key in keys if f"`{group}.{key}`" not in CONFIGURATION] == []
+
+
+@pytest.mark.parametrize("schema", [Config, EvaluateConfig])
+def test_every_key_of_a_root_is_documented(schema: type) -> None:
+    keys = {item.name for item in fields(schema)} - set(SCHEMAS)
+    assert [key for key in keys if f"| `{key}` |" not in CONFIGURATION] == []
+
+
+def test_block_is_replaced_and_the_rest_is_kept() -> None:
+    page = "before\n<!-- begin: a -->\nold\n<!-- end: a -->\nafter\n"
+    filled = write_docs.rewrite(page, {"a": lambda: "new"})
+    assert filled == "before\n<!-- begin: a -->\n\nnew\n\n<!-- end: a -->\nafter\n"
+    assert write_docs.rewrite(filled, {"a": lambda: "new"}) == filled
+
+
+def test_unknown_block_is_refused() -> None:
+    with pytest.raises(ValueError, match="unknown block 'b'; known are \\['a'\\]"):
+        write_docs.rewrite("<!-- begin: b -->\n<!-- end: b -->", {"a": lambda: "new"})
+
+
+def test_block_that_is_not_closed_is_refused() -> None:
+    with pytest.raises(ValueError, match="not closed"):
+        write_docs.rewrite("<!-- begin: a -->\nold\n<!-- end: b -->", {"a": lambda: "new"})

@@ -1,0 +1,69 @@
+"""The Python in the documentation runs, and the command lines in it are accepted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bbq_torchrl.config import EvaluateConfig
+from bbq_torchrl.config.store import compose
+
+from .pages import PAGES, commands, snippets
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+WITH_PYTHON = [page for page in PAGES if snippets(page, "python")]
+
+
+def test_readme_and_parts_page_show_python() -> None:
+    assert {"README.md", "parts.md"} <= {page.name for page in WITH_PYTHON}
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
+def test_python_of_a_page_runs_from_top_to_bottom(page: Path) -> None:
+    namespace: dict[str, object] = {"__name__": page.stem}
+    for text in snippets(page, "python"):
+        exec(compile(text, str(page), "exec"), namespace)
+
+
+def _arguments(arguments: list[str], folder: Path) -> list[str]:
+    """Returns a documented command's overrides with a real folder in the place of <folder>."""
+    given = [argument.replace("<folder>", str(folder)) for argument in arguments]
+    return [argument for argument in given if not argument.startswith("--")]
+
+
+def _is_composed(arguments: list[str]) -> bool:
+    """Whether a command stands for a configuration by itself: no help, no resumed run."""
+    shows_help = bool({"--help", "--cfg"} & set(arguments))
+    return not shows_help and not any(item.startswith("resume=") for item in arguments)
+
+
+TRAININGS = [item for item in commands("train.py") if _is_composed(item[1])]
+
+
+@pytest.mark.parametrize(("page", "arguments"), TRAININGS)
+def test_documented_training_is_accepted(page: str, arguments: list[str], tmp_path: Path) -> None:
+    overrides = _arguments(arguments, tmp_path)
+    if "--multirun" in arguments:
+        # Of every list of a sweep the first element stands for all.
+        overrides = [_first(argument) for argument in overrides]
+    compose([item for item in overrides if not item.startswith("hydra")])
+
+
+def _first(argument: str) -> str:
+    key, _, value = argument.partition("=")
+    if value.startswith("range("):
+        return f"{key}=0"
+    return f"{key}={value.split(',')[0]}"
+
+
+@pytest.mark.parametrize(("page", "arguments"), commands("-m bbq_torchrl.evaluate"))
+def test_documented_evaluation_is_accepted(page: str, arguments: list[str], tmp_path: Path) -> None:
+    compose(_arguments(arguments, tmp_path), EvaluateConfig)
+
+
+def test_documentation_shows_training_and_evaluation() -> None:
+    assert len(TRAININGS) >= 10
+    assert len(commands("-m bbq_torchrl.evaluate")) >= 3
