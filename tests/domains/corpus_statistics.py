@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import Domain, Goal
+if TYPE_CHECKING:
+    from collections.abc import Container, Mapping, Sequence
+
+    from bbq_torchrl.domains import Domain, Goal
 
 
 def share(slot: str, holders: Sequence[Container[str]]) -> float:
