@@ -1,0 +1,35 @@
+"""MkDocs hooks: TeX becomes MathML, Sphinx roles in docstrings become links.
+
+``pymdownx.arithmatex`` marks the formulas; browsers show MathML without any script, so the site
+needs no MathJax from elsewhere. The docstrings name other objects by Sphinx roles, as TorchRL's do.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from typing import Any
+
+from latex2mathml.converter import convert
+
+_FORMULA = re.compile(
+    r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<tex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
+)
+_ROLE = re.compile(r":(?:class|func|meth|data|attr|mod|exc|obj):<code>(?P<path>~?[\w.]+)</code>")
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Returns the page's HTML with formulas as MathML and roles as links."""
+    return _ROLE.sub(_to_link, _FORMULA.sub(_to_mathml, content))
+
+
+def _to_mathml(match: re.Match[str]) -> str:
+    display = "inline" if match["tag"] == "span" else "block"
+    return convert(html.unescape(match["tex"]).strip(), display=display)
+
+
+def _to_link(match: re.Match[str]) -> str:
+    path = match["path"].lstrip("~")
+    shown = path.rpartition(".")[2] if match["path"].startswith("~") else path
+    # mkdocs-autorefs fills it in; "optional" lets a name that has no page stay plain code.
+    return f'<autoref identifier="{path}" optional><code>{shown}</code></autoref>'
