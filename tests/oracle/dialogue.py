@@ -51,6 +51,7 @@ class World:
         self.domain = domain
         self.slots = list(domain.slots)
         self.acts = list(domain.acts)
+        self.action_names = [str(action) for action in domain.actions]
         self.active = set(self.slots if active is None else active)
         self.max_turn = max_turn
         self.fired: Counter[str] = Counter()
@@ -101,6 +102,7 @@ class Dialogue:
         )
         self.tracker = Tracker(world.shelf, domain.ticket_slot, domain.complete_slot, world.fired)
         self.tracker.hear(self.user.act, self.user.informs, self.user.pending)
+        self.meant_informs = dict(self.user.informs)
         self.turn_count = 0
         self.done = False
         self.success = False
@@ -124,6 +126,7 @@ class Dialogue:
             return
         self.user.reply(kind, act, slot, self.tracker.agent_informs, offered, draws)
         self.reward = TURN_REWARD
+        self.meant_informs = dict(self.user.informs)
         heard_act, self.user.informs = self.world.noise.transmit(
             self.user.act, self.user.informs, draws
         )
@@ -146,6 +149,7 @@ class Dialogue:
         self.success = success
         self.reward = SUCCESS_REWARD if success else FAILURE_REWARD
         self.user.close()
+        self.meant_informs = {}
         self.tracker.hear(self.user.act, self.user.informs, self.user.pending)
 
     def features(self) -> list[float]:

@@ -43,6 +43,8 @@ def features(
 
 def marks(chosen: Collection[str], slots: Sequence[str]) -> list[float]:
     """Returns a 1 for each slot that is among the chosen."""
+    if not chosen:
+        return [0.0] * len(slots)
     return [1.0 if slot in chosen else 0.0 for slot in slots]
 
 

@@ -27,9 +27,9 @@ def careful(asked: Sequence[str]) -> Policy:
 
     def act(dialogue: Dialogue) -> str:
         tracker = dialogue.tracker
-        names = [str(action) for action in dialogue.world.domain.actions]
         if tracker.agent_act is None or tracker.agent_act == "request":
-            already = max((asked.index(slot) for slot in tracker.agent_requests), default=-1)
+            requested = [asked.index(slot) for slot in tracker.agent_requests if slot in asked]
+            already = max(requested, default=-1)
             for slot in asked[already + 1 :]:
                 if slot not in tracker.held:
                     return f"request({slot})"
@@ -37,7 +37,7 @@ def careful(asked: Sequence[str]) -> Policy:
             return "thanks"
         for slot in dialogue.world.slots:
             is_open = slot in tracker.user_requests and slot != dialogue.world.domain.ticket_slot
-            if is_open and f"inform({slot})" in names:
+            if is_open and f"inform({slot})" in dialogue.world.action_names:
                 return f"inform({slot})"
         return f"inform({dialogue.world.domain.complete_slot})"
 

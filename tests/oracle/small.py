@@ -68,24 +68,27 @@ ERROR_VALUES = {
 ALMOST_ONE = 1 - 2**-24
 
 
-def small_domain(constraints: dict[str, str], requests: tuple[str, ...] = ()) -> Domain:
-    """Returns the small cinema with one goal."""
+def small_domain(*goals: Goal) -> Domain:
+    """Returns the small cinema with these goals."""
     return Domain(
         name="small",
         acts=ACTS,
         slots=SLOTS,
         actions=tuple(Action.parse(text) for text in ACTIONS),
-        essential=("moviename", "city", "numberofpeople", "ticket", "taskcomplete"),
-        extension_order=("date", "theater", "genre"),
+        essential=("city", "numberofpeople", "ticket", "taskcomplete"),
+        extension_order=("moviename", "date", "theater", "genre"),
         free_slots=("numberofpeople", "ticket", "taskcomplete"),
         ticket_slot="ticket",
         complete_slot="taskcomplete",
         opening_slot="moviename",
         turn_width=10,
-        policies={"short": ScriptedPolicySpec("script", ("inform(taskcomplete)", "thanks"))},
+        policies={
+            "short": ScriptedPolicySpec("script", ("inform(taskcomplete)", "thanks")),
+            "careful": ScriptedPolicySpec("careful", ("city", "date", "numberofpeople")),
+        },
         reference_slot_error_prob=0.0,
         records=RECORDS,
-        goals=(Goal(constraints, requests),),
+        goals=goals,
         error_values=ERROR_VALUES,
     )
 
@@ -120,7 +123,8 @@ def start(
     **setting: Any,
 ) -> Dialogue:
     """Returns a dialogue about one goal in the small cinema, after the user's first act."""
-    return Dialogue(World(small_domain(constraints, requests), **setting), draws(**(first or {})))
+    world = World(small_domain(Goal(constraints, requests)), **setting)
+    return Dialogue(world, draws(**(first or {})))
 
 
 def say(dialogue: Dialogue, *actions: str, **chosen: Any) -> None:

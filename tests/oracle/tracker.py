@@ -52,6 +52,10 @@ class Tracker:
             else:
                 self.agent_informs[slot] = self._most_frequent(slot, rows)
             self.held.update(self.agent_informs)
+        elif kind == "multiple_choice":
+            rows = self.shelf.matching(self.held)
+            choices = self.shelf.values_on(slot, rows)
+            self.agent_informs[slot] = AVAILABLE if choices else NO_MATCH  # and nothing is held
 
     def _availability(self, rows: set[int]) -> str:
         return AVAILABLE if rows else NO_MATCH

@@ -1,0 +1,61 @@
+"""Agents that stray: scripted ones which now and then do something else."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .policies import careful, follow
+
+if TYPE_CHECKING:
+    from random import Random
+
+    from .dialogue import Dialogue, World
+
+STRAYS = (1.0, 0.3, 0.1, 0.0)
+"""How often the agents stray from their script; the first kind is random altogether."""
+
+ODD = 0.3
+"""How often an agent that strays says one of the acts that are few among many."""
+
+ASKS_AGAIN = 0.5
+"""How often an agent that has as good as won asks again, where an error can still hurt."""
+
+CLOSES = 0.2
+"""How often an agent closes instead of giving thanks."""
+
+
+class StrayingAgent:
+    """Follows one of the domain's scripted policies, and strays to other legal actions."""
+
+    def __init__(self, world: World, number: int, random: Random) -> None:
+        self.random = random
+        self.legal = [world.action_names[index] for index in world.legal_actions()]
+        ticket = f"inform({world.domain.ticket_slot})"
+        odd = ("confirm_answer", "confirm_question", "greeting", "deny", ticket)
+        self.odd = [name for name in self.legal if name in odd or "choice" in name]
+        specs = list(world.domain.policies.values())
+        spec = specs[number % len(specs)]
+        if spec.kind == "script":
+            self.policy = follow(spec.steps)
+        else:
+            self.policy = careful([s for s in spec.steps if f"request({s})" in self.legal])
+        self.has_asked_again = False
+        self.stray = STRAYS[number // len(specs) % len(STRAYS)]
+
+    def act(self, dialogue: Dialogue) -> str:
+        """Returns the name of a legal action."""
+        if self._strays():
+            return self.random.choice(self.odd if self.random.random() < ODD else self.legal)
+        action = "thanks" if self.has_asked_again else self.policy(dialogue)
+        if action == "thanks" and not dialogue.user.faults():
+            again = [f"request({slot})" for slot in dialogue.user.constraints]
+            again = [name for name in again if name in self.legal]
+            if again and not self.has_asked_again and self.random.random() < ASKS_AGAIN:
+                self.has_asked_again = True
+                return self.random.choice(again)
+        if action == "thanks" and "closing" in self.legal and self.random.random() < CLOSES:
+            return "closing"
+        return action if action in self.legal else self.random.choice(self.legal)
+
+    def _strays(self) -> bool:
+        return self.random.random() < self.stray

@@ -1,0 +1,167 @@
+"""The tensor simulator agrees with the oracle, turn by turn and number by number."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import pytest
+import torch
+
+from bbq_torchrl.domains import Goal, load_miulab
+
+from .agreement import Comparison, Played, Setting
+from .small import small_domain
+
+SETTINGS = (
+    Setting(),
+    Setting(slot_error_prob=0.15),
+    Setting(slot_error_prob=0.25, slot_error_mode="value", intent_error_prob=0.1),
+    Setting(slot_error_prob=0.5, slot_error_mode="slot"),
+    Setting(slot_error_prob=0.25, slot_error_mode="delete", max_turn=60),
+    Setting(slot_error_prob=0.3, slot_error_mode="mixed", intent_error_prob=0.3, max_turn=17),
+    Setting(slot_error_prob=0.15, extension=0),
+    Setting(slot_error_prob=0.3, slot_error_mode="slot", extension=0),
+    Setting(slot_error_prob=0.3, slot_error_mode="mixed", extension=4),
+)
+
+ENOUGH = 10
+"""How often each rule must have been at work for an agreement to mean something."""
+
+RULES = {
+    "open: the opening slot",
+    "open: a request",
+    "open: ticket",
+    "request: a constraint",
+    "request: an answered request",
+    "request: an open request",
+    "request: an open request, with constraints",
+    "request: of no interest",
+    "request: of no interest, nothing left",
+    "inform: right",
+    "inform: wrong",
+    "inform: no constraint",
+    "inform: ticket, ticket available",
+    "inform: ticket, no match",
+    "A: a pending request",
+    "A: a constraint",
+    "A: a request of the agenda",
+    "A: the ticket",
+    "A: thanks",
+    "B: a pending request",
+    "B: a constraint with the ticket",
+    "B: a constraint",
+    "B: a request of the agenda",
+    "B: the ticket",
+    "B: thanks",
+    "offer: thanks, available",
+    "offer: thanks, not available",
+    "offer: deny, available",
+    "offer: deny, not available",
+    "confirm_answer: a constraint",
+    "confirm_answer: a request",
+    "confirm_answer: the ticket",
+    "confirm_answer: thanks",
+    "repeat: greeting",
+    "repeat: deny",
+    "repeat: confirm_question",
+    "end: thanks, success",
+    "end: thanks, failure",
+    "end: closing, success",
+    "end: closing, failure",
+    "end: out of turns",
+    "end: failure only by constraints not met",
+    "end: failure only by an agenda",
+    "end: failure only by no match in history",
+    "end: failure only by a wrong value in history",
+    "error: value",
+    "error: slot",
+    "error: delete",
+    "error: overlays another slot",
+    "error: intent",
+    "fill: only one most frequent",
+    "fill: tie",
+    "fill: slot held already",
+    "fill: no match",
+}
+"""What the user, the errors and the tracker do in the movie domain."""
+
+RARE_RULES = {
+    "open: no constraint",
+    "choice: a constraint",
+    "choice: one of those offered",
+    "choice: nothing offered",
+    "error: value, but no list",
+    "error: slot, but no other",
+}
+"""What only domains of another kind bring about."""
+
+
+def test_the_simulator_agrees_with_the_oracle_on_our_movies(movie):
+    played = play(movie, 580, seed=0)
+    assert played.dialogues >= 5_000
+    assert_at_work(RULES, played)
+
+
+def test_the_simulator_agrees_with_the_oracle_on_the_public_corpus(miulab):
+    played = play(miulab, 580, seed=100)
+    assert played.dialogues >= 5_000
+    assert_at_work(RULES, played)
+
+
+def test_the_simulator_agrees_with_the_oracle_on_the_public_corpus_with_its_first_goals(tcbot):
+    goals = "user_goals_first_turn_template.part.movie.v1.p"
+    assert_at_work(
+        {"offer: thanks, available"}, play(load_miulab(tcbot, goals=goals), 80, seed=200)
+    )
+
+
+def test_the_simulator_agrees_with_the_oracle_on_restaurants(restaurant):
+    assert_at_work({"offer: thanks, available"}, play(restaurant, 200, seed=300))
+
+
+def test_the_simulator_agrees_with_the_oracle_where_goals_and_errors_are_odd():
+    assert_at_work(RARE_RULES, play(many_wishes(), 200, seed=400))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_the_simulator_agrees_with_the_oracle_on_an_accelerator(movie):
+    assert_at_work({"offer: thanks, available"}, play(movie, 200, seed=500, device="cuda"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1000, 2000, 3000])
+def test_the_simulator_agrees_with_the_oracle_over_many_dialogues(movie, miulab, seed):
+    for domain in (movie, miulab):
+        assert_at_work(RULES, play(domain, 2_000, seed))
+
+
+def play(domain, dialogues, seed, device="cpu"):
+    total = Played()
+    for number, setting in enumerate(SETTINGS):
+        played = Comparison(domain, setting, dialogues, seed + number, device).play()
+        total.dialogues += played.dialogues
+        total.turns += played.turns
+        total.successes += played.successes
+        total.fired += played.fired
+    return total
+
+
+def assert_at_work(rules, played):
+    idle = {rule: played.fired[rule] for rule in rules if played.fired[rule] < ENOUGH}
+    assert not idle, f"rules seen fewer than {ENOUGH} times: {idle}"
+    assert played.successes > played.dialogues / 20
+
+
+def many_wishes():
+    """Returns the small cinema with every combination of wishes, none and unmeetable ones too."""
+    wishes = {"moviename": "deadpool", "city": "boston", "date": "today", "numberofpeople": "2"}
+    questions = ("theater", "genre")
+    goals = [
+        Goal({slot: wishes[slot] for slot in chosen}, questions[:asked])
+        for size in range(len(wishes) + 1)
+        for chosen in combinations(wishes, size)
+        for asked in range(len(questions) + 1)
+    ]
+    indifferent = Goal({"moviename": "zootopia", "city": "I do not care"}, ("genre",))
+    unheard_of = Goal({"theater": "Palace", "city": "Seattle"}, ("moviename",))
+    return small_domain(*goals, indifferent, unheard_of)
