@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -89,5 +90,6 @@ class ReplicaAdam:
         return self._adam.state_dict()
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restores what :meth:`state_dict` returned."""
-        self._adam.load_state_dict(dict(state_dict))
+        """Restores a copy of what :meth:`state_dict` returned."""
+        # torch's own would go on in the very tensors of the state that it is given.
+        self._adam.load_state_dict(deepcopy(dict(state_dict)))

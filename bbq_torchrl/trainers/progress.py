@@ -40,7 +40,6 @@ class RoundProgress:
 
     def update(self, rows: Sequence[MetricRow]) -> None:
         """Takes in the rows of one round, one for each replica."""
-        self._bar.update()
         self._left -= 1
         if self._bar.disable:
             return
@@ -53,7 +52,8 @@ class RoundProgress:
         if "kl" in means:
             shown["kl"] = f"{means['kl']:.0f}"
         shown |= {"s/round": f"{means['seconds']:.1f}", "end": f"{end:%H:%M:%S}"}
-        self._bar.set_postfix(shown)
+        self._bar.set_postfix(shown, refresh=False)
+        self._bar.update()
 
     def close(self) -> None:
         """Leaves the bar as it is and ends its line."""

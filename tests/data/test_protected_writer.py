@@ -112,7 +112,7 @@ def test_more_rows_than_are_unprotected_are_refused():
     buffer.extend(rows(0, 1))
     buffer.writer.protect()
 
-    with pytest.raises(ValueError, match=r"at most 2 rows at once \(capacity 4, 2 protected\), got 3"):
+    with pytest.raises(ValueError, match=r"at most 2 rows at once \(capacity 4, 2 .*\), got 3"):
         buffer.extend(rows(2, 3, 4))
     with pytest.raises(ValueError, match="at least one row, got 0"):
         buffer.extend(rows())

@@ -17,7 +17,8 @@ def rows(start: int, count: int) -> TensorDict:
     """Rows that are told apart by their numbers."""
     numbers = torch.arange(start, start + count, dtype=torch.float32).unsqueeze(-1)
     return TensorDict(
-        {"observation": numbers.expand(-1, 2), "extra": numbers, "next": {"reward": -numbers}}, [count]
+        {"observation": numbers.expand(-1, 2), "extra": numbers, "next": {"reward": -numbers}},
+        [count],
     )
 
 
@@ -60,7 +61,11 @@ def test_batches_have_one_shape_and_say_who_is_active():
     batches = list(replay.epoch(4))
 
     assert [b.transitions.batch_size for b in batches] == [torch.Size([3, 4])] * 3
-    assert [b.active for b in batches] == [(True, True, True), (True, False, True), (True, False, False)]
+    assert [b.active for b in batches] == [
+        (True, True, True),
+        (True, False, True),
+        (True, False, False),
+    ]
     for batch in batches:
         assert batch.active_mask.tolist() == list(batch.active)
         assert batch.transitions["valid"].any(-1).tolist() == list(batch.active)
@@ -212,7 +217,8 @@ def test_epochs_share_their_memory():
     replay = make_replay(20, 20)
 
     pointers = {
-        next(replay.epoch(4)).transitions["observation"].untyped_storage().data_ptr() for _ in range(3)
+        next(replay.epoch(4)).transitions["observation"].untyped_storage().data_ptr()
+        for _ in range(3)
     }
 
     assert len(pointers) == 1
@@ -253,7 +259,9 @@ def test_wrong_calls_are_refused():
         replay.extend([rows(0, 1)])
     with pytest.raises(ValueError, match="seeds must be 2, one for each replica, got 3"):
         replay.seed([1, 2, 3])
-    with pytest.raises(ValueError, match=r"every replica needs a transition to learn from, got \(0,\)"):
+    with pytest.raises(
+        ValueError, match=r"every replica needs a transition to learn from, got \(0,\)"
+    ):
         ReplicaReplay(5, keys=KEYS).epoch(2)
     with pytest.raises(ValueError, match="replica 0 must be fewer than the capacity 5, got 5"):
         make_replay(5, 2, capacity=5).protect()

@@ -1,0 +1,105 @@
+"""Dialogues played in lockstep: every one to its end, and only what is real is counted."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+from torchrl.envs.utils import ExplorationType, exploration_type
+from trainer_parts import GuessEnv, random_policy
+
+from bbq_torchrl.data import TRANSITION_KEYS
+from bbq_torchrl.trainers import outcomes, play, play_dialogues
+from bbq_torchrl.trainers.collect import rows_per_replica
+
+
+def never_guess(td):
+    return td.set("action", torch.ones(td.batch_size, dtype=torch.long))
+
+
+def test_what_is_valid_ends_with_the_first_done_and_every_dialogue_ends():
+    torch.manual_seed(0)
+    rollout = play(GuessEnv(2, 20), random_policy)
+
+    valid, done = rollout["valid"], rollout["next", "done"].squeeze(-1)
+    for replica in range(2):
+        for place in range(20):
+            count = int(valid[replica, place].sum())
+            assert valid[replica, place].tolist() == [t < count for t in range(rollout.shape[-1])]
+            assert done[replica, place, :count].tolist() == [False] * (count - 1) + [True]
+    assert len(set(valid.sum(-1).flatten().tolist())) > 1
+
+
+def test_outcomes_are_those_of_the_dialogues_played_one_by_one():
+    torch.manual_seed(0)
+    rollout = play(GuessEnv(2, 10), random_policy)
+
+    result = outcomes(rollout)
+
+    for replica in range(2):
+        for place in range(10):
+            steps = rollout[replica, place]["next"]
+            count = int(steps["done"].squeeze(-1).int().argmax()) + 1
+            last = steps[count - 1]
+            assert result.turns[replica, place] == count
+            assert result.success[replica, place] == last["success"]
+            rewards = steps["reward"][:count].double().sum()
+            assert result.reward[replica, place] == pytest.approx(float(rewards), abs=1e-9)
+    assert result.success.any()
+    assert not result.success.all()
+
+
+def test_rows_are_the_valid_transitions_of_each_replica_in_order():
+    torch.manual_seed(0)
+    rollout = play(GuessEnv(3, 6), random_policy)
+
+    rows = rows_per_replica(rollout, TRANSITION_KEYS)
+
+    for replica, td in enumerate(rows):
+        expected = torch.cat(
+            [d["observation"][: int(d["valid"].sum())] for d in rollout[replica].unbind(0)]
+        )
+        assert torch.equal(td["observation"], expected)
+        assert set(td.keys(True, True)) == set(TRANSITION_KEYS)
+        assert int(td["next", "done"].sum()) == 6
+
+
+@pytest.mark.parametrize(("dialogues", "sizes"), [(4, [4]), (6, [4, 2]), (8, [4, 4]), (3, [3])])
+def test_each_replica_plays_exactly_the_dialogues_asked_for(dialogues, sizes):
+    rollouts = list(play_dialogues(GuessEnv(2, 4), random_policy, dialogues))
+
+    assert [r.shape[:2] for r in rollouts] == [torch.Size([2, size]) for size in sizes]
+
+
+def test_dialogues_are_not_chosen_by_their_length():
+    # The mean length of a random guesser's dialogue in GuessEnv with 7 turns: sum of .5**k, k < 7.
+    torch.manual_seed(0)
+    turns = torch.cat(
+        [outcomes(r).turns.flatten() for r in play_dialogues(GuessEnv(1, 100), random_policy, 2950)]
+    ).double()
+
+    expected = sum(0.5**k for k in range(7))
+    assert len(turns) == 2950
+    assert abs(float(turns.mean()) - expected) < 5 * float(turns.std()) / 2950**0.5
+
+
+def test_a_dialogue_that_does_not_end_is_an_error():
+    with pytest.raises(RuntimeError, match="max_steps = 3 turns"):
+        play(GuessEnv(1, 2), never_guess, max_steps=3)
+
+
+class _Watcher(nn.Module):
+    def forward(self, td):
+        self.seen = (self.training, exploration_type(), torch.is_grad_enabled())
+        return never_guess(td)
+
+
+@pytest.mark.parametrize("exploration", [ExplorationType.RANDOM, ExplorationType.DETERMINISTIC])
+@pytest.mark.parametrize("training", [True, False])
+def test_the_policy_plays_in_evaluation_mode_and_gets_its_mode_back(exploration, training):
+    policy = _Watcher().train(training)
+
+    play(GuessEnv(1, 2), policy, exploration=exploration)
+
+    assert policy.seen == (False, exploration, False)
+    assert policy.training is training

@@ -1,0 +1,106 @@
+"""Adam over replicas that do not touch one another."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+
+from bbq_torchrl.trainers import ReplicaAdam
+
+SHAPES = [(3, 4, 5), (3, 7)]
+
+
+def stacked_parameters() -> list[nn.Parameter]:
+    generator = torch.Generator().manual_seed(0)
+    return [nn.Parameter(torch.randn(shape, generator=generator)) for shape in SHAPES]
+
+
+def give_gradients(parameters: list[nn.Parameter], step: int) -> None:
+    generator = torch.Generator().manual_seed(100 + step)
+    for parameter in parameters:
+        parameter.grad = torch.randn(parameter.shape, generator=generator)
+
+
+# Which replicas are active in each of the steps.
+FLAGS = [(True, True, True), (True, False, True), (False, False, True), (True, True, False)] * 3
+
+
+def test_every_replica_moves_as_with_an_adam_of_its_own():
+    parameters = stacked_parameters()
+    optimiser = ReplicaAdam(parameters, 3, lr=1e-2)
+    alone = [[nn.Parameter(p.detach()[r].clone()) for p in parameters] for r in range(3)]
+    adams = [torch.optim.Adam(a, lr=1e-2, fused=True) for a in alone]
+
+    for step, active in enumerate(FLAGS):
+        give_gradients(parameters, step)
+        optimiser.step(active)
+        for r in range(3):
+            if active[r]:
+                for own, stacked in zip(alone[r], parameters, strict=True):
+                    own.grad = stacked.grad[r].clone()
+                adams[r].step()
+
+    for r in range(3):
+        for own, stacked in zip(alone[r], parameters, strict=True):
+            assert torch.equal(own, stacked[r])
+
+
+def test_an_inactive_replica_is_bitwise_untouched():
+    parameters = stacked_parameters()
+    optimiser = ReplicaAdam(parameters, 3, lr=1e-2)
+    give_gradients(parameters, 0)
+    optimiser.step()
+    before = [p.detach().clone() for p in parameters]
+    give_gradients(parameters, 1)
+    for parameter in parameters:
+        parameter.grad[1] = torch.nan
+
+    optimiser.step((True, False, True))
+
+    for old, parameter in zip(before, parameters, strict=True):
+        assert torch.equal(old[1], parameter[1])
+        assert not torch.equal(old[0], parameter[0])
+        assert parameter.isfinite().all()
+
+
+def test_a_parameter_without_a_gradient_stays():
+    used, unused = stacked_parameters()
+    optimiser = ReplicaAdam([used, unused], 3)
+    before = unused.detach().clone()
+    used.grad = torch.ones_like(used)
+
+    optimiser.step()
+
+    assert torch.equal(unused, before)
+
+
+def test_the_state_continues_where_it_was_saved():
+    parameters = stacked_parameters()
+    optimiser = ReplicaAdam(parameters, 3)
+    for step, active in enumerate(FLAGS[:4]):
+        give_gradients(parameters, step)
+        optimiser.step(active)
+    copies = [nn.Parameter(p.detach().clone()) for p in parameters]
+    copied = ReplicaAdam(copies, 3)
+    copied.load_state_dict(optimiser.state_dict())
+
+    for ps, opt in ((parameters, optimiser), (copies, copied)):
+        for step, active in enumerate(FLAGS[4:]):
+            give_gradients(ps, step)
+            opt.step(active)
+
+    assert all(torch.equal(a, b) for a, b in zip(parameters, copies, strict=True))
+
+
+def test_frozen_parameters_are_left_out():
+    frozen = nn.Parameter(torch.zeros(2), requires_grad=False)
+
+    assert ReplicaAdam([nn.Parameter(torch.zeros(3, 1)), frozen], 3).parameters[0].shape == (3, 1)
+
+
+def test_parameters_that_are_not_stacked_are_refused():
+    with pytest.raises(ValueError, match=r"must be the 3 replicas, got shape \(2, 4\)"):
+        ReplicaAdam([nn.Parameter(torch.zeros(2, 4))], 3)
+    with pytest.raises(ValueError, match="got none"):
+        ReplicaAdam([], 3)

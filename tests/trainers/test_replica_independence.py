@@ -1,0 +1,114 @@
+"""What happens in one replica leaves the others' weights bitwise unchanged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+import torch
+from torch import Tensor
+from trainer_parts import make_trainer
+
+from bbq_torchrl.trainers import RoundTrainer, SpikeSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def weights(trainer: RoundTrainer) -> Tensor:
+    (weight,) = trainer.optimiser.parameters
+    return weight.detach().clone()
+
+
+def other_weights(trainer: RoundTrainer) -> None:
+    """Replica 0 acts differently from the start: other dialogues, other lengths."""
+    with torch.no_grad():
+        trainer.optimiser.parameters[0][0] += torch.randn(6, 4)
+
+
+def never_ends_early(trainer: RoundTrainer) -> None:
+    """Replica 0 never guesses: its dialogues are the longest, and so are its epochs."""
+    with torch.no_grad():
+        trainer.optimiser.parameters[0][0, :, 0] -= 100.0
+
+
+def other_rewards(trainer: RoundTrainer) -> None:
+    """Replica 0 learns from spiked rewards that are not the environment's."""
+    fill = trainer._fill_with_spike
+
+    def fill_and_change() -> None:
+        fill()
+        trainer.replay.buffers[0].storage.get(slice(0, 10))["next", "reward"].mul_(-3.0)
+
+    trainer._fill_with_spike = fill_and_change
+
+
+def nan_weights(trainer: RoundTrainer) -> None:
+    """Replica 0 breaks in the first round; the others are not to notice within it."""
+    with torch.no_grad():
+        trainer.optimiser.parameters[0][0, 1, 1] = torch.nan
+
+
+@pytest.mark.parametrize("change", [other_weights, never_ends_early, other_rewards])
+@pytest.mark.parametrize("capacity", [70, 1000])
+def test_what_one_replica_does_leaves_the_others_bitwise_alone(
+    tmp_path, change: Callable[[RoundTrainer], None], capacity: int
+):
+    """With buffers that stay ragged (1000), and that fill up and evict (70)."""
+    trainers = []
+    for name in ("as it is", "changed"):
+        trainer = make_trainer(tmp_path / name, rounds=8, capacity=capacity)
+        if name == "changed":
+            change(trainer)
+        trainer.train()
+        trainers.append(trainer)
+    plain, changed = trainers
+
+    assert torch.equal(weights(plain)[1:], weights(changed)[1:])
+    assert not torch.equal(weights(plain)[0], weights(changed)[0])
+    for ours, theirs in zip(plain.metrics.rows, changed.metrics.rows, strict=True):
+        for name in ("success_rate", "reward", "turns", "loss", "q_value", "buffer", "updates"):
+            assert ours["replica"] == 0 or ours[name] == theirs[name]
+    if change is never_ends_early:
+        # The test means something only if replica 0's epochs and dialogues differ in length.
+        lengths = [[r["updates"] for r in t.metrics.rows if r["replica"] == 0] for t in trainers]
+        assert lengths[0] != lengths[1]
+
+
+def test_the_others_finish_the_round_in_which_one_breaks(tmp_path):
+    plain, broken = (make_trainer(tmp_path / name, rounds=1) for name in ("plain", "broken"))
+    nan_weights(broken)
+    plain.train()
+
+    with pytest.raises(RuntimeError, match="replica 0 is not finite in round 0"):
+        broken.train()
+
+    assert torch.equal(weights(plain)[1:], weights(broken)[1:])
+
+
+def test_dropping_one_replicas_spike_leaves_the_others_bitwise_alone(tmp_path):
+    trainers = []
+    for name in ("kept", "dropped"):
+        trainer = make_trainer(tmp_path / name, rounds=6, spike=SpikeSettings(dialogues=5))
+        if name == "dropped":
+            trainer.callbacks = (
+                lambda t, rows: t.replay.drop_protected(0) if t.rounds_done == 2 else None,
+            )
+        trainer.train()
+        trainers.append(trainer)
+    kept, dropped = trainers
+
+    assert torch.equal(weights(kept)[1:], weights(dropped)[1:])
+    assert not torch.equal(weights(kept)[0], weights(dropped)[0])
+
+
+def test_replicas_are_independent_seeds(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=3)
+    with torch.no_grad():
+        trainer.optimiser.parameters[0].copy_(trainer.optimiser.parameters[0][:1].expand(3, -1, -1))
+
+    trainer.train()
+
+    final = weights(trainer)
+    assert not torch.equal(final[0], final[1])
+    assert not torch.equal(final[1], final[2])

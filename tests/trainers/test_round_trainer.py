@@ -1,0 +1,290 @@
+"""The round trainer on an environment of a few lines."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING
+
+import pytest
+import torch
+from torch import nn
+from trainer_parts import StackedQLoss, make_trainer
+
+from bbq_torchrl.trainers import NonFiniteLossError, RoundSettings, SpikeSettings
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+
+def test_it_learns(tmp_path):
+    trainer = make_trainer(tmp_path, places=50, rounds=30, capacity=2000, checkpoint_every=30)
+
+    rows = trainer.train()
+
+    first = [row["success_rate"] for row in rows[:6]]
+    last = [row["success_rate"] for row in rows[-30:]]
+    # Guessing at random succeeds in half of the dialogues; who has learned to wait for the hint,
+    # in 127 of 128 (7 turns). The last ten rounds are 1,500 dialogues: standard error .013.
+    assert sum(first) / len(first) < 0.7
+    assert sum(last) / len(last) > 0.85
+
+
+def test_metrics_have_a_row_for_every_round_and_replica(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=4, replicas=2)
+
+    rows = trainer.train()
+
+    assert [(row["round"], row["replica"]) for row in rows] == [
+        (r, i) for r in range(4) for i in (0, 1)
+    ]
+    with (tmp_path / "metrics.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [{k: float(v) for k, v in line.items()} for line in table] == rows
+    assert list(rows[0]) == [
+        *("round", "replica", "dialogues", "success_rate", "reward", "turns", "loss", "q_value"),
+        *("buffer", "updates", "epsilon", "seconds", "seconds_collect", "seconds_learn"),
+    ]
+
+
+def test_metrics_are_what_was_played_and_learned(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=3, replicas=2, spike=SpikeSettings(dialogues=0))
+
+    rows = trainer.train()
+
+    for replica in range(2):
+        own = rows[replica::2]
+        turns = [round(row["turns"] * row["dialogues"]) for row in own]
+        assert [row["buffer"] for row in own] == [sum(turns[: i + 1]) for i in range(3)]
+        assert [row["updates"] for row in own] == [4 * -(-int(row["buffer"]) // 16) for row in own]
+        assert trainer.loss.num_data[0][replica] == own[0]["buffer"]
+    assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
+
+
+def test_a_rounds_phases_follow_the_protocol(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=2, replicas=1)
+    events: list[str] = []
+    freeze, loss_forward = trainer.target_updater.step, trainer.loss.forward
+
+    def frozen() -> None:
+        events.append("freeze")
+        freeze()
+
+    def learned(batch: TensorDictBase) -> TensorDictBase:
+        events.append("update")
+        return loss_forward(batch)
+
+    trainer.target_updater.step = frozen
+    trainer.loss.forward = learned
+
+    rows = trainer.train()
+
+    expected: list[str] = []
+    for row in rows:
+        expected += 2 * ["freeze", *["update"] * (int(row["updates"]) // 2)]
+    assert events == expected
+
+
+def test_the_target_is_the_network_at_the_freeze(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=1)
+
+    trainer.train()
+    target = [v.clone() for k, v in trainer.loss.state_dict().items() if "target" in k]
+    network = [v for k, v in trainer.loss.state_dict().items() if "target" not in k]
+    assert not any(torch.equal(*pair) for pair in zip(target, network, strict=True))
+
+    trainer.target_updater.step()
+    frozen = [v for k, v in trainer.loss.state_dict().items() if "target" in k]
+    assert all(torch.equal(*pair) for pair in zip(frozen, network, strict=True))
+
+
+def test_schedules_move_once_a_round_and_the_environment_knows_the_round(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=3, replicas=1)
+
+    rows = trainer.train()
+
+    assert [row["epsilon"] for row in rows] == pytest.approx([0.8, 0.4, 0.2])
+    assert trainer.policy.explore.resampled == 3
+    assert trainer.env.rounds_seen == [0, 0, 1, 2]  # the spike plays in the state of round 0
+
+
+def test_more_dialogues_than_places_are_played_in_turns(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=1, replicas=2, spike=SpikeSettings(dialogues=0))
+    object.__setattr__(trainer.settings, "dialogues", 19)
+
+    trainer.train()
+
+    for buffer in trainer.replay.buffers:
+        assert int(buffer[:]["next", "done"].sum()) == 19
+
+
+@pytest.mark.parametrize("dialogues", [0, 8, 13])
+def test_the_spike_fills_every_replica_with_dialogues_of_its_own(tmp_path, dialogues):
+    trainer = make_trainer(tmp_path, rounds=0, spike=SpikeSettings(dialogues=dialogues))
+
+    trainer.train()
+
+    assert trainer.replay.protected == trainer.replay.lengths
+    if not dialogues:
+        assert trainer.replay.lengths == (0, 0, 0)
+        return
+    stored = [buffer[:] for buffer in trainer.replay.buffers]
+    assert [int(td["next", "done"].sum()) for td in stored] == [dialogues] * 3
+    observations = [set(map(tuple, td["observation"].tolist())) for td in stored]
+    assert observations[0].isdisjoint(observations[1])
+    assert observations[1].isdisjoint(observations[2])
+
+
+def test_the_spike_is_protected_by_default_and_evicted_otherwise(tmp_path):
+    kept = make_trainer(tmp_path / "a", rounds=0, capacity=60)
+    kept.train()
+    spiked = [buffer[:]["observation"].clone() for buffer in kept.replay.buffers]
+
+    kept = make_trainer(tmp_path / "b", rounds=12, capacity=60)
+    evicted = make_trainer(
+        tmp_path / "c", rounds=12, capacity=60, spike=SpikeSettings(dialogues=5, protect=False)
+    )
+    for trainer in (kept, evicted):
+        trainer.train()
+        assert trainer.replay.lengths == (60, 60, 60)
+
+    for replica, rows in enumerate(spiked):
+        assert torch.equal(kept.replay.buffers[replica][:]["observation"][: len(rows)], rows)
+        left = set(map(tuple, evicted.replay.buffers[replica][:]["observation"].tolist()))
+        assert left.isdisjoint(map(tuple, rows.tolist()))
+
+
+def test_the_spike_is_dropped_where_the_mean_success_passes_the_threshold(tmp_path):
+    spike = SpikeSettings(dialogues=5, drop_above=0.6, drop_window=3)
+    trainer = make_trainer(tmp_path, rounds=12, capacity=400, spike=spike)
+    protected: list[tuple[int, ...]] = []
+    trainer.callbacks = (lambda t, rows: protected.append(t.replay.protected),)
+
+    rows = trainer.train()
+
+    dropped = 0
+    for replica in range(3):
+        rates = [row["success_rate"] for row in rows[replica::3]]
+        passed = [r >= 2 and sum(rates[r - 2 : r + 1]) / 3 > 0.6 for r in range(12)]
+        expected = [not any(passed[: r + 1]) for r in range(12)]
+        assert [p[replica] > 0 for p in protected] == expected
+        dropped += not all(expected)
+    assert dropped > 0
+
+
+def test_a_spike_that_fills_the_capacity_is_refused(tmp_path):
+    trainer = make_trainer(tmp_path, capacity=40, spike=SpikeSettings(dialogues=80))
+
+    with pytest.raises(
+        ValueError, match="of 80 spiked dialogues must be fewer than the capacity 40"
+    ):
+        trainer.train()
+    assert not (tmp_path / "checkpoint").exists()
+
+
+class _BreaksInReplica1(StackedQLoss):
+    broken_from = 5
+
+    def forward(self, batch: TensorDictBase) -> TensorDictBase:
+        out = super().forward(batch)
+        self.calls = getattr(self, "calls", 0) + 1
+        if self.calls > self.broken_from:
+            out["loss_value"][1] = torch.nan
+        return out
+
+
+def test_a_loss_that_is_not_finite_stops_with_the_state_saved(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=6)
+    trainer.loss.__class__ = _BreaksInReplica1
+    _BreaksInReplica1.broken_from = 40
+
+    with pytest.raises(NonFiniteLossError, match="replica 1 is not finite in round") as caught:
+        trainer.train()
+
+    assert caught.value.replicas == (1,)
+    assert caught.value.saved.is_file()
+    assert caught.value.round_number == trainer.rounds_done
+    assert len(trainer.metrics.rows) == 3 * trainer.rounds_done
+    other = make_trainer(tmp_path / "other")
+    other.checkpoints.load(caught.value.saved)
+    for name, value in trainer.loss.state_dict().items():
+        assert torch.equal(other.loss.state_dict()[name], value)
+
+
+def test_a_loss_without_its_value_per_replica_is_refused(tmp_path):
+    trainer = make_trainer(tmp_path)
+    forward = trainer.loss.forward
+    trainer.loss.forward = lambda batch: forward(batch).exclude("loss_value")
+
+    with pytest.raises(KeyError, match=r"must return loss_value of shape \[3\]"):
+        trainer.train()
+
+
+def test_a_folder_that_holds_a_training_is_not_overwritten(tmp_path):
+    make_trainer(tmp_path, rounds=1).train()
+    before = (tmp_path / "metrics.csv").read_text()
+
+    with pytest.raises(ValueError, match="holds a training already"):
+        make_trainer(tmp_path, rounds=1).train()
+
+    assert (tmp_path / "metrics.csv").read_text() == before
+
+
+def test_parts_that_do_not_fit_are_refused(tmp_path):
+    good = make_trainer(tmp_path)
+    other = make_trainer(tmp_path, replicas=2)
+    parts = [good.env, good.policy, good.loss, good.replay, good.optimiser, good.target_updater]
+
+    def build(**changed: object) -> None:
+        names = ["env", "policy", "loss", "replay", "optimiser", "target_updater"]
+        chosen = dict(zip(names, parts, strict=True)) | changed
+        spike = chosen.pop("spike", None)
+        type(good)(**chosen, settings=good.settings, run_folder=tmp_path, spike=spike)
+
+    with pytest.raises(
+        ValueError, match=r"batch size must be \[3, places\] for 3 replicas, got \[2, 8\]"
+    ):
+        build(env=other.env)
+    with pytest.raises(ValueError, match="optimiser must have 3 replicas, got 2"):
+        build(optimiser=other.optimiser)
+    with pytest.raises(ValueError, match="spiking with 5 dialogues needs a spike_policy"):
+        build(spike=SpikeSettings(dialogues=5))
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "message"),
+    [
+        (RoundSettings, {"rounds": -1}, "rounds must be at least 0, got -1"),
+        (RoundSettings, {"rounds": 1, "dialogues": 0}, "dialogues must be at least 1, got 0"),
+        (RoundSettings, {"rounds": 1, "batch_size": 0}, "batch_size must be at least 1, got 0"),
+        (RoundSettings, {"rounds": 1, "freezes": 0}, "freezes must be at least 1, got 0"),
+        (SpikeSettings, {"dialogues": -1}, "spike dialogues must not be negative, got -1"),
+        (SpikeSettings, {"drop_above": 1.5}, r"drop_above must be in \[0, 1\) or None, got 1.5"),
+        (SpikeSettings, {"drop_above": 0.5, "protect": False}, "drop_above needs protect=True"),
+        (SpikeSettings, {"drop_window": 0}, "drop_window must be at least 1, got 0"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(kind, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        kind(**arguments)
+
+
+def test_dropout_is_off_while_playing_and_on_while_learning(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=1)
+    modes: dict[str, set[bool]] = {"play": set(), "learn": set()}
+    watched = nn.Identity()
+    trainer.policy.watched = watched
+    play, learn = trainer.policy.forward, trainer.loss.forward
+
+    def playing(td: TensorDictBase) -> TensorDictBase:
+        modes["play"].add(watched.training)
+        return play(td)
+
+    def learning(td: TensorDictBase) -> TensorDictBase:
+        modes["learn"].add(watched.training)
+        return learn(td)
+
+    trainer.policy.forward, trainer.loss.forward = playing, learning
+
+    trainer.train()
+
+    assert modes == {"play": {False}, "learn": {True}}
