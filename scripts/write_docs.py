@@ -19,12 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python scripts/write_docs.py` finds its own package
 
-from scripts.docs_blocks import (  # noqa: E402
-    config_blocks,
-    domain_blocks,
-    policies_blocks,
-    results_blocks,
-)
+from scripts.docs_blocks import BLOCKS  # noqa: E402
 
 _BLOCK = re.compile(r"(<!-- begin: (?P<name>[\w.-]+) -->\n).*?(<!-- end: (?P=name) -->)", re.DOTALL)
 
@@ -33,7 +28,7 @@ Block = Callable[[], str]
 
 def blocks() -> dict[str, Block]:
     """Returns every block that a page may hold, by name."""
-    return config_blocks() | domain_blocks() | policies_blocks() | results_blocks()
+    return {name: block for group in BLOCKS for name, block in group().items()}
 
 
 def pages() -> list[Path]:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from scripts.docs_blocks.config import config_blocks
+from scripts.docs_blocks.dialogues import dialogues_blocks
 from scripts.docs_blocks.domain import domain_blocks
 from scripts.docs_blocks.policies import policies_blocks
 from scripts.docs_blocks.results import results_blocks
 
-__all__ = ["config_blocks", "domain_blocks", "policies_blocks", "results_blocks"]
+BLOCKS = (config_blocks, dialogues_blocks, domain_blocks, policies_blocks, results_blocks)
+"""Functions that return blocks by name; what is added here is known to every page."""
+
+__all__ = ["BLOCKS"]
