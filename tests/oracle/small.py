@@ -57,7 +57,7 @@ RECORDS = (
     {"moviename": "deadpool", "city": "seattle", "date": "today", "theater": "Odeon"},
     {"moviename": "deadpool", "city": "seattle", "date": "tomorrow", "theater": "Odeon"},
     {"moviename": "deadpool", "city": "boston", "date": "today", "theater": "Lux"},
-    {"moviename": "zootopia", "city": "boston", "genre": "comedy"},
+    {"moviename": "zootopia", "city": "boston", "genre": "comedy", "numberofpeople": "2"},
 )
 ERROR_VALUES = {
     "moviename": ("deadpool", "zootopia"),
