@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python scripts/write_docs.py` finds its own package
 
-from scripts.docs_blocks import BLOCKS  # noqa: E402
+from scripts.docs_blocks import BLOCKS, draw_figures  # noqa: E402
 
 _BLOCK = re.compile(r"(<!-- begin: (?P<name>[\w.-]+) -->\n).*?(<!-- end: (?P=name) -->)", re.DOTALL)
 
@@ -78,6 +78,9 @@ def main() -> int:
         else:
             page.write_text(text, encoding="utf-8")
             sys.stdout.write(f"wrote {name}\n")
+    if not check:
+        for figure in draw_figures():
+            sys.stdout.write(f"drew {figure.relative_to(ROOT)}\n")
     return int(check and bool(changes))
 
 

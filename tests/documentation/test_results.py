@@ -1,0 +1,128 @@
+"""What is kept of a run, and the tables that are made of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+
+from bbq_torchrl.config import EvaluateConfig
+from bbq_torchrl.config.store import compose
+from bbq_torchrl.evaluation import ReplicaResult, RunResult
+from scripts import keep_result, measure_policies
+from scripts.docs_blocks import policies, results
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MACHINE = "/home/somebody/corpus"
+
+
+def _run(folder: Path, *, agent: str, rates: list[float]) -> Path:
+    """Makes a finished run folder of two rounds."""
+    replicas = [
+        ReplicaResult(number, rate, 0.01, 10.0, 8.0, 100, rate / 2)
+        for number, rate in enumerate(rates)
+    ]
+    result = RunResult.of(
+        replicas,
+        agent=agent,
+        explore="thompson",
+        env="full",
+        domain="miulab",
+        policy="mean",
+        seed=0,
+        rounds=2,
+        wall_seconds=1.0,
+        versions={},
+    )
+    config = {
+        "agent": {"name": agent, "target": "map"},
+        "explore": {"name": "thompson" if agent == "bbqn" else "epsilon_greedy"},
+        "domain": {"name": "miulab", "path": MACHINE},
+        "resume": MACHINE,
+        "seed": 0,
+    }
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    overrides = [f"agent={agent}", "domain=miulab", f"domain.path={MACHINE}"]
+    (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
+    (folder / "result.json").write_text(json.dumps(asdict(result)))
+    lines = ["round,replica,dialogues,success_rate"]
+    lines += [f"{r},{n},50,{rate / 2}" for r in range(2) for n, rate in enumerate(rates)]
+    (folder / "metrics.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Results of two agents, kept in a folder of their own."""
+    folder = tmp_path / "results"
+    monkeypatch.setattr(results, "RESULTS", folder)
+    monkeypatch.setattr(results, "FIGURES", tmp_path / "figures")
+    for agent, rates in (
+        ("bbqn", [0.7, 0.8, 0.75, 0.72, 0.78]),
+        ("dqn", [0.5, 0.4, 0.6, 0.5, 0.5]),
+    ):
+        run = _run(tmp_path / agent, agent=agent, rates=rates)
+        keep_result.keep(run, folder / "learning_movie" / agent)
+    return folder
+
+
+def test_nothing_of_the_machine_is_kept(kept: Path) -> None:
+    files = [file for file in kept.rglob("*") if file.is_file()]
+    assert len(files) == 8
+    assert not [file for file in files if MACHINE in file.read_text()]
+
+
+def test_unfinished_run_is_not_kept(tmp_path: Path) -> None:
+    run = _run(tmp_path / "run", agent="dqn", rates=[0.5])
+    (run / "result.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"result\.json"):
+        keep_result.keep(run, tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
+
+
+def test_kept_run_knows_its_agent_and_command(kept: Path) -> None:
+    bbqn, dqn = results.runs("learning_movie")
+    assert (bbqn.label, dqn.label) == ("BBQN-MAP", "DQN")
+    assert bbqn.command == "python train.py agent=bbqn domain=miulab domain.path=<folder>"
+
+
+def test_table_has_means_over_seeds_and_the_comparison(kept: Path) -> None:
+    text = results.results_blocks()["results.learning_movie"]()
+    bbqn = next(line for line in text.splitlines() if line.startswith("| BBQN-MAP"))
+    assert "0.750 [" in bbqn
+    assert "0.375 [" in bbqn
+    assert "one of DQN: 1.000 [1.000, 1.000] by final success" in text
+    assert "python train.py agent=dqn" in text
+
+
+def test_figure_is_drawn_for_what_there_is(kept: Path) -> None:
+    assert [file.name for file in results.draw_figures()] == ["learning_movie.png"]
+    assert (results.FIGURES / "learning_movie.png").stat().st_size > 10_000
+
+
+def test_readme_shows_every_main_experiment_there_is(kept: Path) -> None:
+    text = results.results_blocks()["results.readme"]()
+    assert "| Full domain, our corpus | BBQN-MAP | 5 | 0.750 [" in text
+    assert "(docs/figures/learning_movie.png)" in text
+
+
+SETTINGS = sorted({m.overrides for m in measure_policies.MEASUREMENTS})
+
+
+@pytest.mark.parametrize("overrides", SETTINGS)
+def test_every_measurement_of_a_policy_is_a_command(overrides: str, tmp_path: Path) -> None:
+    given = overrides.replace(measure_policies.PLACE, str(tmp_path)).split()
+    assert compose(["policy=rule", *given], EvaluateConfig).dialogues >= 20_000
+
+
+def test_every_public_number_has_a_measurement_beside_it() -> None:
+    measured = {
+        (m.setting, m.policy) for m in measure_policies.MEASUREMENTS if m.corpus == "miulab"
+    }
+    assert set(policies.PUBLIC) <= measured
