@@ -4,10 +4,12 @@ from bbq_torchrl.modules.bayes_mlp import BayesLinear, BayesMLP
 from bbq_torchrl.modules.evaluation_policy import EvaluationPolicy
 from bbq_torchrl.modules.exploration import Boltzmann, Greedy, ThompsonSampling
 from bbq_torchrl.modules.functional import FlatLayout
+from bbq_torchrl.modules.growth import grow, reset_inactive_
 from bbq_torchrl.modules.kl import collect_kl, kl_divergence
 from bbq_torchrl.modules.mlp import MLP
 from bbq_torchrl.modules.posterior import GaussianPosterior
 from bbq_torchrl.modules.q_network import q_network
+from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
 from bbq_torchrl.modules.weight_mode import (
     given_weights,
     resolve_weight_mode,
@@ -20,15 +22,20 @@ __all__ = [
     "BayesLinear",
     "BayesMLP",
     "Boltzmann",
+    "CarefulPolicy",
     "EvaluationPolicy",
     "FlatLayout",
     "GaussianPosterior",
     "Greedy",
+    "RandomPolicy",
+    "SequencePolicy",
     "ThompsonSampling",
     "collect_kl",
     "given_weights",
+    "grow",
     "kl_divergence",
     "q_network",
+    "reset_inactive_",
     "resolve_weight_mode",
     "set_weight_mode",
     "weight_mode",

@@ -214,7 +214,7 @@ class Boltzmann(TensorDictModuleBase):
         >>> import torch
         >>> from tensordict import TensorDict
         >>> explore = Boltzmann(2.0, 0.5, 3, action_mask_key=None)
-        >>> td = TensorDict(action_value=torch.tensor([[0.0, 9.0, -9.0]]), batch_size=[1])
+        >>> td = TensorDict(action_value=torch.tensor([[0.0, 99.0, -99.0]]), batch_size=[1])
         >>> explore(td)["action"]
         tensor([1])
         >>> explore.step(2)

@@ -74,8 +74,9 @@ class FlatLayout:
             flat: shape [*lead, P].
         """
         parts = flat.split(self._split_sizes, -1)
+        lead = flat.shape[:-1]
         return [
-            (matrix.unflatten(-1, shape), bias)
+            (matrix.view(*lead, *shape), bias)
             for matrix, bias, shape in zip(parts[::2], parts[1::2], self.shapes, strict=True)
         ]
 
@@ -94,19 +95,10 @@ class _FlatMLP(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float) -> Tensor:
-        layers = layout.unflatten(flat)
-        hidden = x
-        inputs = [x]
-        for matrix, bias in layers[:-1]:
-            hidden = _affine(hidden, matrix, bias).relu_()
-            if dropout > 0:
-                # 1/(1 - dropout) where a uniform number is at least dropout, else 0
-                keep = torch.rand_like(hidden).ge_(dropout).mul_(1 / (1 - dropout))
-                hidden.mul_(keep)
-            inputs.append(hidden)
+        out, inputs = _run(x, flat, layout, dropout)
         ctx.save_for_backward(flat, *inputs)
         ctx.layout, ctx.dropout = layout, dropout
-        return _affine(hidden, *layers[-1])
+        return out
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -127,6 +119,22 @@ class _FlatMLP(torch.autograd.Function):
                     grad = grad.mul_(1 / (1 - ctx.dropout))
         grad_x = product(grad, layers[0][0].mT) if ctx.needs_input_grad[0] else None
         return grad_x, grad_flat, None, None
+
+
+def _run(
+    x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float
+) -> tuple[Tensor, list[Tensor]]:
+    """Returns the outputs and the inputs of each layer."""
+    layers = layout.unflatten(flat)
+    inputs = [x]
+    for matrix, bias in layers[:-1]:
+        hidden = _affine(inputs[-1], matrix, bias).relu_()
+        if dropout > 0:
+            # 1/(1 - dropout) where a uniform number is at least dropout, else 0
+            keep = torch.rand_like(hidden).ge_(dropout).mul_(1 / (1 - dropout))
+            hidden.mul_(keep)
+        inputs.append(hidden)
+    return _affine(inputs[-1], *layers[-1]), inputs
 
 
 def _affine(x: Tensor, matrix: Tensor, bias: Tensor) -> Tensor:
@@ -168,8 +176,11 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
     rows = _rows(x, lead, layout.sizes[0])
     if len(lead) > 1:
         flat = flat.reshape(-1, layout.numel)
-    out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
-    return out if out.ndim == x.ndim else out.reshape(*x.shape[:-1], layout.sizes[-1])
+    if torch.is_grad_enabled() and (flat.requires_grad or rows.requires_grad):
+        out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
+    else:
+        out, _ = _run(rows, flat, layout, dropout)
+    return out if out.shape[:-1] == x.shape[:-1] else out.reshape(*x.shape[:-1], layout.sizes[-1])
 
 
 def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tensor:

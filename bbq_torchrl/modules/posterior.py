@@ -9,20 +9,28 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 __all__ = ["GaussianPosterior", "KLKind", "inverse_softplus"]
 
 KLKind = Literal["closed", "sampled"]
 KL_KINDS: tuple[str, ...] = get_args(KLKind)
 
-# σ = softplus(ρ) underflows in float32 below ρ = -103, and log σ with it. Below this floor (far
-# under any σ that matters) σ stays where it is, while ρ still gets the floor's gradient.
-RHO_FLOOR = -80.0
+# σ/p is not taken to be smaller than this: log and 1/r stay finite where σ underflows, and so
+# does the product of two of them.
+_LEAST_RATIO = 1e-18
 
 # σ/p - p/σ counts as zero up to this many machine epsilons: softplus of the very same ρ may
 # differ in the last bits between the vectorised part of a loop and its remainder.
 _SAME_STD = 32.0
+
+# How many weights the passes below work on at a time: half a megabyte a vector, so that the
+# handful of vectors of one piece stay in a core's cache however large the stack is.
+_PIECE = 2**17
+
+_softplus = torch.ops.aten.softplus.out
+_softplus_backward = torch.ops.aten.softplus_backward.grad_input
+_hardshrink = torch.ops.aten.hardshrink.out
 
 
 def check_kl_kind(kind: str) -> None:
@@ -36,21 +44,49 @@ def inverse_softplus(std: Tensor) -> Tensor:
     return std + torch.log(-torch.expm1(-std))
 
 
+def _pieces(like: Tensor) -> list[slice]:
+    """Returns slices of the first dimension of ``like`` [L, P]: cache-sized ones on a CPU."""
+    count, numel = like.shape
+    size = max(1, _PIECE // numel) if like.device.type == "cpu" else count
+    return [slice(start, start + size) for start in range(0, count, size)]
+
+
+def _flat(tensor: Tensor) -> Tensor:
+    """Returns [*stack, P] as [L, P]."""
+    return tensor.reshape(-1, tensor.shape[-1])
+
+
 class _Draw(torch.autograd.Function):
-    """(μ, ρ, noise, p) to the draw w = μ + softplus(ρ) noise [*stack, P] and its KL [*stack]."""
+    """(μ, ρ, p) to the draw w = μ + softplus(ρ) noise [*stack, P] and its KL [*stack]."""
 
     @staticmethod
     def forward(
-        ctx: Any, mu: Tensor, rho: Tensor, noise: Tensor, prior_std: Tensor, kind: KLKind
+        ctx: Any,
+        mu: Tensor,
+        rho: Tensor,
+        prior_std: Tensor,
+        kind: KLKind,
+        fill_noise_: Callable[[Tensor], object],
     ) -> tuple[Tensor, Tensor]:
-        rho = rho.clamp_min(RHO_FLOOR)
-        sigma = F.softplus(rho)
-        weights = torch.addcmul(mu, sigma, noise)
-        ratio = sigma.mul_(prior_std.reciprocal())
-        if kind == "closed":
-            kl = _closed_kl(mu, ratio, prior_std)
-        else:
-            kl = _sampled_kl(weights, noise, ratio, prior_std)
+        weights, noise, ratio = (torch.empty_like(mu) for _ in range(3))
+        kl = mu.new_empty(mu.shape[:-1])
+        flat = [_flat(t) for t in (mu, rho, weights, noise, ratio)]
+        inverse = prior_std.reciprocal()
+        scratch = None
+        for piece in _pieces(flat[0]):
+            m, r, w, n, s = (t[piece] for t in flat)
+            fill_noise_(n)
+            _softplus(r, 1, 20, out=s)
+            torch.addcmul(m, s, n, out=w)
+            s.mul_(inverse).clamp_min_(_LEAST_RATIO)
+            if scratch is None:
+                scratch = torch.empty_like(s)
+            part = scratch[: s.shape[0]]
+            if kind == "closed":
+                value = _closed_kl(m, s, inverse, part)
+            else:
+                value = _sampled_kl(w, n, s, inverse, part)
+            kl.view(-1)[piece] = value
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(rho, noise, ratio, prior_std, mu if kind == "closed" else weights)
         ctx.kind = kind
@@ -62,26 +98,30 @@ class _Draw(torch.autograd.Function):
         ctx: Any, grad_weights: Tensor | None, grad_kl: Tensor | None
     ) -> tuple[Tensor | None, Tensor | None, None, None, None]:
         rho, noise, ratio, prior_std, location = ctx.saved_tensors
-        if grad_weights is None and grad_kl is None:
-            return None, None, None, None, None
-        grad_mu = grad_weights
-        if grad_kl is not None:
-            scale = grad_kl.unsqueeze(-1) / prior_std
-            # d KL/dμ = μ/p²; of the sampled log p(w) the same at w, through which σ gets it too
-            pull = scale / prior_std
-            grad_mu = (
-                pull * location
-                if grad_weights is None
-                else torch.addcmul(grad_weights, pull, location)
-            )
-        through = grad_weights if ctx.kind == "closed" else grad_mu
-        grad_sigma = None if through is None else through * noise
-        if grad_kl is not None:
-            own = torch.reciprocal(ratio)
-            own = (_std_pull(ratio, own) if ctx.kind == "closed" else own.neg_()).mul_(scale)
-            grad_sigma = own if grad_sigma is None else grad_sigma.add_(own)
-        assert grad_sigma is not None
-        return grad_mu, grad_sigma.mul_(torch.sigmoid(rho)), None, None, None
+        if grad_kl is None:
+            if grad_weights is None:
+                return None, None, None, None, None
+            grad_kl = rho.new_zeros(rho.shape[:-1])
+        if grad_weights is None:
+            grad_weights = torch.zeros_like(rho)
+        grad_mu, grad_rho = torch.empty_like(rho), torch.empty_like(rho)
+        scale = grad_kl.reshape(-1, 1) / prior_std  # [L, 1] or [L, P]
+        pull = scale / prior_std
+        flat = [_flat(t) for t in (rho, noise, ratio, location, grad_weights, grad_mu, grad_rho)]
+        dead_zone = _SAME_STD * torch.finfo(rho.dtype).eps
+        for piece in _pieces(flat[0]):
+            r, n, s, x, gw, gm, gr = (t[piece] for t in flat)
+            # d KL/dμ = μ/p²; the sampled log p(w) pulls at w, and so at σ through the noise
+            torch.addcmul(gw, pull[piece], x, out=gm)
+            torch.reciprocal(s, out=gr)
+            if ctx.kind == "closed":
+                torch.sub(s, gr, out=gr)
+                _hardshrink(gr, dead_zone, out=gr)
+                gr.mul_(scale[piece]).addcmul_(gw, n)
+            else:
+                gr.mul_(scale[piece].neg()).addcmul_(gm, n)
+            _softplus_backward(gr, r, 1, 20, grad_input=gr)
+        return grad_mu, grad_rho, None, None, None
 
 
 class _ClosedKL(torch.autograd.Function):
@@ -89,39 +129,52 @@ class _ClosedKL(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
-        rho = rho.clamp_min(RHO_FLOOR)
-        ratio = F.softplus(rho).mul_(prior_std.reciprocal())
+        inverse = prior_std.reciprocal()
+        ratio = F.softplus(rho).mul_(inverse).clamp_min_(_LEAST_RATIO)
         ctx.save_for_backward(mu, rho, ratio, prior_std)
-        return _closed_kl(mu, ratio, prior_std)
+        return _closed_kl(mu, ratio, inverse, torch.empty_like(ratio))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad_kl: Tensor) -> tuple[Tensor, Tensor, None]:
         mu, rho, ratio, prior_std = ctx.saved_tensors
         scale = grad_kl.unsqueeze(-1) / prior_std
-        grad_rho = _std_pull(ratio, torch.reciprocal(ratio)).mul_(scale).mul_(torch.sigmoid(rho))
-        return (scale / prior_std) * mu, grad_rho, None
+        grad_rho = torch.sub(ratio, ratio.reciprocal())
+        grad_rho = torch.hardshrink(grad_rho, _SAME_STD * torch.finfo(rho.dtype).eps).mul_(scale)
+        return (scale / prior_std) * mu, grad_rho.mul_(torch.sigmoid(rho)), None
 
 
-def _closed_kl(mu: Tensor, ratio: Tensor, prior_std: Tensor) -> Tensor:
-    # ½ Σ (r² - 1 - 2 log r) + ½ Σ (μ/p)² with r = σ/p, term by term: the sum of all r² less P
-    # would leave only the rounding of two large numbers where q is near the prior.
-    terms = torch.addcmul(ratio.new_tensor(-1.0), ratio, ratio)
-    terms.sub_(ratio.log(), alpha=2)
-    return 0.5 * (terms.sum(-1) + (mu / prior_std).square_().sum(-1))
+def _closed_kl(mu: Tensor, ratio: Tensor, inverse: Tensor, scratch: Tensor) -> Tensor:
+    """Returns ½ Σ (r² - 1) + ½ Σ (μ/p)² - Σ log r with r = σ/p, [*lead]."""
+    log = _sum_log(ratio, scratch)
+    # r² - 1 term by term: Σ r² less P would be the rounding of two large numbers near the prior
+    excess = torch.addcmul(ratio.new_tensor(-1.0), ratio, ratio, out=scratch).sum(-1)
+    return 0.5 * (excess + _sum_square(mu, inverse, scratch)) - log
 
 
-def _sampled_kl(weights: Tensor, noise: Tensor, ratio: Tensor, prior_std: Tensor) -> Tensor:
-    # log q(w) - log p(w) = -log r - ½ noise² + ½ (w/p)²
-    terms = (weights / prior_std).square_().sub_(noise.square()).mul_(0.5)
-    return terms.sub_(ratio.log()).sum(-1)
+def _sampled_kl(
+    weights: Tensor, noise: Tensor, ratio: Tensor, inverse: Tensor, scratch: Tensor
+) -> Tensor:
+    """Returns log q(w) - log p(w) = ½ Σ (w/p)² - ½ Σ noise² - Σ log r, [*lead]."""
+    log = _sum_log(ratio, scratch)
+    own = _sum_square(noise, None, scratch)
+    return 0.5 * (_sum_square(weights, inverse, scratch) - own) - log
 
 
-def _std_pull(ratio: Tensor, reciprocal: Tensor) -> Tensor:
-    """Returns r - 1/r in ``reciprocal``'s memory, exactly 0 where σ is the prior's."""
-    torch.sub(ratio, reciprocal, out=reciprocal)
-    dead_zone = _SAME_STD * torch.finfo(ratio.dtype).eps
-    return torch.hardshrink(reciprocal, dead_zone)
+def _sum_log(ratio: Tensor, scratch: Tensor) -> Tensor:
+    """Returns Σ log r over the last dimension, one logarithm for two of them."""
+    half = ratio.shape[-1] // 2
+    first, second, odd = ratio.split([half, half, ratio.shape[-1] - 2 * half], -1)
+    out = torch.mul(first, second, out=scratch[..., :half]).log_().sum(-1)
+    return out + odd.log().sum(-1)
+
+
+def _sum_square(x: Tensor, factor: Tensor | None, scratch: Tensor) -> Tensor:
+    """Returns Σ (factor x)² over the last dimension."""
+    if factor is not None and factor.numel() > 1:
+        x, factor = torch.mul(x, factor, out=scratch), None
+    norm = torch.linalg.vector_norm(x, dim=-1)
+    return (norm if factor is None else norm * factor.reshape(())).square()
 
 
 class GaussianPosterior(nn.Module):
@@ -195,7 +248,7 @@ class GaussianPosterior(nn.Module):
         """Sets the posterior to the prior."""
         with torch.no_grad():
             self.mu.zero_()
-            self.rho.copy_(self._per_weight(self.prior_rho))
+            self.rho.copy_(self.per_weight(self.prior_rho))
 
     def reset_std_(self, std: float) -> None:
         """Sets every standard deviation to ``std``."""
@@ -204,8 +257,8 @@ class GaussianPosterior(nn.Module):
         with torch.no_grad():
             self.rho.fill_(inverse_softplus(torch.tensor(std, dtype=torch.float64)).item())
 
-    def _per_weight(self, per_group: Tensor) -> Tensor:
-        """Returns [1] or [groups] as [1] or [P]."""
+    def per_weight(self, per_group: Tensor) -> Tensor:
+        """Returns values per group, [1] or [groups], as values per weight, [1] or [P]."""
         if per_group.shape[0] == 1:
             return per_group
         parts = zip(per_group.unbind(), self.group_sizes, strict=True)
@@ -214,25 +267,27 @@ class GaussianPosterior(nn.Module):
     @property
     def prior_std(self) -> Tensor:
         """Standard deviation of the prior, [1] if one for all, else [P]."""
-        return self._per_weight(F.softplus(self.prior_rho))
+        return self.per_weight(F.softplus(self.prior_rho))
 
     @property
     def sigma(self) -> Tensor:
         """Standard deviations [*stack, P], differentiable in rho."""
-        return F.softplus(self.rho.clamp_min(RHO_FLOOR))
+        return F.softplus(self.rho)
 
-    def noise(self, rows: Sequence[int] = ()) -> Tensor:
-        """Returns standard normal noise [*stack, *rows, P] from torch's global generator."""
-        shape = (*self.stack, *rows, self.mu.shape[-1])
-        return torch.randn(shape, device=self.mu.device, dtype=self.mu.dtype)
+    def fill_noise_(self, noise: Tensor) -> None:
+        """Fills ``noise`` [*, P] with standard normal numbers from torch's global generator."""
+        noise.normal_()
 
     def sample(self, rows: Sequence[int] = ()) -> Tensor:
         """Returns a draw of the weights for each of ``rows``, [*stack, *rows, P].
 
         Differentiable in mu and rho.
         """
-        shape = (*self.stack, *(1 for _ in rows), self.mu.shape[-1])
-        return torch.addcmul(self.mu.reshape(shape), self.sigma.reshape(shape), self.noise(rows))
+        count = self.mu.shape[-1]
+        noise = self.mu.new_empty((*self.stack, *rows, count))
+        self.fill_noise_(noise)
+        shape = (*self.stack, *(1 for _ in rows), count)
+        return torch.addcmul(self.mu.reshape(shape), self.sigma.reshape(shape), noise)
 
     def sample_with_kl(self, kind: KLKind = "closed") -> tuple[Tensor, Tensor]:
         """Returns a draw [*stack, P] and the KL from the prior [*stack], sharing σ.
@@ -245,7 +300,7 @@ class GaussianPosterior(nn.Module):
             ValueError: for any other string.
         """
         check_kl_kind(kind)
-        weights, kl = _Draw.apply(self.mu, self.rho, self.noise(), self.prior_std, kind)
+        weights, kl = _Draw.apply(self.mu, self.rho, self.prior_std, kind, self.fill_noise_)
         return weights, kl
 
     def kl(self) -> Tensor:

@@ -152,9 +152,17 @@ class BBQNLoss(OneStepQLoss):
         self._num_data_known = bool((self.num_data > 0).all())
         return out
 
+    @property
+    def _scale(self) -> float:  # type: ignore[override]
+        return 0.5 / self.noise_std**2
+
+    @property
+    def _kl_weight(self) -> Tensor:  # type: ignore[override]
+        return self.kl_temperature / self.num_data
+
     def _predict(
-        self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]
-    ) -> tuple[Tensor, Tensor | None]:
+        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
         if not self._num_data_known:
             raise RuntimeError(
                 "num_data is not known: give it to BBQNLoss or call set_num_data(n) with the "
@@ -162,15 +170,7 @@ class BBQNLoss(OneStepQLoss):
             )
         with collect_kl(self.kl) as collector:
             values = self._function(tensors, inputs, "draw")
-        kl = collector.total()
-        self._kl = kl.detach()
-        return values, kl * (self.kl_temperature / self.num_data)
+        return values, {"kl": collector.total()}
 
-    def _target_values(self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]) -> Tensor:
+    def _target_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
         return self._function(tensors, inputs, "mean" if self.target == "map" else "draw")
-
-    def _data_loss(self, td_error: Tensor) -> Tensor:
-        return td_error.square() * (0.5 / self.noise_std**2)
-
-    def _extra(self) -> dict[str, Tensor]:
-        return {"kl": self._kl}

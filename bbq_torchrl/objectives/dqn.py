@@ -51,6 +51,6 @@ class DropoutDQNLoss(OneStepQLoss):
     """
 
     def _predict(
-        self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]
-    ) -> tuple[Tensor, Tensor | None]:
-        return self._function(tensors, inputs, "draw"), None
+        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        return self._function(tensors, inputs, "draw"), {}

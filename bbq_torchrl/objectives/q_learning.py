@@ -10,6 +10,7 @@ from tensordict.nn import dispatch
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
+from bbq_torchrl.objectives.td_error import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ class OneStepQLoss(DQNLoss):
     out_keys = ["loss", "loss_value", "td_error", "q_value"]  # noqa: RUF012 - as in TorchRL
     SUPPORTED_VALUE_ESTIMATORS = (ValueEstimators.TD0,)
     _loss_mask_key: NestedKey | None = "valid"
+    _scale: float = 1.0  # of each row's loss
+    _kl_weight: Tensor  # of the KL, [*stack]; only where _predict returns one
 
     def __init__(
         self,
@@ -64,13 +67,13 @@ class OneStepQLoss(DQNLoss):
         action_space: str | TensorSpec | None = None,
         delay_value: bool = True,
         double_dqn: bool = False,
-        loss_function: str = "l2",
+        loss_function: Distance = "l2",
     ) -> None:
         if not 0 <= gamma <= 1:
             raise ValueError(f"gamma must be in [0, 1], got {gamma}")
-        if loss_function not in _DISTANCES:
+        if loss_function not in DISTANCES:
             raise ValueError(
-                f"loss_function must be one of {list(_DISTANCES)}, got {loss_function!r}"
+                f"loss_function must be one of {list(DISTANCES)}, got {loss_function!r}"
             )
         super().__init__(
             value_network,
@@ -85,12 +88,12 @@ class OneStepQLoss(DQNLoss):
             )
         self.stack = stack_of(self.value_network)
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
-        self._function = ValueFunction(self.value_network)
+        self._function = ValueFunction(self.value_network, self.value_network_params)
 
     # -- parameters -------------------------------------------------------------------------
 
-    def _tensors(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Returns the online and the target network's tensors by name."""
+    def _tensors(self) -> tuple[list[Tensor], list[Tensor]]:
+        """Returns the online and the target network's parameters and buffers."""
         # TorchRL erases attributes that begin with _cache when it casts or moves the loss.
         cached = self.__dict__.get("_cache_tensors")
         if cached is None:
@@ -116,18 +119,14 @@ class OneStepQLoss(DQNLoss):
     # -- forward ----------------------------------------------------------------------------
 
     def _predict(
-        self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]
-    ) -> tuple[Tensor, Tensor | None]:
-        """Returns the values [*stack, *batch, N] to learn and a penalty [*stack] or None."""
+        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Returns the values [*stack, *batch, N] to learn, and "kl" [*stack] if there is one."""
         raise NotImplementedError
 
-    def _target_values(self, tensors: dict[str, Tensor], inputs: Sequence[Tensor]) -> Tensor:
+    def _target_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
         """Returns the frozen network's values [*stack, *batch, N] of the next state."""
         return self._function(tensors, inputs, "mean")
-
-    def _data_loss(self, td_error: Tensor) -> Tensor:
-        """Returns each row's loss."""
-        return _DISTANCES[self.loss_function](td_error)
 
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -141,41 +140,45 @@ class OneStepQLoss(DQNLoss):
 
         Returns:
             a TensorDict with the scalar "loss" to differentiate and, without a graph,
-            "loss_value", "td_error" (mean of |target - Q|) and "q_value" (mean of Q at the
+            "loss_value", "td_error" (mean of |Q - target|) and "q_value" (mean of Q at the
             actions taken), each [*stack]; and what the subclass adds.
         """
         keys = self.tensor_keys
+        function = self._function
         online, target = self._tensors()
-        values, penalty = self._predict(
-            online, [tensordict.get(key) for key in self._function.in_keys]
-        )
-        index = self._action_index(tensordict.get(keys.action), values)
-        chosen = values.gather(-1, index).squeeze(-1)
+        values, out = self._predict(online, [tensordict.get(key) for key in function.in_keys])
         with torch.no_grad():
             td_target = self._td_target(tensordict.get("next"), online, target)
-        td_error = td_target - chosen
-        weight = self._row_weights(tensordict, td_error)
-        if weight is not None:
-            # Select, then multiply: a row that does not count may hold anything.
-            td_error = torch.where(weight > 0, td_error, 0.0)
-        loss_value = self._row_mean(self._data_loss(td_error), weight)
-        out = {}
-        if penalty is not None:
-            loss_value = loss_value + penalty
+            weight = self._row_weights(tensordict, td_target)
+            index = self._action_index(tensordict.get(keys.action), values)
+        batch = td_target.shape
+        loss_value, error, chosen = td_loss(
+            self._rows(values, 1),
+            self._rows(index, 1),
+            self._rows(td_target),
+            None if weight is None else self._rows(weight),
+            self.loss_function,
+            self._scale,
+        )
         with torch.no_grad():
-            error = td_error.detach()
-            tensordict.set(keys.priority, error.square().unsqueeze(-1), inplace=True)
-            out["td_error"] = self._row_mean(error.abs(), weight)
-            q = chosen.detach()
-            if weight is not None:
-                q = torch.where(weight > 0, q, 0.0)
-            out["q_value"] = self._row_mean(q, weight)
-        loss = loss_value.sum() if self.stack else loss_value
-        return TensorDict({"loss": loss, "loss_value": loss_value.detach(), **out, **self._extra()})
+            tensordict.set(keys.priority, error.square().reshape(batch).unsqueeze(-1), inplace=True)
+            rows = torch.stack([error.abs(), chosen])
+            means = rows.mean(-1) if weight is None else (rows * self._rows(weight)).sum(-1)
+            out["td_error"], out["q_value"] = means.unbind()
+        penalty = out.get("kl")
+        if penalty is not None:
+            loss_value = loss_value + penalty * self._kl_weight
+            out["kl"] = penalty.detach()
+        out["loss"] = loss_value.sum() if self.stack else loss_value
+        out["loss_value"] = loss_value.detach()
+        return TensorDict(out)
 
-    def _extra(self) -> dict[str, Tensor]:
-        """Returns further entries of the output."""
-        return {}
+    def _rows(self, tensor: Tensor, features: int = 0) -> Tensor:
+        """Returns [*stack, *batch, *features] as [*stack, B, *features]."""
+        if tensor.ndim == len(self.stack) + 1 + features:
+            return tensor
+        tail = tensor.shape[tensor.ndim - features :]
+        return tensor.reshape(*self.stack, -1, *tail)
 
     def _action_index(self, action: Tensor, values: Tensor) -> Tensor:
         """Returns the index of the action, [*stack, *batch, 1]."""
@@ -184,30 +187,25 @@ class OneStepQLoss(DQNLoss):
         return action if action.ndim == values.ndim else action.unsqueeze(-1)
 
     def _td_target(
-        self,
-        following: TensorDictBase,
-        online: dict[str, Tensor],
-        target: dict[str, Tensor],
+        self, following: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
     ) -> Tensor:
         """Returns r + γ max Q(s', ·) over legal actions, r where the episode ended."""
         keys = self.tensor_keys
-        inputs = [following.get(key) for key in self._function.in_keys]
-        values = self._target_values(target, inputs)
-        mask = None
-        if self._function.action_mask_key is not None:
-            mask = following.get(self._function.action_mask_key)
+        function = self._function
+        inputs = [following.get(key) for key in function.in_keys]
+        mask = None if function.action_mask_key is None else following.get(function.action_mask_key)
+        values = _masked(self._target_values(target, inputs), mask)
         if self.double_dqn:
-            choice = self._function(online, inputs, "mean")
-            best = _masked(choice, mask).argmax(-1, keepdim=True)
-            value = _masked(values, mask).gather(-1, best).squeeze(-1)
+            choice = _masked(function(online, inputs, "mean"), mask)
+            value = values.gather(-1, choice.argmax(-1, keepdim=True)).squeeze(-1)
         else:
-            value = _masked(values, mask).amax(-1)
-        reward = following.get(keys.reward).squeeze(-1)
+            value = values.amax(-1)
         terminated = following.get(keys.terminated).squeeze(-1)
-        return torch.where(terminated, reward, reward + self.value_estimator.gamma * value)
+        value = value.mul_(self.value_estimator.gamma).masked_fill_(terminated, 0)
+        return value.add_(following.get(keys.reward).squeeze(-1))
 
     def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
-        """Returns the weight of each row [*stack, *batch], None if all count alike."""
+        """Returns row weights [*stack, *batch] that add up to 1, None if all count alike."""
         weight = None
         for key in self._loss_mask_keys():
             mask = tensordict.get(key, None)
@@ -219,26 +217,14 @@ class OneStepQLoss(DQNLoss):
             if priority is not None:
                 priority = self._expand_loss_mask(priority, like).to(like.dtype)
                 weight = priority if weight is None else weight * priority
-        return weight
-
-    def _row_mean(self, rows: Tensor, weight: Tensor | None) -> Tensor:
-        """Returns the weighted mean over the batch dimensions, [*stack]; 0 if no row counts."""
-        dims = tuple(range(len(self.stack), rows.ndim))
-        if not dims:
-            return rows
         if weight is None:
-            return rows.mean(dims)
-        total = weight.sum(dims)
-        return (rows * weight).sum(dims) / torch.where(total > 0, total, 1.0)
-
-
-_DISTANCES = {
-    "l2": torch.square,
-    "l1": torch.abs,
-    "smooth_l1": lambda error: torch.nn.functional.smooth_l1_loss(
-        error, torch.zeros_like(error), reduction="none"
-    ),
-}
+            return None
+        dims = tuple(range(len(self.stack), weight.ndim))
+        if not dims:
+            return torch.ones_like(weight)
+        # 0 / tiny where no row counts at all: such an element's data have no gradient
+        tiny = torch.finfo(weight.dtype).tiny
+        return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)
 
 
 def _masked(values: Tensor, mask: Tensor | None) -> Tensor:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
-from torch.func import functional_call
 from torch.nn.modules.dropout import _DropoutNd
 
 from bbq_torchrl.modules.weight_mode import set_weight_mode
@@ -29,21 +28,23 @@ class ValueFunction:
     """The network of a Q-value actor as a function of its parameters and of tensors.
 
     TorchRL's own way (parameters swapped in by ``to_module``, then the actor called on a
-    TensorDict) costs as much as the matrix products of a small network; this one calls the
-    network behind the actor's TensorDict module directly where it is a plain module.
+    TensorDict) costs as much as the matrix products of a small network. This one swaps tensors
+    in the modules that own them and calls the network behind the actor's TensorDict module.
 
     Args:
         actor: network and choice of the action.
+        params: of the actor, as ``LossModule.convert_to_functional`` makes them; names the
+            parameters and buffers that :meth:`__call__` expects.
 
     Attributes:
         in_keys: what the network reads.
         action_mask_key: where the actor reads the mask of legal actions, None if it has none.
     """
 
-    def __init__(self, actor: QValueActor) -> None:
+    def __init__(self, actor: QValueActor, params: TensorDictParams) -> None:
         self._head = actor[0]
         self._value_key = actor[-1].action_value_key
-        self._plain = (
+        self._is_plain = (
             type(self._head) is TensorDictModule
             and isinstance(self._head.module, torch.nn.Module)
             and len(self._head.out_keys) == 1
@@ -51,19 +52,25 @@ class ValueFunction:
         self._dropouts = [m for m in actor.modules() if isinstance(m, _DropoutNd)]
         self.in_keys: list[NestedKey] = list(self._head.in_keys)
         self.action_mask_key: NestedKey | None = actor[-1].action_mask_key
+        self._keys: list[tuple[str, ...]] = []
+        self._slots: list[tuple[dict[str, Tensor | None], str]] = []
+        for key in params.keys(True, True):
+            path = (key,) if isinstance(key, str) else tuple(key)
+            owner = actor.get_submodule(".".join(path[:-1]))
+            store = owner._parameters if path[-1] in owner._parameters else owner._buffers
+            self._keys.append(path)
+            self._slots.append((store, path[-1]))
 
-    def tensors(self, params: TensorDictParams) -> dict[str, Tensor]:
-        """Returns the network's parameters and buffers by name.
+    def tensors(self, params: TensorDictParams) -> list[Tensor]:
+        """Returns the parameters and buffers that :meth:`__call__` takes.
 
         Args:
-            params: of the whole actor.
+            params: of the actor.
         """
-        prefix = ("module", "0", "module") if self._plain else ("module", "0")
-        network = params.get(prefix, None)
-        return {} if network is None else dict(network.flatten_keys(".").items())
+        return [params.get(key) for key in self._keys]
 
     def __call__(
-        self, tensors: dict[str, Tensor], inputs: Sequence[Tensor], mode: WeightMode
+        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor], mode: WeightMode
     ) -> Tensor:
         """Returns the values [*batch, N].
 
@@ -74,8 +81,15 @@ class ValueFunction:
         """
         for dropout in self._dropouts:
             dropout.training = mode != "mean"
-        with set_weight_mode(mode):
-            if self._plain:
-                return functional_call(self._head.module, tensors, tuple(inputs))
-            tensordict = TensorDict(dict(zip(self.in_keys, inputs, strict=True)))
-            return functional_call(self._head, tensors, (tensordict,)).get(self._value_key)
+        own = [store[name] for store, name in self._slots]
+        try:
+            for (store, name), tensor in zip(self._slots, tensors, strict=True):
+                store[name] = tensor
+            with set_weight_mode(mode):
+                if self._is_plain:
+                    return self._head.module(*inputs)
+                tensordict = TensorDict(dict(zip(self.in_keys, inputs, strict=True)))
+                return self._head(tensordict).get(self._value_key)
+        finally:
+            for (store, name), previous in zip(self._slots, own, strict=True):
+                store[name] = previous
