@@ -31,6 +31,7 @@ class LossSums:
         self._sums: Tensor | None = None
         self.updates = [0] * replicas
 
+    @torch.no_grad()
     def add(self, losses: TensorDictBase, batch: Batch) -> None:
         """Adds one update; an inactive replica's entries, which mean nothing, are left out."""
         if self._sums is None:
@@ -46,8 +47,10 @@ class LossSums:
             self._sums = losses["loss_value"].new_zeros(
                 len(self._names), self._replicas, dtype=torch.float64
             )
-        values = torch.stack([losses[name].detach() for name in self._names])
-        self._sums += torch.where(batch.active_mask, values, 0.0)
+        values = torch.stack([losses.get(name) for name in self._names])
+        if not all(batch.active):
+            values = torch.where(batch.active_mask, values, 0.0)
+        self._sums += values
         self.updates = [
             n + is_active for n, is_active in zip(self.updates, batch.active, strict=True)
         ]

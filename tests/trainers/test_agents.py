@@ -1,0 +1,116 @@
+"""The round trainer with the project's own environment, networks, exploration and losses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+import torch
+from tensordict.nn import TensorDictSequential
+from torchrl.modules import EGreedyModule
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
+from bbq_torchrl.modules import MLP, BayesMLP, Boltzmann, Greedy, ThompsonSampling, q_network
+from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
+from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer, SpikeSettings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from torch import Tensor
+
+    from bbq_torchrl.domains import Domain
+
+HIDDEN = (12, 12)
+AGENTS = {
+    "BBQN-MAP, Thompson sampling a step": ("map", "closed", "step"),
+    "BBQN-MC, Thompson sampling a dialogue": ("mc", "closed", "dialogue"),
+    "BBQN-MAP, sampled KL, Thompson sampling a round": ("map", "sampled", "round"),
+    "DQN with dropout, epsilon-greedy": ("epsilon",),
+    "DQN with dropout, Boltzmann": ("boltzmann",),
+}
+
+
+def make_trainer(domain: Domain, agent: str, folder: Path, rounds: int = 3) -> RoundTrainer:
+    torch.manual_seed(0)
+    replicas = 3
+    schedule = ExtensionSchedule(domain.extension_order, start=1, every=1)
+    env = DialogueEnv(domain, batch_size=(replicas, 6), schedule=schedule, seed=0)
+    spec = env.action_spec_unbatched
+    features = env.observation_spec["observation"].shape[-1]
+    kind = AGENTS[agent]
+    if len(kind) == 3:
+        target, kl, per = kind
+        actor = q_network(BayesMLP(features, spec.n, HIDDEN, stack=(replicas,)), spec)
+        loss = BBQNLoss(actor, target=target, kl=kl)
+        policy = ThompsonSampling(actor, per=per)
+    else:
+        actor = q_network(MLP(features, spec.n, HIDDEN, stack=(replicas,), dropout=0.5), spec)
+        loss = DropoutDQNLoss(actor)
+        explore = (
+            EGreedyModule(spec, 0.5, 0.1, annealing_num_steps=4, action_mask_key="action_mask")
+            if kind == ("epsilon",)
+            else Boltzmann(1.0, 0.1, 4)
+        )
+        policy = TensorDictSequential(Greedy(actor), explore)
+    return RoundTrainer(
+        env,
+        policy,
+        loss,
+        ReplicaReplay(300, replicas=replicas),
+        ReplicaAdam(loss.parameters(), replicas),
+        HardUpdate(loss, value_network_update_interval=0),
+        RoundSettings(rounds=rounds, dialogues=6, batch_size=32, checkpoint_every=1),
+        folder,
+        spike_policy=scripted_policy("random", env),
+        spike=SpikeSettings(dialogues=4),
+        progress=False,
+    )
+
+
+def weights(trainer: RoundTrainer) -> list[Tensor]:
+    return [parameter.detach().clone() for parameter in trainer.optimiser.parameters]
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_what_one_replica_does_leaves_the_others_bitwise_alone(restaurant, tmp_path, agent):
+    plain = make_trainer(restaurant, agent, tmp_path / "plain")
+    changed = make_trainer(restaurant, agent, tmp_path / "changed")
+    with torch.no_grad():
+        changed.optimiser.parameters[0][0] += torch.randn_like(changed.optimiser.parameters[0][0])
+
+    plain.train()
+    changed.train()
+
+    for ours, theirs in zip(weights(plain), weights(changed), strict=True):
+        assert torch.equal(ours[1:], theirs[1:])
+        assert not torch.equal(ours[0], theirs[0])
+    for ours, theirs in zip(plain.metrics.rows, changed.metrics.rows, strict=True):
+        assert (ours["loss"] == theirs["loss"]) == (ours["replica"] > 0)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_a_resumed_training_ends_bitwise_the_same(restaurant, tmp_path, agent):
+    whole = make_trainer(restaurant, agent, tmp_path / "whole")
+    whole.train()
+    make_trainer(restaurant, agent, tmp_path / "parts", rounds=1).train()
+    make_trainer(restaurant, agent, tmp_path / "parts", rounds=2).train(resume=True)
+
+    resumed = make_trainer(restaurant, agent, tmp_path / "parts")
+    resumed.train(resume=True)
+
+    for ours, theirs in zip(weights(whole), weights(resumed), strict=True):
+        assert torch.equal(ours, theirs)
+    for ours, theirs in zip(whole.metrics.rows, resumed.metrics.rows, strict=True):
+        same = [ours[name] == theirs[name] for name in ours if not name.startswith("seconds")]
+        assert all(same)
+
+
+def test_the_weight_of_the_kl_follows_each_replicas_buffer(restaurant, tmp_path):
+    trainer = make_trainer(restaurant, "BBQN-MAP, Thompson sampling a step", tmp_path, rounds=1)
+
+    rows = trainer.train()
+
+    assert trainer.loss.num_data.tolist() == [row["buffer"] for row in rows]
