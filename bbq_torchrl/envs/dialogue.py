@@ -61,8 +61,8 @@ class DialogueEnv(EnvBase):
         device: where the dialogues are.
 
     Raises:
-        ValueError: if a setting is out of range, or the schedule adds a slot the domain lacks.
-        RuntimeError: if ``device`` is a device that is absent.
+        ValueError: if a setting is out of range, the schedule adds a slot that the domain lacks,
+            or the device is absent.
 
     Example:
         >>> from bbq_torchrl.domains import movie_domain
@@ -90,7 +90,7 @@ class DialogueEnv(EnvBase):
         seed: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
-        super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
+        super().__init__(device=_present(device), batch_size=torch.Size(batch_size))
         if slot_error_prob is None:
             slot_error_prob = domain.reference_slot_error_prob
         tensors = tensorise(domain)
@@ -126,6 +126,20 @@ class DialogueEnv(EnvBase):
         return self._active
 
     @property
+    def active_features(self) -> torch.Tensor:
+        """Which features can differ from 0 in this round, bool ``[F]``: all but inactive slots'."""
+        slots = self.domain.slots
+        is_active = dict(zip(slots, self._active.tolist(), strict=True))
+        return torch.tensor(
+            [
+                is_active.get(member, True) if group.members[: len(slots)] == slots else True
+                for group in self.layout.groups
+                for member in group.members
+            ],
+            device=self.device,
+        )
+
+    @property
     def dialogues(self) -> TensorDict:
         """The state of the dialogues, see :class:`~bbq_torchrl.simulator.Simulator`.
 
@@ -145,7 +159,8 @@ class DialogueEnv(EnvBase):
         """Enters a round of training: the domain extension activates its slots.
 
         Dialogues under way keep the goals they started with. Without a schedule every slot is
-        active in every round.
+        active in every round. ``rand_action`` follows at once; in a ``TransformedEnv``, which
+        keeps a copy of the action spec, it does with TorchRL's ``ActionMask``.
 
         Args:
             round: the round, counted from 0.
@@ -162,8 +177,7 @@ class DialogueEnv(EnvBase):
         self._active = torch.tensor([slot in slots for slot in self.domain.slots]).to(self.device)
         legal = self.simulator.action_mask(self._active)
         self._action_mask = legal.expand(*self.batch_size, -1)
-        # rand_action draws from the spec: its mask keeps random actions legal, with or without
-        # TorchRL's ActionMask.
+        # rand_action draws from the spec, whose mask keeps random actions legal.
         self.action_spec = self._action_spec(None if self.schedule is None else self._action_mask)
 
     # -- what TorchRL calls ----------------------------------------------------------------------
@@ -247,7 +261,7 @@ class DialogueEnv(EnvBase):
         A generator belongs to its device: the environment goes on with a new one, seeded from the
         old one.
         """
-        device = torch.device(device)
+        device = _present(device)
         if device != self.device:
             seed = torch.randint(
                 1 << 62, (), generator=self._generator, device=self._generator.device
@@ -289,3 +303,17 @@ class DialogueEnv(EnvBase):
         self._dialogues = saved
         self._generator.set_state(state["generator"].cpu())
         self.set_round(state["round"])
+
+
+def _present(device: torch.device | str) -> torch.device:
+    """Returns the device.
+
+    Raises:
+        ValueError: if it is absent.
+    """
+    try:
+        return torch.empty(0, device=device).device
+    except (AssertionError, RuntimeError) as error:
+        raise ValueError(
+            f"device must be one that is present, got {str(device)!r}: {error}"
+        ) from error

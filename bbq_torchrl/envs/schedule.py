@@ -65,7 +65,7 @@ class ExtensionSchedule:
         """
         if round < 0:
             raise ValueError(f"round must be 0 or later, got {round}")
-        order = domain.extension_order if self.slots is None else self.slots
+        order = self._order(domain)
         unknown = [slot for slot in order if slot not in domain.slots]
         if unknown:
             raise ValueError(
@@ -74,3 +74,16 @@ class ExtensionSchedule:
             )
         active = {*domain.essential, *order[: self.n_added(round)]}
         return tuple(slot for slot in domain.slots if slot in active)
+
+    def additions(self, domain: Domain) -> dict[int, str]:
+        """Returns the slot that each round adds.
+
+        Args:
+            domain: whose ``extension_order`` is used where the schedule lists no slots.
+        """
+        return {
+            self.start + index * self.every: slot for index, slot in enumerate(self._order(domain))
+        }
+
+    def _order(self, domain: Domain) -> tuple[str, ...]:
+        return domain.extension_order if self.slots is None else self.slots

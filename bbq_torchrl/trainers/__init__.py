@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
-from bbq_torchrl.trainers.collect import Outcomes, outcomes, play, play_dialogues
+from bbq_torchrl.trainers.collect import Outcomes, Policy, outcomes, play, play_dialogues
 from bbq_torchrl.trainers.errors import NonFiniteLossError
 from bbq_torchrl.trainers.loggers import LoggerName, make_loggers
+from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimiser import ReplicaAdam
 from bbq_torchrl.trainers.progress import RoundProgress
@@ -21,12 +22,14 @@ __all__ = [
     "MetricsFile",
     "NonFiniteLossError",
     "Outcomes",
+    "Policy",
     "ReplicaAdam",
     "RoundProgress",
     "RoundSettings",
     "RoundTrainer",
     "SpikeSettings",
     "derive_seed",
+    "keep_freed_memory",
     "make_loggers",
     "outcomes",
     "play",

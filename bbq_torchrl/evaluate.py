@@ -1,0 +1,165 @@
+"""``python -m bbq_torchrl.evaluate``: plays dialogues and prints one line of JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.config import ConfigError, EvaluateConfig
+from bbq_torchrl.config.resume import run_config
+from bbq_torchrl.config.store import compose_raw, session, to_config
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tensordict.nn import TensorDictModuleBase
+
+    from bbq_torchrl.envs import DialogueEnv
+
+__all__ = ["evaluation", "main"]
+
+USAGE = """\
+usage: python -m bbq_torchrl.evaluate policy=<policy> [<key>=<value> ...]
+
+Plays dialogues and prints one line of JSON: success_rate, standard_error, reward, turns,
+dialogues, turns_per_second.
+
+  policy=      random, a scripted policy of the domain (rule, careful, ...), or a run folder
+  dialogues=   how many; for each replica of a run folder
+  batch=       how many run side by side
+  env=, domain=  as in train.py; a run folder's own unless given
+  mode=        mean, average or draw, for a Bayesian agent
+  log=<file>   writes the first log_dialogues= dialogues as readable acts
+  seed=, device=, threads=
+
+Meaning and allowed values of a key: bbq_torchrl/config/schema.py
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line. Returns the exit code."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if not arguments or {"-h", "--help"} & set(arguments):
+        sys.stdout.write(USAGE)
+        return 0
+    try:
+        with session():
+            config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
+        line = evaluation(config, arguments)
+    except (ValueError, OSError) as error:
+        sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+        return 2
+    sys.stdout.write(json.dumps(line) + "\n")
+    return 0
+
+
+def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Plays the dialogues of a configuration. Returns what is printed.
+
+    Args:
+        config: what to play.
+        overrides: the command line; a run folder's own environment and domain are taken where it
+            gives none.
+
+    Raises:
+        ValueError or OSError: a policy, corpus or device that is not there.
+    """
+    import torch
+
+    from bbq_torchrl.build import build_domain, build_env, check_device
+    from bbq_torchrl.envs import scripted_policy
+    from bbq_torchrl.evaluation.play import evaluate
+    from bbq_torchrl.evaluation.statistics import binomial_standard_error
+    from bbq_torchrl.trainers import keep_freed_memory
+
+    check_device(config.device)
+    torch.set_num_threads(config.threads)
+    keep_freed_memory()
+    folder = Path(config.policy).expanduser()
+    run = run_config(folder) if folder.is_dir() else None
+    if run is not None:
+        given = {override.lstrip("+~").partition("=")[0].partition(".")[0] for override in overrides}
+        config.env = config.env if "env" in given else run.env
+        config.domain = config.domain if "domain" in given else run.domain
+    domain = build_domain(config.domain)
+    if run is None:
+        names = ("random", *domain.policies)
+        if config.policy not in names:
+            raise ConfigError(
+                f"policy must be a run folder or one of {', '.join(names)}, got {config.policy!r}"
+            )
+        if config.mode is not None:
+            raise ConfigError(f"mode must be null for policy={config.policy}, got {config.mode!r}")
+    replicas = 1 if run is None else run.replicas
+    env = build_env(
+        config.env,
+        domain,
+        (replicas, min(config.batch, config.dialogues)),
+        device=config.device,
+    )
+    mode: str | None = None
+    policy: TensorDictModuleBase
+    if run is None:
+        policy = scripted_policy(config.policy, env)
+    else:
+        mode, policy = _trained(run, folder, env, config.mode)
+    if config.log is not None:
+        _write_log(config, env, policy)
+    started = time.perf_counter()
+    played = evaluate(env, policy, config.dialogues, seed=config.seed)
+    seconds = time.perf_counter() - started
+    rate = played.success.double().mean().item()
+    turns = int(played.turns.sum())
+    return {
+        "policy": config.policy,
+        **({} if mode is None else {"mode": mode}),
+        "env": config.env.name,
+        "domain": config.domain.name,
+        "seed": config.seed,
+        "success_rate": rate,
+        "standard_error": binomial_standard_error(rate, played.success.numel()),
+        "reward": played.reward.mean().item(),
+        "turns": turns / played.success.numel(),
+        "dialogues": played.success.numel(),
+        "turns_per_second": turns / seconds,
+        **(
+            {"success_rate_per_replica": played.success.double().mean(-1).tolist()}
+            if replicas > 1
+            else {}
+        ),
+    }
+
+
+def _trained(
+    run: Any, folder: Path, env: DialogueEnv, mode: str | None
+) -> tuple[str, TensorDictModuleBase]:
+    """Returns the policy of a run's newest readable checkpoint; ``env`` enters its round."""
+    from bbq_torchrl.build import build_agent, evaluation_policy
+    from bbq_torchrl.trainers import CheckpointFolder
+
+    agent = build_agent(run, env)
+    checkpoints = CheckpointFolder(folder / "checkpoint", loss=agent.loss)
+    found = checkpoints.newest()
+    if found is None:
+        raise ConfigError(f"{folder} has no checkpoint yet")
+    path, metadata = found
+    checkpoints.load(path)
+    env.set_round(max(int(metadata["round"]) - 1, 0))
+    return evaluation_policy(run, agent.actor, mode)
+
+
+def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:
+    """Writes the first dialogues of the evaluation as readable acts."""
+    from bbq_torchrl.evaluation.transcripts import transcripts
+
+    assert config.log is not None
+    file = Path(config.log).expanduser()
+    texts = transcripts(env, policy, config.log_dialogues, seed=config.seed)
+    file.write_text("\n".join(texts), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,143 @@
+"""Figures: the learning curve of a run, and runs compared with bands over seeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bbq_torchrl.evaluation.statistics import MIN_BOOTSTRAP, estimate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+__all__ = ["Curves", "draw_comparison", "draw_run", "moving_average"]
+
+WINDOW = 10
+"""Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
+
+# Okabe and Ito's colours, told apart by colour-blind readers too.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What is drawn of one group of seeds.
+
+    Attributes:
+        label: its name in the legend.
+        success: training success, shape [rounds, seeds].
+        final: success of the final evaluation, shape [seeds]; empty if there was none.
+    """
+
+    label: str
+    success: Any
+    final: Any
+
+
+def moving_average(values: Any, window: int = WINDOW) -> Any:
+    """Mean of the last ``window`` rounds (of fewer at the start), along the first axis.
+
+    Example:
+        >>> moving_average(np.array([0.0, 1.0, 2.0]), window=2).tolist()
+        [0.0, 0.5, 1.5]
+    """
+    values = np.asarray(values, dtype=float)
+    total = np.cumsum(values, axis=0)
+    total[window:] = total[window:] - total[:-window]
+    counts = np.minimum(np.arange(1, len(values) + 1), window)
+    return total / counts.reshape(-1, *[1] * (values.ndim - 1))
+
+
+def draw_run(
+    file: Path,
+    curves: Curves,
+    *,
+    title: str,
+    spiked: str | None = None,
+    extensions: Mapping[int, str] | None = None,
+) -> None:
+    """Draws the learning curve of one run into a PNG file.
+
+    Args:
+        file: the file.
+        curves: the run's replicas.
+        title: the heading.
+        spiked: what the buffer was spiked with, said at round 0; ``None`` for an empty buffer.
+        extensions: round to slot: where the domain grew.
+    """
+    figure, axes = _axes()
+    rounds = np.arange(len(curves.success))
+    _draw_group(axes, curves, COLOURS[0], band=False)
+    if curves.final.size:
+        mean = float(np.mean(curves.final))
+        axes.plot(
+            np.full(curves.final.size, rounds[-1] + 1), curves.final, "o", ms=5, color=COLOURS[1]
+        )
+        axes.axhline(mean, color=COLOURS[1], lw=1, ls="--", label=f"final evaluation: {mean:.3f}")
+    if spiked is not None:
+        axes.plot([0], [0], "^", color=COLOURS[2], ms=8, clip_on=False, label=spiked, zorder=5)
+    for start, slot in (extensions or {}).items():
+        if start <= rounds[-1]:
+            axes.axvline(start, color="0.6", lw=0.8, ls=":")
+            axes.text(start, 1.0, f" {slot}", rotation=90, va="top", ha="left", fontsize=7)
+    _finish(figure, axes, file, title)
+
+
+def draw_comparison(file: Path, groups: Sequence[Curves], *, title: str) -> None:
+    """Draws groups of seeds: every seed's curve, their mean, and its 95 % band.
+
+    The band is the bootstrap interval of the mean over seeds (five or more), round by round.
+
+    Args:
+        file: a PNG or SVG file.
+        groups: at most seven, one for each setting.
+        title: the heading.
+    """
+    if not 1 <= len(groups) <= len(COLOURS):
+        raise ValueError(f"between 1 and {len(COLOURS)} groups can be drawn, got {len(groups)}")
+    figure, axes = _axes()
+    for group, colour in zip(groups, COLOURS, strict=False):
+        _draw_group(axes, group, colour, band=True)
+    _finish(figure, axes, file, title)
+
+
+def _axes() -> tuple[Any, Any]:
+    # The object interface: no window system, and no global state beside other figures.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()
+
+
+def _draw_group(axes: Any, group: Curves, colour: str, *, band: bool) -> None:
+    success = np.asarray(group.success, dtype=float)
+    rounds = np.arange(len(success))
+    smooth = moving_average(success)
+    seeds = success.shape[1]
+    # A single run shows its raw rounds; several seeds would hide each other that way.
+    axes.plot(rounds, success if seeds == 1 else smooth, color=colour, lw=0.7, alpha=0.35)
+    noun = "1 seed" if seeds == 1 else f"{seeds} seeds"
+    label = f"{group.label} ({noun}, mean of {WINDOW} rounds)"
+    axes.plot(rounds, smooth.mean(1), color=colour, lw=2.2, label=label)
+    if band and seeds >= MIN_BOOTSTRAP:
+        bounds = np.array([_bounds(row) for row in smooth])
+        axes.fill_between(rounds, bounds[:, 0], bounds[:, 1], color=colour, alpha=0.15, lw=0)
+
+
+def _bounds(row: Any) -> tuple[float, float]:
+    interval = estimate(row)
+    return interval.low, interval.high
+
+
+def _finish(figure: Any, axes: Any, file: Path, title: str) -> None:
+    axes.set(xlabel="round", ylabel="success rate", ylim=(0, 1), title=title)
+    axes.set_xlim(left=0)
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(loc="lower right", fontsize=8)
+    figure.savefig(file, dpi=150)

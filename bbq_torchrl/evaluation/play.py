@@ -1,0 +1,48 @@
+"""Playing many dialogues with a policy that does not learn."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torchrl.envs.utils import ExplorationType
+
+from bbq_torchrl.trainers import Outcomes, Policy, derive_seed, outcomes, play_dialogues
+
+if TYPE_CHECKING:
+    from bbq_torchrl.envs import DialogueEnv
+
+__all__ = ["evaluate"]
+
+
+def evaluate(
+    env: DialogueEnv,
+    policy: Policy,
+    dialogues: int,
+    *,
+    seed: int = 0,
+    exploration: ExplorationType = ExplorationType.DETERMINISTIC,
+) -> Outcomes:
+    """Plays exactly so many dialogues, each to its end, and returns how they went.
+
+    Dialogues run side by side in lockstep, so that long ones count as much as short ones.
+
+    Args:
+        env: batch size [*replicas, places].
+        policy: writes an action.
+        dialogues: for each replica.
+        seed: of everything random in them.
+        exploration: what the policy finds as ``exploration_type()``.
+
+    Returns:
+        success (bool), reward (float64) and turns (int64), each of shape [*replicas, dialogues].
+    """
+    torch.manual_seed(derive_seed(seed, "torch", "evaluate"))
+    env.set_seed(derive_seed(seed, "env", "evaluate"))
+    played = [
+        outcomes(rollout)
+        for rollout in play_dialogues(
+            env, policy, dialogues, max_steps=env.max_agent_turns, exploration=exploration
+        )
+    ]
+    return Outcomes(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))

@@ -1,0 +1,235 @@
+"""Reading and writing what a run leaves behind: result.json and metrics.csv.
+
+A *result folder* holds ``config.yaml``, ``metrics.csv`` and ``result.json``: a run folder is one,
+and so is what ``bbq_torchrl.evaluation.export`` makes of it.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bbq_torchrl.evaluation.statistics import binomial_standard_error
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+__all__ = [
+    "METRICS_FILE",
+    "RESULT_FILE",
+    "Metrics",
+    "ReplicaResult",
+    "RunResult",
+    "read_metrics",
+    "read_result",
+    "write_json",
+]
+
+RESULT_FILE = "result.json"
+METRICS_FILE = "metrics.csv"
+
+
+@dataclass(frozen=True)
+class ReplicaResult:
+    """How one trained replica does.
+
+    Attributes:
+        replica: its number.
+        success_rate: of the final evaluation's dialogues.
+        standard_error: of that rate, over dialogues (binomial).
+        reward: mean sum of rewards of a dialogue.
+        turns: mean number of agent turns of a dialogue.
+        dialogues: number of dialogues evaluated.
+        training_success: share of all training dialogues that succeeded (cumulative success).
+    """
+
+    replica: int
+    success_rate: float
+    standard_error: float
+    reward: float
+    turns: float
+    dialogues: int
+    training_success: float
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What result.json holds.
+
+    Attributes:
+        agent: option of the group, such as ``bbqn``; likewise ``explore``, ``env``, ``domain``.
+        policy: how the agent acted when evaluated: ``mean``, ``average``, ``draw`` or ``greedy``.
+        seed: of the run.
+        rounds: rounds trained.
+        replicas: independent seeds trained side by side.
+        success_rate: mean over replicas; likewise reward, turns, training_success.
+        standard_error: of success_rate over the dialogues of *these* replicas (binomial). It does
+            not tell how another seed would do: see :mod:`bbq_torchrl.evaluation.report`.
+        dialogues: evaluated in all.
+        per_replica: one entry for each replica.
+        wall_seconds: of training and evaluation together, without the time of killed processes.
+        versions: of the packages that decide the numbers.
+    """
+
+    agent: str
+    explore: str
+    env: str
+    domain: str
+    policy: str
+    seed: int
+    rounds: int
+    replicas: int
+    success_rate: float
+    standard_error: float
+    reward: float
+    turns: float
+    dialogues: int
+    training_success: float
+    per_replica: tuple[ReplicaResult, ...]
+    wall_seconds: float
+    versions: dict[str, str]
+
+    @classmethod
+    def of(cls, per_replica: Sequence[ReplicaResult], **described: Any) -> RunResult:
+        """The result of replicas that were evaluated on equally many dialogues."""
+
+        def mean(name: str) -> float:
+            return math.fsum(getattr(item, name) for item in per_replica) / len(per_replica)
+
+        dialogues = sum(item.dialogues for item in per_replica)
+        errors = [item.standard_error for item in per_replica]
+        return cls(
+            replicas=len(per_replica),
+            success_rate=mean("success_rate"),
+            standard_error=math.sqrt(math.fsum(error**2 for error in errors)) / len(errors),
+            reward=mean("reward"),
+            turns=mean("turns"),
+            dialogues=dialogues,
+            training_success=mean("training_success"),
+            per_replica=tuple(per_replica),
+            **described,
+        )
+
+
+def replica_result(
+    replica: int,
+    success: Sequence[float],
+    reward: Sequence[float],
+    turns: Sequence[float],
+    training_success: float,
+) -> ReplicaResult:
+    """Sums up the dialogues of one replica: one entry of each sequence for each dialogue."""
+    dialogues = len(success)
+    rate = math.fsum(success) / dialogues
+    return ReplicaResult(
+        replica=replica,
+        success_rate=rate,
+        standard_error=binomial_standard_error(rate, dialogues),
+        reward=math.fsum(reward) / dialogues,
+        turns=math.fsum(turns) / dialogues,
+        dialogues=dialogues,
+        training_success=training_success,
+    )
+
+
+def write_json(content: RunResult | dict[str, Any], file: Path) -> None:
+    """Writes JSON, atomically, so that a reader never sees half of it."""
+    plain = asdict(content) if isinstance(content, RunResult) else content
+    temporary = file.with_name(f".{file.name}.new")
+    temporary.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+    os.replace(temporary, file)
+
+
+def read_result(folder: Path) -> RunResult:
+    """Reads the result.json of a result folder.
+
+    Raises:
+        ValueError: there is none (the run is not finished), or it is damaged.
+    """
+    file = folder / RESULT_FILE
+    if not file.is_file():
+        raise ValueError(f"{folder} has no {RESULT_FILE}: it is no run folder, or not finished")
+    try:
+        plain = json.loads(file.read_text(encoding="utf-8"))
+        per_replica = tuple(ReplicaResult(**_only(ReplicaResult, e)) for e in plain["per_replica"])
+        return RunResult(**{**_only(RunResult, plain), "per_replica": per_replica})
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"{file} is damaged: {error}") from error
+
+
+def _only(schema: type, plain: dict[str, Any]) -> dict[str, Any]:
+    """The keys that a dataclass has; a newer version's further keys are left out."""
+    names = {item.name for item in fields(schema)}
+    return {key: value for key, value in plain.items() if key in names}
+
+
+class Metrics:
+    """metrics.csv as arrays.
+
+    Args:
+        columns: name to values, shape [rounds, replicas] each.
+
+    Attributes:
+        rounds: how many rounds are complete.
+        replicas: how many replicas there are.
+    """
+
+    def __init__(self, columns: dict[str, Any]) -> None:
+        self.columns = columns
+        self.rounds, self.replicas = columns["success_rate"].shape
+
+    def __getitem__(self, name: str) -> Any:
+        """A column, shape [rounds, replicas].
+
+        Raises:
+            KeyError: naming the columns that there are.
+        """
+        if name not in self.columns:
+            raise KeyError(f"metrics have no column {name!r}, only {', '.join(self.columns)}")
+        return self.columns[name]
+
+    @property
+    def training_success(self) -> Any:
+        """Share of successful training dialogues of each replica, shape [replicas]."""
+        weights = self["dialogues"]
+        return (self["success_rate"] * weights).sum(0) / weights.sum(0)
+
+
+def read_metrics(folder: Path) -> Metrics:
+    """Reads the metrics.csv of a result folder; a last round that is not complete is left out.
+
+    Raises:
+        ValueError: there is none, or a line is damaged; the message names file and line.
+    """
+    file = folder / METRICS_FILE
+    if not file.is_file():
+        raise ValueError(f"{folder} has no {METRICS_FILE}: it is no run folder")
+    text = file.read_text(encoding="utf-8")
+    complete = text[: text.rfind("\n") + 1]
+    reader = csv.DictReader(complete.splitlines())
+    names = list(reader.fieldnames or ())
+    for needed in ("round", "replica", "dialogues", "success_rate"):
+        if needed not in names:
+            raise ValueError(f"{file} must have the column {needed}, got {', '.join(names)}")
+    rows: list[list[float]] = []
+    for row in reader:
+        try:
+            rows.append([float(row[name]) for name in names])
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{file}, line {reader.line_num}, is damaged: {row}") from error
+    replicas = 1 + int(max((row[names.index("replica")] for row in rows), default=0))
+    rounds = len(rows) // replicas
+    if rounds == 0:
+        raise ValueError(f"{file} has no complete round")
+    table = np.array(rows[: rounds * replicas]).reshape(rounds, replicas, len(names))
+    columns = {name: table[..., index] for index, name in enumerate(names)}
+    if (columns["replica"] != np.arange(replicas)).any():
+        raise ValueError(f"{file} must have a row for each round and replica, in order")
+    return Metrics(columns)

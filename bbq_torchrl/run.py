@@ -1,0 +1,135 @@
+"""A whole run: training, final evaluation, and what its folder then holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import platform
+import time
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+import bbq_torchrl
+from bbq_torchrl.build import build_env, build_trainer, evaluation_policy
+from bbq_torchrl.config.resume import RUN_CONFIG
+from bbq_torchrl.config.store import save_config
+from bbq_torchrl.evaluation.figures import Curves, draw_run
+from bbq_torchrl.evaluation.play import evaluate
+from bbq_torchrl.evaluation.results import (
+    RESULT_FILE,
+    RunResult,
+    read_metrics,
+    replica_result,
+    write_json,
+)
+from bbq_torchrl.trainers import keep_freed_memory
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.build import Agent
+    from bbq_torchrl.config import Config
+    from bbq_torchrl.envs import DialogueEnv
+
+__all__ = ["run"]
+
+_LOG = logging.getLogger(__name__)
+
+
+def run(config: Config, folder: Path) -> RunResult:
+    """Trains, evaluates and writes ``config.yaml``, ``metrics.csv``, ``result.json``, ``curve.png``.
+
+    Args:
+        config: what to run; with ``resume``, the run in the folder goes on.
+        folder: the run folder.
+
+    Raises:
+        NonFiniteLossError: a loss is NaN or infinite.
+        CheckpointDamagedError: a run to resume has checkpoints, but none can be read.
+    """
+    torch.set_num_threads(config.threads)
+    keep_freed_memory()
+    save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
+    trainer, agent = build_trainer(config, folder)
+    rows = trainer.train(resume=config.resume is not None)
+    trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
+    started = time.perf_counter()
+    _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
+    result = _evaluated(config, folder, agent, trainer.env, trained, started)  # type: ignore[arg-type]
+    write_json(result, folder / RESULT_FILE)
+    _draw(config, folder, result, trainer.env)  # type: ignore[arg-type]
+    _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
+    return result
+
+
+def _evaluated(
+    config: Config,
+    folder: Path,
+    agent: Agent,
+    training_env: DialogueEnv,
+    trained: float,
+    started: float,
+) -> RunResult:
+    """Plays the final evaluation, in the state of the domain in which training ended."""
+    protocol = config.protocol
+    env = build_env(
+        config.env,
+        training_env.domain,
+        (config.replicas, min(protocol.eval_batch, protocol.eval_dialogues)),
+        device=config.device,
+    )
+    env.set_round(max(protocol.rounds - 1, 0))
+    name, policy = evaluation_policy(config, agent.actor)
+    played = evaluate(env, policy, protocol.eval_dialogues, seed=config.seed)
+    training_success = read_metrics(folder).training_success
+    per_replica = [
+        replica_result(
+            replica,
+            played.success[replica].tolist(),
+            played.reward[replica].tolist(),
+            played.turns[replica].tolist(),
+            float(training_success[replica]),
+        )
+        for replica in range(config.replicas)
+    ]
+    return RunResult.of(
+        per_replica,
+        agent=config.agent.name,
+        explore=config.explore.name,
+        env=config.env.name,
+        domain=config.domain.name,
+        policy=name,
+        seed=config.seed,
+        rounds=protocol.rounds,
+        wall_seconds=trained + time.perf_counter() - started,
+        versions=_versions(),
+    )
+
+
+def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> None:
+    spike = config.spike
+    draw_run(
+        folder / "curve.png",
+        Curves(
+            f"{config.agent.name}, {config.explore.name}",
+            read_metrics(folder)["success_rate"],
+            np.array([item.success_rate for item in result.per_replica]),
+        ),
+        title=f"Training success: env={config.env.name}, domain={config.domain.name}",
+        spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
+        if spike.dialogues
+        else None,
+        extensions={} if env.schedule is None else env.schedule.additions(env.domain),
+    )
+
+
+def _versions() -> dict[str, str]:
+    packages = ("torch", "torchrl", "tensordict")
+    return {
+        "bbq-torchrl": bbq_torchrl.__version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }

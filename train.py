@@ -1,0 +1,39 @@
+"""Trains an agent and evaluates it: configuration in, result out. See ``--help``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.config.command import command
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.config import Config
+
+
+# The parts are imported when they are needed: torch and torchrl take ten seconds, --help none.
+def check(config: Config) -> None:
+    """Checks device and corpus before anything runs."""
+    from bbq_torchrl import build
+
+    build.check(config)
+
+
+def clear_errors() -> tuple[type[Exception], ...]:
+    """Returns the errors of a run whose text is enough for a person."""
+    from bbq_torchrl.trainers import CheckpointDamagedError, NonFiniteLossError
+
+    return NonFiniteLossError, CheckpointDamagedError
+
+
+@command(check, clear_errors)
+def main(config: Config, run_folder: Path) -> float:
+    """Trains, evaluates, and writes the run folder. Returns the final success rate."""
+    from bbq_torchrl.run import run
+
+    return run(config, run_folder).success_rate
+
+
+if __name__ == "__main__":
+    main()
