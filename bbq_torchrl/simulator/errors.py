@@ -18,6 +18,8 @@ __all__ = ["ErrorModel", "SlotErrorMode"]
 
 SlotErrorMode = Literal["value", "slot", "delete", "mixed"]
 
+_ABOVE_IDS = 1 << 32  # above every value id
+
 
 class ErrorModel:
     """Stands for the errors of speech recognition and language understanding.
@@ -65,9 +67,10 @@ class ErrorModel:
         self.intent_error_prob = intent_error_prob
         self._n_acts = domain.n_acts
         self._count = domain.error_count
+        self._has_values = domain.error_count > 0
         self._width = domain.error_values.shape[-1]
         self._values = domain.error_values.flatten()
-        self._first = torch.arange(domain.n_slots) * self._width
+        self._first = torch.arange(domain.n_slots, device=self._count.device) * self._width
 
     def to(self, device: torch.device | str) -> ErrorModel:
         """Returns the same error model with every tensor on ``device``."""
@@ -91,22 +94,18 @@ class ErrorModel:
             return informs
         is_hit = (informs != NONE) & (draws["error"] < self.slot_error_prob)
         if self.slot_error_mode == "delete":
-            return informs.masked_fill(is_hit, NONE)
+            return torch.where(is_hit, NONE, informs)
         if self.slot_error_mode == "value":
-            return torch.where(is_hit & (self._count > 0), self._other_value(draws), informs)
-        is_value_hit = torch.zeros_like(is_hit)
-        is_slot_hit = is_hit
-        if self.slot_error_mode == "mixed":
+            return torch.where(is_hit & self._has_values, self._other_value(draws), informs)
+        if self.slot_error_mode == "slot":
+            is_value, is_slot = torch.zeros_like(is_hit), is_hit
+        else:
             kind = draws["error_kind"]
-            is_value_hit = is_hit & (kind < 1 / 3)
-            is_slot_hit = is_hit & (kind >= 1 / 3) & (kind < 2 / 3)
-        # A value hit without error values spares the slot; it then is no replacement either.
-        is_value_hit &= self._count > 0
-        is_spared = ~is_hit
-        if self.slot_error_mode == "mixed":
-            is_spared |= is_hit & (draws["error_kind"] < 1 / 3) & (self._count == 0)
-        transmitted = torch.where(is_spared, informs, NONE)
-        return self._overlay(transmitted, is_value_hit, is_slot_hit, draws, active)
+            is_value = is_hit & (kind < 1 / 3)
+            is_slot = is_hit & (kind >= 1 / 3) & (kind < 2 / 3)
+        is_spared = ~is_hit | (is_value & ~self._has_values)
+        spared = torch.where(is_spared, informs, NONE)
+        return self._overlay(spared, is_value & self._has_values, is_slot, draws, active)
 
     def hear(self, act: torch.Tensor, draws: TensorDictBase) -> torch.Tensor:
         """Returns the act that is heard, long ``[*B]``.
@@ -122,39 +121,43 @@ class ErrorModel:
 
     def _other_value(self, draws: TensorDictBase) -> torch.Tensor:
         """Draws an error value of each slot. Returns value ids, long ``[*B, S]``."""
-        return self._values[self._first + index_below(draws["error_value"], self._count)]
+        return self._values.take(self._first + index_below(draws["error_value"], self._count))
 
     def _overlay(
         self,
-        transmitted: torch.Tensor,
-        is_value_hit: torch.Tensor,
-        is_slot_hit: torch.Tensor,
+        spared: torch.Tensor,
+        is_value: torch.Tensor,
+        is_slot: torch.Tensor,
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> torch.Tensor:
-        """Lays the replacements over what was spared. Returns value ids, long ``[*B, S]``."""
-        slots = torch.arange(active.shape[-1], device=active.device)
-        is_candidate = active & (self._count > 0)
-        # The candidates in slot order, then the rest; and each slot's place among the candidates.
+        """Lays what replaces the slots hit over what was spared. Returns ids, long ``[*B, S]``.
+
+        Args:
+            spared: long ``[*B, S]``, what is transmitted as it was meant.
+            is_value: bool ``[*B, S]``, slots whose value is replaced.
+            is_slot: bool ``[*B, S]``, slots that are replaced by another one.
+            draws: as for :meth:`distort`.
+            active: bool ``[S]``.
+        """
+        n_slots = active.shape[-1]
+        slots = torch.arange(n_slots, device=active.device)
+        # The candidates in slot order, then the rest; and each slot's rank among the candidates.
+        is_candidate = active & self._has_values
         candidates = (~is_candidate).to(torch.uint8).argsort(stable=True)
         rank = is_candidate.cumsum(0) - 1
         n_others = is_candidate.sum() - is_candidate.long()
         place = index_below(draws["error_slot"], n_others)
         place = place + (is_candidate & (place >= rank)).long()
-        other = candidates[place.clamp(max=active.shape[-1] - 1)]
-        target = torch.where(is_slot_hit, other, slots)
-        value = self._values[
-            target * self._width + index_below(draws["error_value"], self._count[target])
-        ]
-        is_replaced = is_value_hit | (is_slot_hit & (n_others > 0))
-        # One maximum finds, for every target, the replacement of the highest source.
-        step = int(self._values.shape[0]) + _ID_LIMIT
-        ordered = torch.where(is_replaced, (slots + 1) * step + value, 0)
-        last = torch.zeros_like(transmitted).scatter_reduce(-1, target, ordered, "amax")
-        return torch.where(last > 0, last % step, transmitted)
-
-
-_ID_LIMIT = 1 << 32  # above every value id
+        target = torch.where(is_slot, candidates.take(place.clamp(max=n_slots - 1)), slots)
+        choice = index_below(draws["error_value"], self._count.take(target))
+        value = self._values.take(target * self._width + choice)
+        # With the source slot in the high bits one maximum finds, for every target, the
+        # replacement that comes last.
+        replaces = is_value | (is_slot & (n_others > 0))
+        keyed = torch.where(replaces, (slots + 1) * _ABOVE_IDS + value, 0)
+        last = torch.zeros_like(spared).scatter_reduce(-1, target, keyed, "amax")
+        return torch.where(last > 0, last % _ABOVE_IDS, spared)
 
 
 def _check_probability(name: str, value: float) -> None:

@@ -9,6 +9,7 @@ import torch
 
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.simulator.choices import one_of
+from bbq_torchrl.simulator.lookup import rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -141,7 +142,7 @@ class Features:
         self.layout = FeatureLayout(domain)
         self._knowledge_base = knowledge_base
         self._n_acts = domain.n_acts
-        self._turn_width = domain.turn_width
+        self._turn_onehot = torch.eye(domain.turn_width, device=domain.records.device)
 
     def __call__(self, state: TensorDictBase, active: torch.Tensor) -> torch.Tensor:
         """Returns the features, float32 ``[*B, F]``.
@@ -168,13 +169,13 @@ class Features:
         )
         everything = self._knowledge_base.matching_counts(held)[..., None]
         by_slot = torch.where(is_filled, self._knowledge_base.value_counts(held), everything)
-        counts = torch.cat([by_slot * active, everything], dim=-1)
+        counts = torch.cat([by_slot * active, everything], dim=-1).float()
         return torch.cat(
             [
                 flags.float(),
                 acts[..., None] / _TURN_SCALE,
-                one_of(acts.clamp(max=self._turn_width - 1), self._turn_width).float(),
-                (counts > 0).float(),
+                rows(self._turn_onehot, acts.clamp(max=self._turn_onehot.shape[0] - 1)),
+                counts.clamp(max=1.0),
                 counts / _COUNT_SCALE,
             ],
             dim=-1,

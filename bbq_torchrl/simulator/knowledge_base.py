@@ -8,6 +8,7 @@ import torch
 
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
 from bbq_torchrl.simulator.bits import WORD_BITS, byte_counts, pack, popcount
+from bbq_torchrl.simulator.lookup import rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,6 +19,9 @@ __all__ = ["KnowledgeBase"]
 
 _BYTE_BITS = 8
 _WORD_BYTES = WORD_BITS // _BYTE_BITS
+# Dialogues to fill at a time: the temporaries hold a long for every value of a slot, and above
+# 32 MB the allocator maps fresh pages at every call, which then cost more than the work.
+_FILL_BLOCK = 4096
 
 
 class KnowledgeBase:
@@ -98,13 +102,17 @@ class KnowledgeBase:
             setattr(moved, name, value.to(device) if isinstance(value, torch.Tensor) else value)
         return moved
 
+    def _chosen(self, held: torch.Tensor) -> torch.Tensor:
+        """Returns which set each slot's held value stands for, long ``[*B, K]``."""
+        return held.index_select(-1, self.slots) + self.first_set
+
     def matching(self, held: torch.Tensor) -> torch.Tensor:
         """Finds the records that match every held value. Returns packed sets, int64 ``[*B, W]``.
 
         Args:
             held: long ``[*B, S]``, value ids.
         """
-        return _intersect(self.sets, held[..., self.slots] + self.first_set)
+        return _intersect(self.sets, self._chosen(held))
 
     def matching_counts(self, held: torch.Tensor) -> torch.Tensor:
         """Counts the records that match every held value. Returns long ``[*B]``."""
@@ -115,7 +123,7 @@ class KnowledgeBase:
 
         Reserved values, nothing held, and slots that never constrain the records count 0.
         """
-        return self.counts[held + self.first_count]
+        return self.counts.take(held + self.first_count)
 
     def counts_by_value(
         self, held: torch.Tensor, slot: torch.Tensor
@@ -131,11 +139,11 @@ class KnowledgeBase:
             Long ``[*B, V]``: how many matching records have the value ``FIRST_VALUE + v``; and
             long ``[*B]``: how many match, those without the slot included.
         """
-        order = self.order_of_slot[slot]
-        sets = self.ordered_set[held[..., self.slots] + self.first_set]
+        order = self.order_of_slot.take(slot)
+        sets = self.ordered_set.take(self._chosen(held))
         words = _intersect(self.ordered_sets, sets + (order * self.sets_per_order)[..., None])
         running = byte_counts(words).cumsum(-1, dtype=torch.int32)
-        below = running.gather(-1, self.bounds[order])
+        below = running.gather(-1, rows(self.bounds, order))
         return below.diff(dim=-1), running[..., -1]
 
     def fill(self, held: torch.Tensor, slot: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -151,8 +159,17 @@ class KnowledgeBase:
             The value ids, long ``[*B]``, "no match" where no matching record has the slot; and
             whether any record matches, bool ``[*B]``.
         """
-        counts, total = self.counts_by_value(held, slot)
-        return self.most_frequent(counts), total > 0
+        blocks = zip(
+            held.reshape(-1, held.shape[-1]).split(_FILL_BLOCK),
+            slot.reshape(-1).split(_FILL_BLOCK),
+            strict=True,
+        )
+        values, has_match = [], []
+        for block in blocks:
+            counts, total = self.counts_by_value(*block)
+            values.append(self.most_frequent(counts))
+            has_match.append(total > 0)
+        return torch.cat(values).view(slot.shape), torch.cat(has_match).view(slot.shape)
 
     @staticmethod
     def most_frequent(counts: torch.Tensor) -> torch.Tensor:
@@ -232,8 +249,8 @@ def _literal_counts(values: torch.Tensor, n_values: int) -> torch.Tensor:
 
 def _intersect(sets: torch.Tensor, chosen: torch.Tensor) -> torch.Tensor:
     """Returns the intersection of ``sets[chosen[..., k]]`` over k: int64 ``[*B, W]``."""
-    columns = chosen.reshape(-1, chosen.shape[-1]).unbind(-1)
-    words = sets.index_select(0, columns[0])
-    for column in columns[1:]:
+    by_slot = chosen.reshape(-1, chosen.shape[-1]).t().contiguous().unbind()
+    words = sets.index_select(0, by_slot[0])
+    for column in by_slot[1:]:
         words &= sets.index_select(0, column)
     return words.view(*chosen.shape[:-1], -1)

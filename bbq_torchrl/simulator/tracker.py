@@ -9,6 +9,7 @@ import torch
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
 from bbq_torchrl.simulator.choices import index_below, one_of
+from bbq_torchrl.simulator.lookup import rows
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
@@ -100,8 +101,7 @@ class Tracker:
                 self._act == domain.act["confirm_answer"],
                 ends,
                 is_booking | (inform == domain.ticket),
-            ],
-            dim=-1,
+            ]
         )
 
     def complete(self, held: torch.Tensor, action: torch.Tensor) -> AgentTurn:
@@ -111,8 +111,9 @@ class Tracker:
             held: long ``[*B, S]``, the values held before the act.
             action: long ``[*B]``, indices of the domain's actions.
         """
-        slot, is_slot = self._slot[action], self._is_slot[action]
-        request, inform, booking, choice, confirm, end, special = self._kinds[action].unbind(-1)
+        slot, is_slot = self._slot.take(action), rows(self._is_slot, action)
+        kinds = self._kinds.index_select(1, action.reshape(-1)).view(-1, *action.shape)
+        request, inform, booking, choice, confirm, end, special = kinds.unbind()
         offered = None
         if self._has_choices:
             counts, total = self._knowledge_base.counts_by_value(held, slot)
@@ -126,7 +127,7 @@ class Tracker:
         repeated = torch.where(booking[..., None], held, NONE)
         says = is_slot & ~request[..., None]
         return AgentTurn(
-            act=self._act[action],
+            act=self._act.take(action),
             slot=slot,
             is_slot=is_slot,
             value=value,

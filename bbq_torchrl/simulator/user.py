@@ -9,6 +9,7 @@ import torch
 
 from bbq_torchrl.domains.values import DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.simulator.choices import index_below, pick_slot
+from bbq_torchrl.simulator.lookup import rows
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -84,8 +85,8 @@ class User:
         """
         domain = self._domain
         goal = self.goal_of(draws)
-        constraints = domain.goal_constraints[goal] * active
-        requests = (domain.goal_requests[goal] & active) | self._is_ticket
+        constraints = rows(domain.goal_constraints, goal) * active
+        requests = (rows(domain.goal_requests, goal) & active) | self._is_ticket
         is_constraint = constraints != NONE
         is_said = (self._is_opening & is_constraint) | pick_slot(is_constraint, draws["constraint"])
         other_requests = requests & ~self._is_ticket
