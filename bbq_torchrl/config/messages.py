@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
 
-from bbq_torchrl.config.schema import SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -47,8 +47,8 @@ def _first_line(error: BaseException) -> str:
 
 
 def _missing_option(error: MissingConfigException, options: Callable[[str], list[str]]) -> str:
-    group, _, option = str(error.missing_cfg_file or "").rpartition("/")
-    if group in (*SCHEMAS, "experiment"):
+    group, _, option = str(error.missing_cfg_file or "").partition("/")
+    if group in (*SCHEMAS, EXPERIMENT):
         return f"{group} must be one of {', '.join(options(group))}, got {option!r}"
     return _first_line(error)
 
@@ -112,7 +112,9 @@ def _not_an_option(overrides: Sequence[str], options: Callable[[str], list[str]]
     """A sentence for a group that was given something else than the name of an option."""
     for override in overrides:
         group, equals, value = override.partition("=")
-        if equals and group in (*SCHEMAS, "experiment") and value not in options(group):
+        if equals and group == EXPERIMENT:
+            return f"experiment is added with a plus: write +experiment={value}"
+        if equals and group in SCHEMAS and value not in options(group):
             sweep = "; several options need --multirun" if "," in value else ""
             return f"{group} must be one of {', '.join(options(group))}, got {value!r}{sweep}"
     return None

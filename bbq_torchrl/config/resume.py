@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.config.schema import EXPERIMENT
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import load_config
 
@@ -56,7 +57,7 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
         key = override.lstrip("+~").partition("=")[0]
         if key == "resume":
             continue
-        if key == "experiment":
+        if key == EXPERIMENT:
             raise ConfigError(_refusal(override, folder))
         if key == "protocol.rounds":
             config.protocol.rounds = _extended(saved, given, folder)

@@ -30,6 +30,7 @@ from bbq_torchrl.config.settings import (
 )
 
 __all__ = [
+    "EXPERIMENT",
     "SCHEMAS",
     "AgentConfig",
     "BBQNConfig",
@@ -403,3 +404,6 @@ SCHEMAS: dict[str, dict[str, type]] = {
     ),
 }
 """group -> option -> the dataclass of its keys."""
+
+EXPERIMENT = "experiment"
+"""The group without a schema: files that fix options and keys of the others, added by a plus."""

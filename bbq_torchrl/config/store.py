@@ -23,7 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.config.messages import explain
 from bbq_torchrl.config.pairs import explorations_table
-from bbq_torchrl.config.schema import SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.validation import validate
 
@@ -59,8 +59,13 @@ def conf_folder() -> Path:
 
 
 def options(group: str) -> list[str]:
-    """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``."""
-    return sorted(file.stem for file in (conf_folder() / group).glob("*.yaml"))
+    """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``.
+
+    One in a folder of its own is named with it: ``agents/vime``.
+    """
+    folder = conf_folder() / group
+    files = (file.relative_to(folder).with_suffix("") for file in folder.rglob("*.yaml"))
+    return sorted(file.as_posix() for file in files)
 
 
 def _register() -> None:
@@ -79,8 +84,8 @@ def _indented_pairs() -> str:
 
 
 def _indented_groups() -> str:
-    groups = [*SCHEMAS, "experiment"]
-    return "\n".join(f"  {group + '=':<12}{' | '.join(options(group))}" for group in groups)
+    lines = [f"  {group + '=':<13} {' | '.join(options(group))}" for group in SCHEMAS]
+    return "\n".join([*lines, f"  +{EXPERIMENT}=  {' | '.join(options(EXPERIMENT))}"])
 
 
 _register()

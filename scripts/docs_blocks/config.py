@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from bbq_torchrl.config.pairs import EXPLORATIONS
-from bbq_torchrl.config.schema import SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
 from bbq_torchrl.config.store import compose_raw, options, session
 from scripts.docs_blocks.markdown import code, table
 
@@ -101,10 +101,10 @@ def _groups() -> str:
         chosen = compose_raw([], with_hydra=True).hydra.runtime.choices
     rows = [
         (
-            code(group),
+            code(f"+{group}" if group == EXPERIMENT else group),
             ", ".join(map(code, options(group))),
             code(chosen[group]) if chosen.get(group) else "none",
         )
-        for group in (*SCHEMAS, "experiment")
+        for group in (*SCHEMAS, EXPERIMENT)
     ]
     return table(("group", "options", "default"), rows)
