@@ -1,0 +1,58 @@
+"""The documentation explains every column and every file that a run leaves."""
+
+from __future__ import annotations
+
+import csv
+import re
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bbq_torchrl.config.store import compose
+from bbq_torchrl.run import run
+
+from .pages import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PAGE = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
+
+TINY = [
+    "agent.hidden=[8]",
+    "spike.dialogues=2",
+    "protocol.rounds=1",
+    "protocol.dialogues=2",
+    "protocol.eval_dialogues=2",
+]
+
+
+def _first_cells(heading: str) -> set[str]:
+    """Returns the code in the first column of the first table under a heading."""
+    section = PAGE.partition(f"\n{heading}\n")[2]
+    table = section.partition("\n| ")[2].partition("\n\n")[0]
+    cells = [line.strip("| ").split(" | ")[0] for line in table.splitlines()[2:]]
+    return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+
+
+@pytest.fixture(scope="module", params=["thompson_epsilon", "boltzmann"])
+def run_folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a tiny run; between them, the two strategies have every gauge."""
+    folder = tmp_path_factory.mktemp("run")
+    run(compose([f"explore={request.param}", *TINY]), folder)
+    return folder
+
+
+def test_every_column_is_explained(run_folder: Path) -> None:
+    with (run_folder / "metrics.csv").open(encoding="utf-8") as file:
+        columns = set(next(csv.reader(file)))
+    documented = _first_cells("### metrics.csv")
+    assert columns <= documented
+    assert documented - columns <= {"epsilon", "temperature"}
+
+
+def test_every_file_is_explained(run_folder: Path) -> None:
+    documented = {name.rstrip("/") for name in _first_cells("## The run folder")}
+    assert {path.name for path in run_folder.iterdir()} <= documented
+    # Hydra's own are there only in runs from the command line.
+    assert documented - {path.name for path in run_folder.iterdir()} == {".hydra", "train.log"}
