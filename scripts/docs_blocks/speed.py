@@ -1,9 +1,9 @@
-"""Tables of benchmark times, from results/speed.json."""
+"""Tables of benchmark times, from benchmarks/ and results/speed.json."""
 
 from __future__ import annotations
 
+import ast
 import json
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +21,25 @@ _OWN = ("name", "seconds", "rounds")
 
 
 def speed_blocks() -> dict[str, Callable[[], str]]:
-    """Returns a block for every file of benchmarks."""
-    names = sorted(path.stem for path in (ROOT / "benchmarks").glob("bench_*.py"))
-    return {f"speed.{name}": partial(_times, name) for name in names}
+    """Returns the block of all benchmarks."""
+    return {"speed": _all}
 
 
-def _times(name: str) -> str:
+def _all() -> str:
+    """Returns a section for every file of benchmarks, headed by its first line."""
     measured = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {}
+    return "\n\n".join(
+        f"## {_title(path)}\n\n{_times(path.stem, measured)}"
+        for path in sorted((ROOT / "benchmarks").glob("bench_*.py"))
+    )
+
+
+def _title(path: Path) -> str:
+    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or path.stem
+    return docstring.splitlines()[0].rstrip(".")
+
+
+def _times(name: str, measured: dict[str, Any]) -> str:
     if name not in measured:
         return f"Not measured yet; `python scripts/measure_speed.py {name}` does."
     report: dict[str, Any] = measured[name]
