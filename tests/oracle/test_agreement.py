@@ -129,10 +129,10 @@ def test_the_simulator_agrees_with_the_oracle_on_an_accelerator(movie):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1000, 2000, 3000])
+@pytest.mark.parametrize("seed", [1000, 2000])
 def test_the_simulator_agrees_with_the_oracle_over_many_dialogues(movie, miulab, seed):
     for domain in (movie, miulab):
-        assert_at_work(RULES, play(domain, 2_000, seed))
+        assert_at_work(RULES, play(domain, 1_000, seed))
 
 
 def play(domain, dialogues, seed, device="cpu"):
