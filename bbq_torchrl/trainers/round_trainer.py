@@ -162,6 +162,21 @@ class RoundTrainer:
             CheckpointDamagedError: if there are checkpoints, but none can be read.
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
         """
+        self.begin(resume=resume)
+        bar = RoundProgress(self.settings.rounds, done=self.rounds_done, visible=self.progress)
+        try:
+            while self.rounds_done < self.settings.rounds:
+                bar.update(self.train_round())
+        finally:
+            bar.close()
+        return list(self.metrics.rows)
+
+    def begin(self, *, resume: bool = False) -> None:
+        """Gets ready for the next round: spikes the buffers, or resumes; part of :meth:`train`.
+
+        Args:
+            resume (bool): as in :meth:`train`, with the same errors.
+        """
         if resume:
             self._resume()
         elif self.metrics.path.exists() or self.checkpoints.newest() is not None:
@@ -169,24 +184,25 @@ class RoundTrainer:
                 f"the run folder must be a new one, or be resumed; {self.run_folder} holds a "
                 "training already"
             )
-        if self.rounds_done == 0 and not self.metrics.rows and not any(self.replay.lengths):
+        if self.rounds_done == 0 and not any(self.replay.lengths):
             self._fill_with_spike()
             self._save()
-        bar = RoundProgress(self.settings.rounds, done=self.rounds_done, visible=self.progress)
-        try:
-            while self.rounds_done < self.settings.rounds:
-                rows = self._round(self.rounds_done)
-                self.metrics.append(rows)
-                self.rounds_done += 1
-                log_rows(self.loggers, rows)
-                bar.update(rows)
-                for callback in self.callbacks:
-                    callback(self, rows)
-                if self._is_checkpoint_due():
-                    self._save()
-        finally:
-            bar.close()
-        return list(self.metrics.rows)
+
+    def train_round(self) -> list[MetricRow]:
+        """Plays, learns and records one round; returns its rows. :meth:`train` is a loop over it.
+
+        Raises:
+            NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
+        """
+        rows = self._round(self.rounds_done)
+        self.metrics.append(rows)
+        self.rounds_done += 1
+        log_rows(self.loggers, rows)
+        for callback in self.callbacks:
+            callback(self, rows)
+        if self._is_checkpoint_due():
+            self._save()
+        return rows
 
     def _is_checkpoint_due(self) -> bool:
         return (
@@ -201,7 +217,7 @@ class RoundTrainer:
         if not self.spike.dialogues:
             return
         assert self.spike_policy is not None
-        self._begin("spike", 0)
+        self._seed_phase("spike", 0)
         _call_hook(self.env, "set_round", 0)
         settings = self.settings
         plays = play_dialogues(
@@ -258,7 +274,7 @@ class RoundTrainer:
 
     def _collect(self, round_number: int) -> list[dict[str, float]]:
         """Plays the round's dialogues and stores them. Returns each replica's mean outcomes."""
-        self._begin("collect", round_number)
+        self._seed_phase("collect", round_number)
         _call_hook(self.env, "set_round", round_number)
         for module in self.policy.modules():
             _call_hook(module, "resample")
@@ -291,7 +307,7 @@ class RoundTrainer:
             for epoch in range(settings.epochs):
                 # A seed for every epoch: its length is that of the longest replica's, and the
                 # draws of the next epoch must not depend on it.
-                self._begin("learn", round_number, freeze, epoch)
+                self._seed_phase("learn", round_number, freeze, epoch)
                 learn_epoch(self.loss, self.optimiser, self.replay.epoch(settings.batch_size), sums)
         means = sums.means()
         broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]
@@ -317,7 +333,7 @@ class RoundTrainer:
             if len(rates) == window and fmean(rates) > threshold:
                 self.replay.drop_protected(replica)
 
-    def _begin(self, *path: str | int) -> None:
+    def _seed_phase(self, *path: str | int) -> None:
         """Seeds every source of random numbers for a phase."""
         seed = self.settings.seed
         torch.manual_seed(derive_seed(seed, "torch", *path))
