@@ -177,16 +177,8 @@ class ThompsonSampling(TensorDictModuleBase):
         begins = begins.reshape(tensordict.batch_size)
         if self.shared and rows:
             begins = begins.flatten(len(stack)).any(-1)
-        # Noise for every row at each step would cost B·P numbers for the few rows that begin, so
-        # this is the one place whose amount of work follows the data.
-        which = begins.nonzero(as_tuple=True)
-        if which and which[0].numel() == 0:
-            return
-        for layer, weights in self._held.items():
-            posterior = layer.posterior
-            element = which[: len(stack)]
-            mu, sigma = posterior.mu[element], posterior.sigma[element]
-            weights[which] = torch.addcmul(mu, sigma, torch.randn_like(weights[which]))
+        for layer, draws in self._held.items():
+            layer.posterior.redraw_(draws, begins)
 
 
 class Boltzmann(TensorDictModuleBase):

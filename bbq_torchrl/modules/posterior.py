@@ -289,6 +289,24 @@ class GaussianPosterior(nn.Module):
         shape = (*self.stack, *(1 for _ in rows), count)
         return torch.addcmul(self.mu.reshape(shape), self.sigma.reshape(shape), noise)
 
+    @torch.no_grad()
+    def redraw_(self, draws: Tensor, where: Tensor) -> None:
+        """Replaces some of the draws that :meth:`sample` returned, in place.
+
+        Args:
+            draws: shape [*stack, *rows, P].
+            where: bool [*stack, *rows], True for the ones to replace.
+        """
+        count = self.mu.shape[-1]
+        flat, mu, rho = draws.view(-1, count), _flat(self.mu), _flat(self.rho)
+        # New noise for all rows would cost a batch of networks for the few rows that begin
+        # something, so this is the one place whose amount of work follows the data.
+        which = where.flatten().nonzero().squeeze(-1)
+        element = which // max(1, flat.shape[0] // mu.shape[0])
+        noise = flat.new_empty((which.shape[0], count))
+        self.fill_noise_(noise)
+        flat[which] = torch.addcmul(mu[element], F.softplus(rho[element]), noise)
+
     def sample_with_kl(self, kind: KLKind = "closed") -> tuple[Tensor, Tensor]:
         """Returns a draw [*stack, P] and the KL from the prior [*stack], sharing σ.
 

@@ -79,10 +79,11 @@ class ValueFunction:
             inputs: the entries named in_keys.
             mode: "draw" (dropout on) or "mean" (dropout off).
         """
-        for dropout in self._dropouts:
-            dropout.training = mode != "mean"
+        training = [dropout.training for dropout in self._dropouts]
         own = [store[name] for store, name in self._slots]
         try:
+            for dropout in self._dropouts:
+                dropout.training = mode != "mean"
             for (store, name), tensor in zip(self._slots, tensors, strict=True):
                 store[name] = tensor
             with set_weight_mode(mode):
@@ -93,3 +94,5 @@ class ValueFunction:
         finally:
             for (store, name), previous in zip(self._slots, own, strict=True):
                 store[name] = previous
+            for dropout, was_training in zip(self._dropouts, training, strict=True):
+                dropout.training = was_training

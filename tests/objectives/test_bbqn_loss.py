@@ -1,0 +1,361 @@
+"""BBQNLoss against its definition, written with torch.distributions and autograd."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from q_transitions import (
+    ACTIONS,
+    STACKS,
+    bayes_loss,
+    elements,
+    flat,
+    network,
+    slopes,
+    target_of,
+    transitions,
+)
+from torch import nn
+from torch.distributions import Normal, kl_divergence
+from torchrl.data import Categorical
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.modules import MLP, BayesLinear, BayesMLP, GaussianPosterior, q_network
+from bbq_torchrl.objectives import BBQNLoss
+
+
+@pytest.fixture
+def noise(monkeypatch):
+    """Records the noise that draws use, in order."""
+    drawn = []
+
+    def fill(self, buffer):
+        buffer.normal_()
+        drawn.append(buffer.reshape(-1, buffer.shape[-1]).clone())
+
+    monkeypatch.setattr(GaussianPosterior, "fill_noise_", fill)
+    return drawn
+
+
+def definition(loss, td, noises, stack, *, target, kl, noise_std, temperature, gamma, num_data):
+    """Returns each element's loss and KL by the formula, for the noise that was drawn."""
+    net = loss.value_network[0].module
+    layout = net.layout
+    mu, rho = (flat(loss, n).reshape(-1, layout.numel) for n in ("mu", "rho"))
+    frozen_mu, frozen_rho = (
+        flat(loss, n, target=True).reshape(-1, layout.numel) for n in ("mu", "rho")
+    )
+    prior = Normal(0.0, torch.nn.functional.softplus(net.posterior.prior_rho))
+    count = mu.shape[0]
+    losses, kls = [], []
+    for k, batch in enumerate(elements(td, stack)):
+        q = Normal(mu[k], torch.nn.functional.softplus(rho[k]))
+        weights = q.loc + q.scale * noises[k]
+        frozen = frozen_mu[k]
+        if target == "mc":
+            frozen = frozen + torch.nn.functional.softplus(frozen_rho[k]) * noises[count + k]
+        y = target_of(layout, frozen, batch, gamma)
+        chosen = network(layout, weights, batch["observation"])
+        chosen = chosen.gather(-1, batch["action"].unsqueeze(-1)).squeeze(-1)
+        closed = kl_divergence(q, prior).sum()
+        sampled = (q.log_prob(weights) - prior.log_prob(weights)).sum()
+        kls.append(closed if kl == "closed" else sampled)
+        data = -Normal(chosen, noise_std).log_prob(y).mean()
+        data = data - torch.tensor(2 * torch.pi, dtype=data.dtype).sqrt().log()
+        data = data - torch.tensor(noise_std, dtype=data.dtype).log()
+        losses.append(data + temperature * kls[-1] / num_data[k])
+    return torch.stack(losses).reshape(stack), torch.stack(kls).reshape(stack)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("target", ["map", "mc"])
+@pytest.mark.parametrize("kl", ["closed", "sampled"])
+def test_value_and_gradient_are_those_of_the_definition(noise, stack, target, kl):
+    count = torch.Size(stack).numel()
+    settings = {"target": target, "kl": kl, "noise_std": 0.7, "gamma": 0.8}
+    loss, _ = bayes_loss(stack, dtype=torch.double, kl_temperature=0.3, **settings)
+    num_data = torch.arange(10.0, 10.0 + count).double()
+    loss.set_num_data(num_data.reshape(stack))
+    td = transitions(stack, dtype=torch.double)
+    out = loss(td)
+    expected, expected_kl = definition(
+        loss, td, torch.cat(noise), stack, temperature=0.3, num_data=num_data, **settings
+    )
+    torch.testing.assert_close(out["loss_value"], expected.detach())
+    torch.testing.assert_close(out["kl"], expected_kl.detach())
+    torch.testing.assert_close(out["loss"], expected.sum())
+    parameters = [flat(loss, "mu"), flat(loss, "rho")]
+    torch.testing.assert_close(
+        torch.autograd.grad(out["loss"], parameters),
+        torch.autograd.grad(expected.sum(), parameters),
+    )
+
+
+@pytest.mark.parametrize("target", ["map", "mc"])
+@pytest.mark.parametrize("kl", ["closed", "sampled"])
+def test_gradient_is_the_slope_of_the_loss(target, kl):
+    loss, _ = bayes_loss((2,), hidden=(4,), dtype=torch.double, target=target, kl=kl)
+    td = transitions((2,), (6,), dtype=torch.double)
+    td["valid"] = torch.rand(2, 6) < 0.7
+    torch.testing.assert_close(*slopes(loss, td), rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize("exploration", [None, *ExplorationType])
+def test_sigma_gets_a_gradient_under_every_exploration_type(exploration):
+    # TorchRL runs forward under DETERMINISTIC, where NoisyLinear-like layers use their means
+    loss, _ = bayes_loss(kl_temperature=0.0)
+    with set_exploration_type(exploration):
+        loss(transitions())["loss"].backward()
+    assert flat(loss, "rho").grad.abs().sum() > 0
+
+
+def test_the_map_target_is_the_frozen_mean_and_draws_nothing(noise):
+    loss, _ = bayes_loss(target="map")
+    loss(transitions())
+    assert len(noise) == 1  # the online draw
+    loss, _ = bayes_loss(target="mc")
+    loss(transitions())
+    assert len(noise) == 3
+
+
+def test_the_target_is_frozen_until_the_update():
+    loss, update = bayes_loss(target="map", kl_temperature=0.0)
+    td = transitions()
+    before = loss._td_target(td["next"], *loss._tensors())
+    assert not before.requires_grad
+    with torch.no_grad():
+        flat(loss, "mu").mul_(3.0)
+    assert torch.equal(loss._td_target(td["next"], *loss._tensors()), before)
+    update.step()
+    assert not torch.equal(loss._td_target(td["next"], *loss._tensors()), before)
+    assert torch.equal(flat(loss, "mu", target=True), flat(loss, "mu"))
+
+
+def test_inactive_weights_stay_bitwise_at_the_prior_under_adam():
+    # features and actions that are masked, hundreds of steps, every parameter under Adam; the
+    # sizes leave remainders in every vectorised loop
+    for stack in [(), (2,)]:
+        net = BayesMLP(11, 7, (13,), stack=stack, prior_std=0.1)
+        start = {k: v.clone() for k, v in net.state_dict().items()}
+        loss = BBQNLoss(q_network(net, Categorical(7)), num_data=50)
+        update = HardUpdate(loss, value_network_update_interval=0)
+        optimiser = torch.optim.Adam(loss.parameters(), 1e-2)
+        mask = torch.tensor([True, False, True, True, False, True, False])
+        features = torch.rand(11) < 0.6
+        features[0], features[-1] = True, False
+        for step in range(300):
+            shape = (*stack, 16)
+            observation = torch.randn(*shape, 11) * features
+            action = torch.tensor([0, 2, 3, 5])[torch.randint(4, shape)]
+            state = {"observation": observation, "action_mask": mask.expand(*shape, 7)}
+            td = transitions(stack, (16,))
+            td.update({**state, "action": action})
+            td["next"] = {**td["next"].to_dict(), **state}
+            optimiser.zero_grad()
+            loss(td)["loss"].backward()
+            optimiser.step()
+            if step % 50 == 0:
+                update.step()
+        for name in ("mu", "rho"):
+            now = net.layout.unflatten(flat(loss, name).detach())
+            then = net.layout.unflatten(start[f"posterior.{name}"])
+            (first, _), (last, last_bias) = now
+            (first_then, _), (last_then, last_bias_then) = then
+            assert torch.equal(first[..., ~features, :], first_then[..., ~features, :])
+            assert torch.equal(last[..., ~mask], last_then[..., ~mask])
+            assert torch.equal(last_bias[..., ~mask], last_bias_then[..., ~mask])
+            assert (first[..., features, :] != first_then[..., features, :]).all()
+            assert (last[..., mask] != last_then[..., mask]).all()
+
+
+def test_the_sampled_kl_moves_weights_that_no_data_reach():
+    # why the closed form is the default
+    net = BayesMLP(3, 2, ())
+    loss = BBQNLoss(q_network(net, Categorical(2), action_mask_key=None), kl="sampled", num_data=50)
+    HardUpdate(loss, value_network_update_interval=0)
+    optimiser = torch.optim.Adam(loss.parameters(), 1e-3)
+    td = transitions()
+    zeros = torch.zeros(32, 3)
+    td["observation"], td["next", "observation"] = zeros, zeros
+    td["action"] = torch.zeros(32, dtype=torch.int64)
+    for _ in range(20):
+        optimiser.zero_grad()
+        loss(td)["loss"].backward()
+        optimiser.step()
+    assert (net.layout.unflatten(flat(loss, "mu"))[0][0] != 0).all()
+
+
+def exact_posterior(x, y, noise_std, prior_std):
+    """Mean and std of each weight for y = w · x + noise with orthogonal columns of x."""
+    precision = x.square().sum(0) / noise_std**2 + 1 / prior_std**2
+    return (x * y.unsqueeze(-1)).sum(0) / noise_std**2 / precision, precision**-0.5
+
+
+def test_more_data_narrow_the_posterior_as_bayes_rule_says():
+    # Linear regression with orthogonal features: the exact posterior is a factorised Gaussian.
+    # One network learns from 24 rows, one from three copies of them: duplicating the data set
+    # must have the effect of more data.
+    signs = torch.tensor([[1.0, 1.0], [1.0, -1.0]], dtype=torch.double)
+    hadamard = torch.kron(signs, torch.kron(signs, signs)).repeat(3, 1)
+    # three features that differ, one that is always 0, and the bias' constant
+    design = torch.stack([*hadamard.T[1:4], torch.zeros(24), hadamard.T[0]], 1)
+    y = design @ torch.tensor([0.5, -0.3, 0.2, 0.0, 0.4]).double() + 0.1 * torch.randn(24)
+    noise_std, prior_std = 0.5, 0.3
+    net = BayesMLP(4, 1, (), stack=(2,), prior_std=prior_std, dtype=torch.double)
+    loss = BBQNLoss(
+        q_network(net, Categorical(1), action_mask_key=None),
+        noise_std=noise_std,
+        num_data=torch.tensor([24, 72]),
+    )
+    HardUpdate(loss, value_network_update_interval=0)
+    td = transitions((2,), (72,), dtype=torch.double)
+    td["observation"] = design.repeat(3, 1)[:, :4].expand(2, 72, 4)
+    td["next", "observation"] = td["observation"]
+    td["action"].zero_()
+    td["next", "reward"][:] = y.repeat(3).unsqueeze(-1)
+    td["next", "terminated"].fill_(True)
+    td["valid"] = torch.arange(72) < torch.tensor([[24], [72]])
+    optimiser = torch.optim.Adam(loss.parameters(), 5e-2)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, 800)
+    for _ in range(800):
+        optimiser.zero_grad()
+        loss(td)["loss"].backward()
+        optimiser.step()
+        schedule.step()
+    sigma = torch.nn.functional.softplus(flat(loss, "rho")).detach()
+    for k, copies in enumerate((1, 3)):
+        mean, std = exact_posterior(
+            design.repeat(copies, 1), y.repeat(copies), noise_std, prior_std
+        )
+        # one draw a step leaves the optimum by a few per cent; three copies narrow it by 1.7
+        torch.testing.assert_close(sigma[k], std, rtol=0.15, atol=0)
+        torch.testing.assert_close(
+            flat(loss, "mu").detach()[k], mean, rtol=0, atol=0.2 * float(std.min())
+        )
+        # the weight of the feature that is always 0 is still the prior's
+        assert sigma[k, 3] == pytest.approx(prior_std)
+
+
+@pytest.mark.parametrize("kl", ["closed", "sampled"])
+def test_a_nan_in_one_element_does_not_reach_the_others(kl):
+    def gradients(spoil):
+        torch.manual_seed(0)
+        loss, _ = bayes_loss((3,), kl=kl, target="mc")
+        td = transitions((3,))
+        if spoil == "data":
+            td["observation"][0] = 7.0
+            td["next", "reward"][0] *= 1e3
+            td["action"][0] = 1
+        if spoil == "nan":
+            td["observation"][0, 3] = float("nan")
+            with torch.no_grad():
+                flat(loss, "mu")[0, 5] = float("nan")
+        torch.manual_seed(1)
+        out = loss(td)
+        out["loss"].backward()
+        return flat(loss, "mu").grad, flat(loss, "rho").grad, out["loss_value"], out["kl"]
+
+    plain = gradients(None)
+    for spoil in ("data", "nan"):
+        for ours, theirs in zip(plain, gradients(spoil), strict=True):
+            assert torch.equal(ours[1:], theirs[1:])
+    assert plain[0].isfinite().all()
+
+
+def test_a_network_of_several_layers_and_other_activations_works_the_same(noise):
+    net = nn.Sequential(
+        BayesLinear(5, 8, stack=(2,), prior_std=0.3),
+        nn.Tanh(),
+        BayesLinear(8, ACTIONS, stack=(2,), prior_std=0.3),
+    )
+    loss = BBQNLoss(q_network(net, Categorical(ACTIONS)), num_data=70, gamma=0.0)
+    HardUpdate(loss, value_network_update_interval=0)
+    td = transitions((2,))
+    out = loss(td)
+    out["loss"].backward()
+    first, second = noise
+    weights = []
+    kl = 0.0
+    for layer, eps in ((net[0], first), (net[2], second)):
+        q = Normal(layer.posterior.mu, layer.posterior.sigma)
+        weights.append(q.loc + q.scale * eps)
+        kl = kl + kl_divergence(q, Normal(0.0, 0.3)).sum(-1)
+    x = td["observation"]
+    for k, (layer, w) in enumerate(zip((net[0], net[2]), weights, strict=True)):
+        ((matrix, bias),) = layer.layout.unflatten(w)
+        x = (x if k == 0 else x.tanh()) @ matrix + bias.unsqueeze(-2)
+    chosen = x.gather(-1, td["action"].unsqueeze(-1)).squeeze(-1)
+    data = (chosen - td["next", "reward"].squeeze(-1)).square().mean(-1) / 2
+    torch.testing.assert_close(out["loss"], (data + kl / 70).sum())
+    torch.testing.assert_close(out["kl"], kl.detach())
+    for parameter in net.parameters():
+        assert parameter.grad.abs().sum() > 0
+
+
+def test_thompson_sampling_with_bbqn_solves_a_bandit():
+    # Two-armed, arm 1 pays more; the posterior must come to prefer it and be surer of what was
+    # tried. Arms are tried by Thompson sampling on the posterior itself.
+    torch.manual_seed(0)
+    net = BayesMLP(1, 2, (), prior_std=1.0)
+    loss = BBQNLoss(q_network(net, Categorical(2), action_mask_key=None), noise_std=0.5, gamma=0.0)
+    HardUpdate(loss, value_network_update_interval=0)
+    optimiser = torch.optim.Adam(loss.parameters(), 0.05)
+    x, pays = torch.ones(1, 1), torch.tensor([0.0, 1.0])
+    actions, rewards = [], []
+    for pull in range(40):
+        action = int(net(x, "draw").argmax())
+        actions.append(action)
+        rewards.append(float(pays[action] + 0.5 * torch.randn(())))
+        n = pull + 1
+        td = transitions(batch=(n,))
+        td["observation"] = td["next", "observation"] = torch.ones(n, 1)
+        td["action"] = torch.tensor(actions)
+        td["next", "reward"] = torch.tensor(rewards).unsqueeze(-1)
+        loss.set_num_data(n)
+        for _ in range(6):
+            optimiser.zero_grad()
+            loss(td)["loss"].backward()
+            optimiser.step()
+    assert sum(actions[-15:]) >= 11
+    q = net(x, "mean")[0]
+    assert q[1] - q[0] > 0.3
+
+
+def test_num_data_must_be_known_and_fit():
+    loss, _ = bayes_loss((3,), num_data=None)
+    with pytest.raises(RuntimeError, match=r"num_data is not known: .*set_num_data\(n\)"):
+        loss(transitions((3,)))
+    with pytest.raises(ValueError, match="num_data must be positive, got 0"):
+        loss.set_num_data(0)
+    with pytest.raises(ValueError, match=r"num_data must be a number or have shape \[3\], got"):
+        loss.set_num_data(torch.ones(2))
+    loss.set_num_data(torch.tensor([10, 20, 40]))
+    out = loss(transitions((3,)))
+    assert out["kl"].shape == (3,)
+    assert torch.equal(loss.num_data, torch.tensor([10.0, 20.0, 40.0]))
+    loss.set_num_data(7)
+    assert torch.equal(loss.num_data, torch.full((3,), 7.0))
+    other, _ = bayes_loss((3,), num_data=None)
+    other.load_state_dict(loss.state_dict())
+    other(transitions((3,)))
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"target": "mean"}, r"target must be one of \['map', 'mc'\], got 'mean'"),
+        ({"kl": "none"}, r"kl must be one of \['closed', 'sampled'\], got 'none'"),
+        ({"noise_std": 0.0}, "noise_std must be positive, got 0.0"),
+        ({"kl_temperature": -1.0}, "kl_temperature must not be negative, got -1.0"),
+        ({"gamma": 1.5}, r"gamma must be in \[0, 1\], got 1.5"),
+    ],
+)
+def test_settings_outside_of_what_is_listed_are_refused(setting, message):
+    with pytest.raises(ValueError, match=message):
+        bayes_loss(**setting)
+
+
+def test_a_network_without_posterior_is_refused():
+    with pytest.raises(ValueError, match="network with Bayesian layers"):
+        BBQNLoss(q_network(MLP(5, ACTIONS), Categorical(ACTIONS)))

@@ -1,0 +1,276 @@
+"""What TorchRL expects of a loss: keys, dispatch, functional parameters, target updates."""
+
+from __future__ import annotations
+
+import pickle
+from copy import deepcopy
+
+import pytest
+import torch
+from q_transitions import FEATURES, bayes_loss, flat, plain_loss, transitions
+from tensordict import TensorDict
+from torchrl.objectives import DQNLoss, HardUpdate, LossModule, SoftUpdate
+from torchrl.objectives.utils import ValueEstimators
+
+LOSSES = {
+    "bbqn": (bayes_loss, ("mu", "rho"), ["loss", "loss_value", "td_error", "q_value", "kl"]),
+    "dqn": (plain_loss, ("weight",), ["loss", "loss_value", "td_error", "q_value"]),
+}
+
+
+@pytest.fixture(params=list(LOSSES))
+def case(request):
+    return LOSSES[request.param]
+
+
+def result(loss, td):
+    torch.manual_seed(0)
+    return loss(td)["loss"]
+
+
+def test_it_is_a_dqn_loss_module(case):
+    make, _, _ = case
+    loss, _ = make()
+    assert isinstance(loss, LossModule)
+    assert isinstance(loss, DQNLoss)
+
+
+def test_parameters_are_the_online_networks_and_targets_are_buffers(case):
+    make, names, _ = case
+    loss, _ = make((2,))
+    trainable = {name.rsplit(".", 1)[-1] for name, _ in loss.named_parameters()}
+    assert trainable == set(names)
+    assert all(p.requires_grad for p in loss.parameters())
+    network = {id(p) for p in loss.value_network.parameters()}
+    assert {id(p) for p in loss.parameters()} == network
+    for name in names:
+        assert not flat(loss, name, target=True).requires_grad
+
+
+def test_in_and_out_keys(case):
+    make, _, out_keys = case
+    loss, _ = make()
+    assert set(loss.in_keys) == {
+        "observation",
+        "action_mask",
+        "action",
+        *(("next", k) for k in ("observation", "action_mask", "reward", "done", "terminated")),
+    }
+    assert loss.out_keys == out_keys
+    assert set(loss(transitions()).keys()) == set(out_keys)
+
+
+@pytest.mark.parametrize("stack", [(), (3,)])
+def test_only_the_scalar_loss_has_a_graph(case, stack):
+    make, _, out_keys = case
+    loss, _ = make(stack)
+    out = loss(transitions(stack))
+    assert out.batch_size == ()
+    for key in out_keys:
+        assert out[key].shape == (() if key == "loss" else stack)
+        assert out[key].requires_grad == (key == "loss")
+
+
+def test_squared_td_errors_are_written_for_prioritised_replay(case):
+    make, _, _ = case
+    loss, _ = make((3,))
+    td = transitions((3,))
+    out = loss(td)
+    assert td["td_error"].shape == (3, 32, 1)
+    torch.testing.assert_close(td["td_error"].sqrt().mean((1, 2)), out["td_error"])
+
+
+def test_it_can_be_called_with_tensors(case):
+    make, _, out_keys = case
+    loss, _ = make()
+    td = transitions()
+    flat_td = td.flatten_keys("_")
+    torch.manual_seed(0)
+    out = loss(**dict(flat_td.items()))
+    torch.testing.assert_close(out[out_keys.index("loss")], result(loss, td))
+
+
+def test_unknown_keys_are_refused_and_none_restores_the_default(case):
+    make, _, _ = case
+    loss, _ = make()
+    with pytest.raises(ValueError, match="not an accepted tensordict key"):
+        loss.set_keys(rewards="x")
+    loss.set_keys(reward="pay")
+    assert loss.tensor_keys.reward == "pay"
+    loss.set_keys(reward=None)
+    assert loss.tensor_keys.reward == loss.default_keys().reward == "reward"
+
+
+def test_keys_can_be_set(case):
+    make, _, _ = case
+    loss, _ = make()
+    td = transitions()
+    expected = result(loss, td)
+    moved = td.exclude("td_error")
+    moved["deep", "act"] = moved.pop("action")
+    moved["next", "pay"] = moved["next"].pop("reward")
+    moved["next", "over"] = moved["next"].pop("terminated")
+    loss.set_keys(action=("deep", "act"), reward="pay", terminated="over", priority="how_wrong")
+    assert {("deep", "act"), ("next", "pay"), ("next", "over")} <= set(loss.in_keys)
+    assert torch.equal(result(loss, moved), expected)
+    assert moved.get("how_wrong") is not None
+
+
+def test_gamma_is_the_value_estimators(case):
+    make, _, _ = case
+    loss, _ = make(gamma=0.9)
+    td = transitions()
+    expected = result(make_again(make, loss, gamma=0.3), td)
+    assert loss.value_estimator.gamma == pytest.approx(0.9)
+    loss.make_value_estimator(ValueEstimators.TD0, gamma=0.3)
+    torch.testing.assert_close(result(loss, td), expected)
+    for other in (ValueEstimators.TD1, ValueEstimators.TDLambda):
+        with pytest.raises(NotImplementedError, match="Supported value types"):
+            loss.make_value_estimator(other)
+
+
+def make_again(make, loss, **settings):
+    other, _ = make(**settings)
+    state = {k: v for k, v in loss.state_dict().items() if "gamma" not in k}
+    other.load_state_dict(state, strict=False)
+    return other
+
+
+def test_states_round_trip(case):
+    make, _, _ = case
+    loss, _ = make((2,))
+    td = transitions((2,))
+    other = make_again(make, loss, stack=(2,))
+    assert not any(a is b for a in loss.parameters() for b in other.parameters())
+    assert torch.equal(result(other, td), result(loss, td))
+
+
+def test_loading_a_state_is_seen_also_where_tensors_are_assigned(case):
+    make, _, _ = case
+    loss, other = make()[0], make()[0]
+    td = transitions()
+    result(other, td)
+    other.load_state_dict(loss.state_dict(), assign=True)
+    assert torch.equal(result(other, td), result(loss, td))
+
+
+def test_copies_are_independent(case):
+    make, names, _ = case
+    loss, _ = make()
+    td = transitions()
+    expected = result(loss, td)
+    for copy in (deepcopy(loss), pickle.loads(pickle.dumps(loss))):
+        assert torch.equal(result(copy, td), expected)
+        with torch.no_grad():
+            for parameter in copy.parameters():
+                parameter.add_(1.0)
+        assert not torch.equal(result(copy, td), expected)
+        assert torch.equal(result(loss, td), expected)
+        with torch.no_grad():
+            for name in names:
+                flat(loss, name).sub_(0.0)
+        result(copy, td).backward()
+        assert all(p.grad is None for p in loss.parameters())
+
+
+def test_the_dtype_can_change(case):
+    make, names, _ = case
+    loss, _ = make((2,))
+    td = transitions((2,))
+    loss(td)
+    loss.double()
+    double = td.exclude("td_error").apply(lambda t: t.double() if t.is_floating_point() else t)
+    out = loss(double)
+    out["loss"].backward()
+    assert out["loss"].dtype == torch.double
+    for name in names:
+        assert flat(loss, name).grad.dtype == torch.double
+
+
+def test_hard_updates_copy_at_each_step(case):
+    make, names, _ = case
+    loss, update = make((2,))
+    assert not any(torch.equal(flat(loss, n), flat(loss, n, target=True)) for n in names)
+    update.step()
+    assert all(torch.equal(flat(loss, n), flat(loss, n, target=True)) for n in names)
+
+
+def test_soft_updates_mix(case):
+    make, names, _ = case
+    loss, _ = make()
+    update = SoftUpdate(loss, tau=0.25)
+    before = {n: flat(loss, n, target=True).clone() for n in names}
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter.add_(4.0)
+    update.step()
+    for n in names:
+        torch.testing.assert_close(flat(loss, n, target=True), before[n] + 1.0)
+
+
+def test_a_missing_target_update_is_warned_of(case):
+    make, _, _ = case
+    fresh = type(make()[0])(make()[0].value_network, **({"num_data": 9} if "kl" in case[2] else {}))
+    with pytest.warns(UserWarning, match="No target network updater"):
+        fresh(transitions())
+
+
+def test_parameters_can_be_reset(case):
+    make, names, _ = case
+    loss, _ = make((2,))
+    before = {n: flat(loss, n).detach().clone() for n in names}
+    loss.reset_parameters_recursive()
+    for n in names:
+        assert not torch.equal(flat(loss, n), before[n])
+
+
+def test_the_network_is_what_the_caller_has(case):
+    make, names, _ = case
+    loss, _ = make()
+    td = transitions()
+    expected = {n: flat(loss, n) for n in names}
+    loss(td)["loss"].backward()
+    own = dict(loss.value_network.named_parameters())
+    for name, tensor in expected.items():
+        found = [p for key, p in own.items() if key.endswith(name)]
+        assert found == [tensor] or found[0] is tensor
+        assert found[0].grad is not None
+
+
+def test_a_failing_network_leaves_its_parameters_in_place(case):
+    make, _names, _ = case
+    loss, _ = make()
+    td = transitions()
+    td["next", "observation"] = torch.randn(32, FEATURES + 1)
+    own = list(loss.value_network.parameters())
+    with pytest.raises(ValueError, match="input must have shape"):
+        loss(td)
+    assert all(a is b for a, b in zip(loss.value_network.parameters(), own, strict=True))
+    result(loss, transitions())
+
+
+def test_the_observation_may_have_another_name():
+    from torchrl.data import Categorical
+
+    from bbq_torchrl.modules import MLP, q_network
+    from bbq_torchrl.objectives import DropoutDQNLoss
+
+    actor = q_network(
+        MLP(FEATURES, 4), Categorical(4), in_keys=[("agent", "state")], action_mask_key=None
+    )
+    loss = DropoutDQNLoss(actor)
+    HardUpdate(loss, value_network_update_interval=0)
+    td = transitions()
+    named = TensorDict(
+        {
+            "agent": {"state": td["observation"]},
+            "action": td["action"],
+            "next": {
+                "agent": {"state": td["next", "observation"]},
+                **td["next"].select("reward", "terminated", "done").to_dict(),
+            },
+        },
+        td.batch_size,
+    )
+    loss(named)["loss"].backward()
+    assert all(p.grad.any() for p in loss.parameters())
