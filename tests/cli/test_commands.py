@@ -1,0 +1,236 @@
+"""The commands as a person types them, on a protocol that is shrunk to seconds."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+import torch
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SMALL = (
+    "protocol.rounds=3",
+    "protocol.dialogues=6",
+    "protocol.capacity=400",
+    "protocol.eval_dialogues=30",
+    "protocol.eval_batch=20",
+    "protocol.checkpoint_every=1",
+    "spike.dialogues=8",
+    "agent.hidden=[16,16]",
+)
+
+
+def start(*arguments, cwd):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def call(*arguments, cwd, code=0):
+    process = start(*arguments, cwd=cwd)
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == code, out + err
+    return out, err
+
+
+def train(*overrides, cwd, code=0):
+    return call(str(ROOT / "train.py"), *overrides, cwd=cwd, code=code)
+
+
+def rows(folder, without=("seconds", "seconds_collect", "seconds_learn")):
+    with (folder / "metrics.csv").open() as file:
+        return [
+            {name: value for name, value in row.items() if name not in without}
+            for row in csv.DictReader(file)
+        ]
+
+
+def weights(folder):
+    """Checksums of what the newest checkpoint holds of network and optimiser."""
+    newest = max((folder / "checkpoint").glob("round-*.torchrl"))
+    with zipfile.ZipFile(newest) as archive:
+        found = {
+            item.filename: item.CRC
+            for item in archive.infolist()
+            if any(part in item.filename for part in ("-loss/", "-optimiser/"))
+        }
+    assert found
+    return found
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run of three replicas, from the command of the README on a shrunk protocol."""
+    folder = tmp_path_factory.mktemp("cli") / "run"
+    train(
+        "agent=bbqn",
+        "explore=thompson",
+        "env=domain_ext",
+        "env.start=1",
+        "env.every=1",
+        "replicas=3",
+        "seed=7",
+        "device=cpu",
+        *SMALL,
+        f"hydra.run.dir={folder}",
+        cwd=folder.parent,
+    )
+    return folder
+
+
+def test_a_run_folder_holds_configuration_metrics_result_curve_and_checkpoints(finished):
+    names = {path.name for path in finished.iterdir()}
+    assert {"config.yaml", ".hydra", "metrics.csv", "result.json", "curve.png"} <= names
+    assert {"checkpoint", "scalars"} <= names
+    assert [(row["round"], row["replica"]) for row in rows(finished)] == [
+        (str(number), str(replica)) for number in range(3) for replica in range(3)
+    ]
+    assert (finished / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_result_says_what_ran_and_how_well(finished):
+    result = json.loads((finished / "result.json").read_text())
+    expected = {"agent": "bbqn", "explore": "thompson", "env": "domain_ext", "domain": "movie"}
+    assert {key: result[key] for key in expected} == expected
+    assert (result["seed"], result["rounds"], result["replicas"]) == (7, 3, 3)
+    assert result["dialogues"] == 90
+    assert [item["dialogues"] for item in result["per_replica"]] == [30, 30, 30]
+    mean = sum(item["success_rate"] for item in result["per_replica"]) / 3
+    assert result["success_rate"] == pytest.approx(mean)
+    assert {"torch", "torchrl", "tensordict", "bbq-torchrl"} <= result["versions"].keys()
+    assert result["wall_seconds"] > 0
+
+
+def test_a_run_that_was_killed_ends_as_one_that_was_not(finished, tmp_path):
+    folder = tmp_path / "killed"
+    process = start(
+        str(ROOT / "train.py"),
+        "agent=bbqn",
+        "explore=thompson",
+        "env=domain_ext",
+        "env.start=1",
+        "env.every=1",
+        "replicas=3",
+        "seed=7",
+        *SMALL,
+        f"hydra.run.dir={folder}",
+        cwd=tmp_path,
+    )
+    waiting_until = time.monotonic() + 240
+    while not list(folder.glob("checkpoint/round-*1.torchrl")):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < waiting_until
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    train(f"resume={folder}", cwd=tmp_path)
+    assert rows(folder) == rows(finished)
+    assert weights(folder) == weights(finished)
+    results = [json.loads((path / "result.json").read_text()) for path in (folder, finished)]
+    assert results[0]["per_replica"] == results[1]["per_replica"]
+    _, message = train(f"resume={folder}", cwd=tmp_path, code=2)
+    assert "is finished" in message
+
+
+def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, tmp_path):
+    answers = {}
+    for mode in ("mean", "average"):
+        out, _ = call(
+            "-m",
+            "bbq_torchrl.evaluate",
+            f"policy={finished}",
+            "dialogues=25",
+            "batch=10",
+            f"mode={mode}",
+            cwd=tmp_path,
+        )
+        assert len(out.strip().splitlines()) == 1
+        answers[mode] = json.loads(out)
+    assert answers["mean"]["env"] == "domain_ext"
+    assert answers["mean"]["dialogues"] == 75
+    assert [answers[mode]["mode"] for mode in answers] == ["mean", "average"]
+
+
+def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(tmp_path):
+    out, _ = call(
+        "-m",
+        "bbq_torchrl.evaluate",
+        "policy=rule",
+        "dialogues=300",
+        "batch=128",
+        "log=dialogues.txt",
+        "log_dialogues=4",
+        cwd=tmp_path,
+    )
+    answer = json.loads(out)
+    assert answer["dialogues"] == 300
+    assert answer["turns"] == 8
+    rate = answer["success_rate"]
+    assert answer["standard_error"] == pytest.approx((rate * (1 - rate) / 300) ** 0.5)
+    # Reward of 8 turns: -1 for the first 7, then 40 or -10.
+    assert answer["reward"] == pytest.approx(-7 + 40 * rate - 10 * (1 - rate))
+    log = (tmp_path / "dialogues.txt").read_text()
+    assert log.count("dialogue ") == 4
+    assert log.count("agent: ") == 4 * 8
+    assert log.count("  success\n") + log.count("  failure\n") == 4
+
+
+def test_a_sweep_trains_each_agent_with_its_own_exploration(tmp_path):
+    train(
+        "--multirun",
+        "agent=bbqn,dqn",
+        "seed=range(0,2)",
+        *SMALL,
+        "protocol.rounds=1",
+        f"hydra.sweep.dir={tmp_path / 'sweep'}",
+        cwd=tmp_path,
+    )
+    results = [
+        json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("*/result.json"))
+    ]
+    assert [(item["agent"], item["explore"], item["seed"]) for item in results] == [
+        ("bbqn", "thompson", 0),
+        ("bbqn", "thompson", 1),
+        ("dqn", "epsilon_greedy", 0),
+        ("dqn", "epsilon_greedy", 1),
+    ]
+
+
+def test_what_cannot_run_is_refused_in_a_line_and_leaves_nothing_behind(tmp_path):
+    # The combinations are tested in process; here the way the command ends.
+    for overrides, text in (
+        (["agent=dqn", "explore=thompson"], "agent=dqn cannot be combined with explore=thompson"),
+        (["domain=miulab", "domain.path=nowhere"], "nowhere"),
+    ):
+        out, message = train(*overrides, cwd=tmp_path, code=2)
+        assert text in message
+        assert len(message.strip().splitlines()) == 1, message
+        assert not out
+    if not torch.cuda.is_available():
+        _, message = train("device=cuda", cwd=tmp_path, code=2)
+        assert message.startswith("error: device=cuda is absent")
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_shows_groups_and_pairs_without_importing_torch(tmp_path):
+    out, imported = call("-X", "importtime", str(ROOT / "train.py"), "--help", cwd=tmp_path)
+    assert "agent=dqn   explore=epsilon_greedy (default)" in out
+    assert "experiment=" in out
+    assert "hydra" in imported
+    assert "torch" not in imported.replace("bbq_torchrl", "")
+    assert not list(tmp_path.iterdir())
