@@ -160,7 +160,7 @@ class TestResume:
             self.resume(folder, override)
 
     def test_refuses_fewer_rounds(self, folder):
-        with pytest.raises(ConfigError, match="protocol.rounds must be at least 5"):
+        with pytest.raises(ConfigError, match=r"protocol\.rounds must be at least 5"):
             self.resume(folder, "protocol.rounds=4")
 
     def test_says_that_a_run_is_finished(self, folder):
