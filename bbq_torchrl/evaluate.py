@@ -81,7 +81,8 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     folder = Path(config.policy).expanduser()
     run = run_config(folder) if folder.is_dir() else None
     if run is not None:
-        given = {override.lstrip("+~").partition("=")[0].partition(".")[0] for override in overrides}
+        keys = [override.lstrip("+~").partition("=")[0] for override in overrides]
+        given = {key.partition(".")[0] for key in keys}
         config.env = config.env if "env" in given else run.env
         config.domain = config.domain if "domain" in given else run.domain
     domain = build_domain(config.domain)

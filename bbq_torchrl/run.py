@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import os
 import platform
 import time
 from importlib.metadata import version
@@ -40,7 +41,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def run(config: Config, folder: Path) -> RunResult:
-    """Trains, evaluates and writes ``config.yaml``, ``metrics.csv``, ``result.json``, ``curve.png``.
+    """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
 
     Args:
         config: what to run; with ``resume``, the run in the folder goes on.
@@ -52,6 +53,7 @@ def run(config: Config, folder: Path) -> RunResult:
     """
     torch.set_num_threads(config.threads)
     keep_freed_memory()
+    _quieten_torchrl()
     save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
     trainer, agent = build_trainer(config, folder)
     rows = trainer.train(resume=config.resume is not None)
@@ -63,6 +65,12 @@ def run(config: Config, folder: Path) -> RunResult:
     _draw(config, folder, result, trainer.env)  # type: ignore[arg-type]
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     return result
+
+
+def _quieten_torchrl() -> None:
+    """Keeps TorchRL's notices (of every storage that is made, say) out of the output."""
+    if "RL_LOGGING_LEVEL" not in os.environ:  # TorchRL's own variable: the user's word counts
+        logging.getLogger("torchrl").setLevel(logging.WARNING)
 
 
 def _evaluated(

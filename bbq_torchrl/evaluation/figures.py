@@ -139,5 +139,6 @@ def _finish(figure: Any, axes: Any, file: Path, title: str) -> None:
     axes.set_xlim(left=0)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(loc="lower right", fontsize=8)
+    # Below the axes: inside, some curve would always be behind it.
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     figure.savefig(file, dpi=150)

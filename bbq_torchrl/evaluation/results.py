@@ -1,7 +1,7 @@
 """Reading and writing what a run leaves behind: result.json and metrics.csv.
 
 A *result folder* holds ``config.yaml``, ``metrics.csv`` and ``result.json``: a run folder is one,
-and so is what ``bbq_torchrl.evaluation.export`` makes of it.
+and so is what ``scripts/keep_result.py`` keeps of one.
 """
 
 from __future__ import annotations

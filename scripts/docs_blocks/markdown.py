@@ -1,11 +1,8 @@
-"""Markdown tables."""
+"""Markdown of the pages."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+from bbq_torchrl.evaluation.markdown import table
 
 __all__ = ["code", "table"]
 
@@ -13,17 +10,3 @@ __all__ = ["code", "table"]
 def code(text: object) -> str:
     """Returns ``text`` as inline code."""
     return f"`{text}`"
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[object]], *, numbers: int = 0) -> str:
-    """Returns a Markdown table.
-
-    Args:
-        head: the column names.
-        rows: the cells; a pipe in one is escaped.
-        numbers: how many columns, the last ones, are aligned to the right.
-    """
-    words = len(head) - numbers
-    lines = [list(head), ["---"] * words + ["---:"] * numbers]
-    lines += [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

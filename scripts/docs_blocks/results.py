@@ -5,27 +5,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import yaml
 
-from bbq_torchrl.evaluation import (
-    estimate,
-    interquartile_mean,
-    probability_of_improvement,
-    read_metrics,
-    read_result,
-)
-from bbq_torchrl.evaluation.figures import Curves, draw_comparison
+from bbq_torchrl.evaluation.figures import draw_comparison
+from bbq_torchrl.evaluation.groups import Group, Run, read_groups
+from bbq_torchrl.evaluation.report import curves, improvement_table, success_table, summarise
 from scripts.docs_blocks.markdown import table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["EXPERIMENTS", "Run", "draw_figures", "results_blocks", "runs"]
+__all__ = ["EXPERIMENTS", "command", "draw_figures", "groups", "results_blocks"]
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
@@ -43,54 +37,15 @@ EXPERIMENTS = {
 IN_README = ("learning_miulab", "learning_movie", "extension_movie")
 
 
-@dataclass(frozen=True)
-class Run:
-    """What was kept of a run.
-
-    Args:
-        folder: its result folder.
-    """
-
-    folder: Path
-
-    @cached_property
-    def config(self) -> Any:
-        """The composed configuration, as plain mappings."""
-        return yaml.safe_load((self.folder / "config.yaml").read_text(encoding="utf-8"))
-
-    @cached_property
-    def overrides(self) -> list[str]:
-        """What the command line said."""
-        return yaml.safe_load((self.folder / "overrides.yaml").read_text(encoding="utf-8"))
-
-    @property
-    def command(self) -> str:
-        """The command that made it."""
-        return " ".join(["python train.py", *self.overrides])
-
-    @property
-    def label(self) -> str:
-        """The agent as the paper calls it, and how it explores where that is not its usual way."""
-        agent = self.config["agent"]
-        name = f"BBQN-{agent['target'].upper()}" if agent["name"] == "bbqn" else "DQN"
-        explore = self.config["explore"]["name"]
-        usual = {"bbqn": "thompson", "dqn": "epsilon_greedy"}[agent["name"]]
-        return name if explore == usual else f"{name}, {explore}"
-
-    @cached_property
-    def final(self) -> list[float]:
-        """Success of the final evaluation, one value for each seed."""
-        return [entry.success_rate for entry in read_result(self.folder).per_replica]
-
-    @cached_property
-    def cumulative(self) -> list[float]:
-        """Share of successful training dialogues, one value for each seed."""
-        return [float(value) for value in read_metrics(self.folder).training_success]
-
-
-def runs(experiment: str) -> list[Run]:
+def groups(experiment: str) -> list[Group]:
     """Returns what is kept of an experiment, in order of the folders' names."""
-    return [Run(file.parent) for file in sorted((RESULTS / experiment).glob("*/result.json"))]
+    return read_groups(sorted(file.parent for file in (RESULTS / experiment).glob("*/result.json")))
+
+
+def command(run: Run) -> str:
+    """Returns the command that made a run."""
+    overrides = yaml.safe_load((run.folder / "overrides.yaml").read_text(encoding="utf-8"))
+    return " ".join(["python train.py", *overrides])
 
 
 def results_blocks() -> dict[str, Callable[[], str]]:
@@ -104,74 +59,44 @@ def draw_figures() -> list[Path]:
     FIGURES.mkdir(exist_ok=True)
     drawn = []
     for experiment, title in EXPERIMENTS.items():
-        if kept := runs(experiment):
+        if kept := groups(experiment):
             drawn.append(FIGURES / f"{experiment}.png")
-            draw_comparison(drawn[-1], [_curves(run) for run in kept], title=title)
+            draw_comparison(drawn[-1], [curves(group) for group in kept], title=title)
     return drawn
-
-
-def _curves(run: Run) -> Curves:
-    return Curves(run.label, read_metrics(run.folder)["success_rate"], run.final)
 
 
 def _experiment(experiment: str) -> str:
     """Returns table, comparison, figure and commands of one experiment."""
-    kept = runs(experiment)
+    kept = groups(experiment)
     if not kept:
         return "Not measured yet."
-    rows = []
-    for run in kept:
-        result = read_result(run.folder)
-        rows.append(
-            (
-                run.label,
-                result.replicas,
-                result.rounds,
-                estimate(run.final),
-                f"{interquartile_mean(run.final):.3f}",
-                f"{result.reward:.2f}",
-                f"{result.turns:.2f}",
-                estimate(run.cumulative),
-            )
-        )
-    head = (
-        "agent",
-        "seeds",
-        "rounds",
-        "final success",
-        "IQM",
-        "reward",
-        "turns",
-        "cumulative training success",
-    )
-    parts = [table(head, rows, numbers=len(head) - 1), *_comparison(kept)]
-    parts.append(f"![Training success by round](figures/{experiment}.png)")
-    parts.append("```bash\n" + "\n".join(run.command for run in kept) + "\n```")
-    return "\n\n".join(parts)
-
-
-def _comparison(kept: list[Run]) -> list[str]:
-    """Returns the first agent beside each of the others, in a sentence each."""
-    first, *others = kept
-    return [
-        f"Probability that a seed of {first.label} does better than one of {other.label}: "
-        f"{probability_of_improvement(first.final, other.final)} by final success, "
-        f"{probability_of_improvement(first.cumulative, other.cumulative)} by cumulative success."
-        for other in others
+    commands = [command(run) for group in kept for run in group.runs]
+    parts = [
+        success_table(kept),
+        improvement_table(kept),
+        f"![Training success by round](figures/{experiment}.png)",
+        "```bash\n" + "\n".join(commands) + "\n```",
     ]
+    return "\n\n".join(part for part in parts if part)
 
 
 def _readme() -> str:
     """Returns the main results in a table, and a figure."""
+    measured = {experiment: groups(experiment) for experiment in IN_README}
     rows = [
-        (title, run.label, len(run.final), estimate(run.final), estimate(run.cumulative))
-        for experiment, title in EXPERIMENTS.items()
-        if experiment in IN_README
-        for run in runs(experiment)
+        (
+            EXPERIMENTS[experiment],
+            group.label,
+            len(group.final),
+            summarise(group.final).bootstrap,
+            summarise(group.cumulative).bootstrap,
+        )
+        for experiment in EXPERIMENTS
+        for group in measured.get(experiment, [])
     ]
     if not rows:
         return "Not measured yet."
-    shown = next(name for name in IN_README if runs(name))
+    shown = next(experiment for experiment in IN_README if measured[experiment])
     head = ("trained on", "agent", "seeds", "final success", "cumulative training success")
     return (
         f"{table(head, rows, numbers=3)}\n\n"

@@ -1,0 +1,203 @@
+"""Finished runs as groups: what differs only in its seed belongs together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from bbq_torchrl.evaluation.results import (
+    RESULT_FILE,
+    Metrics,
+    RunResult,
+    read_metrics,
+    read_result,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+__all__ = ["Group", "Run", "find_results", "read_groups", "read_run"]
+
+CONFIG_FILE = "config.yaml"
+
+_OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
+"""Keys in which runs of one setting may differ, whole groups too."""
+
+_OF_A_MACHINE = ("protocol.checkpoint_every", "protocol.eval_batch")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run as its result folder tells it.
+
+    Attributes:
+        folder: the result folder.
+        config: the composed configuration, nested mappings.
+        result: of the final evaluation.
+        metrics: of the training.
+    """
+
+    folder: Path
+    config: Mapping[str, Any]
+    result: RunResult
+    metrics: Metrics
+
+    @property
+    def setting(self) -> dict[str, Any]:
+        """Dotted key to value of all that decides the outcome, but for the seed."""
+        flat = {
+            key: value
+            for key, value in _flat(self.config)
+            if key.partition(".")[0] not in _OF_A_SEED and key not in _OF_A_MACHINE
+        }
+        return flat | {"protocol.rounds": self.result.rounds}
+
+    @property
+    def agent(self) -> str:
+        """The agent as the paper calls it, such as ``BBQN-MAP``."""
+        target = self.config["agent"].get("target")
+        name = self.result.agent.upper()
+        return name if target is None else f"{name}-{str(target).upper()}"
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs of one setting, all their seeds together.
+
+    Attributes:
+        label: the agent, and what tells this group from others of the same agent.
+        runs: at least one.
+    """
+
+    label: str
+    runs: tuple[Run, ...]
+
+    @property
+    def first(self) -> RunResult:
+        """The result of one of the runs, for what they all have in common."""
+        return self.runs[0].result
+
+    @cached_property
+    def final(self) -> list[float]:
+        """Success rate of the final evaluation, one value for each seed."""
+        return self._per_seed("success_rate")
+
+    @cached_property
+    def cumulative(self) -> list[float]:
+        """Share of all training dialogues that succeeded, one value for each seed."""
+        return self._per_seed("training_success")
+
+    @property
+    def reward(self) -> float:
+        """Mean reward of a dialogue of the final evaluation, over all seeds."""
+        return float(np.mean(self._per_seed("reward")))
+
+    @property
+    def turns(self) -> float:
+        """Mean number of agent turns of such a dialogue, over all seeds."""
+        return float(np.mean(self._per_seed("turns")))
+
+    @property
+    def success(self) -> Any:
+        """Success rate of the training dialogues of each round, shape [rounds, seeds]."""
+        return np.concatenate([run.metrics["success_rate"] for run in self.runs], 1)
+
+    def _per_seed(self, name: str) -> list[float]:
+        return [
+            float(getattr(entry, name)) for run in self.runs for entry in run.result.per_replica
+        ]
+
+
+def find_results(places: Iterable[Path]) -> list[Path]:
+    """Returns the result folders that are, or lie anywhere below, the given folders.
+
+    Raises:
+        ValueError: there is none in one of them.
+    """
+    found: dict[Path, None] = {}
+    for place in places:
+        if (place / RESULT_FILE).is_file():
+            folders = [place]
+        else:
+            folders = sorted(file.parent for file in place.rglob(RESULT_FILE))
+        if not folders:
+            raise ValueError(f"{place} holds no finished run: no {RESULT_FILE} is in or below it")
+        found.update(dict.fromkeys(folder.resolve() for folder in folders))
+    return list(found)
+
+
+def read_run(folder: Path) -> Run:
+    """Reads a result folder.
+
+    Raises:
+        ValueError: a file is missing or damaged, or the files are not of the same run.
+    """
+    result, metrics = read_result(folder), read_metrics(folder)
+    if (metrics.rounds, metrics.replicas) != (result.rounds, result.replicas):
+        raise ValueError(
+            f"{folder}: the metrics are of {metrics.rounds} rounds and {metrics.replicas} "
+            f"replicas, the result of {result.rounds} and {result.replicas}"
+        )
+    try:
+        config = yaml.safe_load((folder / CONFIG_FILE).read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError) as error:
+        raise ValueError(f"{folder / CONFIG_FILE} cannot be read: {error}") from error
+    if not isinstance(config, dict) or not isinstance(config.get("agent"), dict):
+        raise ValueError(f"{folder / CONFIG_FILE} is not the configuration of a run")
+    return Run(folder, config, result, metrics)
+
+
+def read_groups(folders: Sequence[Path]) -> list[Group]:
+    """Reads result folders. Returns a group for each setting, in the order in which they come.
+
+    Raises:
+        ValueError: see :func:`read_run`; or two runs are of the same setting and seed.
+    """
+    together: list[tuple[dict[str, Any], list[Run]]] = []
+    for run in map(read_run, folders):
+        setting = run.setting
+        same = next((runs for known, runs in together if known == setting), None)
+        if same is None:
+            together.append((setting, [run]))
+            continue
+        for other in same:
+            if other.result.seed == run.result.seed:
+                raise ValueError(
+                    f"{other.folder} and {run.folder} are of the same setting and seed "
+                    f"({run.result.seed}): seeds must differ to count as independent trainings"
+                )
+        same.append(run)
+    names = [runs[0].agent for _, runs in together]
+    settings_of: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    for name, (setting, _) in zip(names, together, strict=True):
+        settings_of[name].append(setting)
+    return [
+        Group(_label(name, setting, settings_of[name]), tuple(runs))
+        for name, (setting, runs) in zip(names, together, strict=True)
+    ]
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    """Returns dotted keys and values of nested mappings."""
+    leaves: list[tuple[str, Any]] = []
+    for name, value in config.items():
+        key = f"{prefix}{name}"
+        leaves += _flat(value, f"{key}.") if isinstance(value, dict) else [(key, value)]
+    return leaves
+
+
+def _label(name: str, setting: Mapping[str, Any], same_name: Sequence[Mapping[str, Any]]) -> str:
+    """Returns the name, and the keys in which settings of the same name differ."""
+    keys = [
+        key for key, value in setting.items() if any(other.get(key) != value for other in same_name)
+    ]
+    # Two options of a group differ in many keys: the option says enough.
+    options = {key.partition(".")[0] for key in keys if key.endswith(".name")}
+    told = [f"{group}={setting[f'{group}.name']}" for group in sorted(options)]
+    told += [f"{key}={setting[key]}" for key in keys if key.partition(".")[0] not in options]
+    return ", ".join([name, *told])
