@@ -31,6 +31,10 @@ def make_loggers(
     ``wandb/`` (a resumed run goes on as the same W&B run), and MLflow ``mlflow.db``, a SQLite
     database (its file store is gone since 3.10).
 
+    A resumed run plays the rounds since its last checkpoint again. ``metrics.csv`` and ``scalars/``
+    are set back to the checkpoint; TensorBoard shows such a round twice, and MLflow begins a new
+    run in the same experiment.
+
     Args:
         names (iterable of str): any of ``"csv"``, ``"tensorboard"``, ``"wandb"``, ``"mlflow"``.
         run_folder (Path): the run folder.

@@ -13,7 +13,9 @@ class RoundSettings:
 
     Attributes:
         rounds: how many rounds are trained.
-        dialogues: how many dialogues each replica plays in a round.
+        dialogues: how many dialogues each replica plays in a round. More than the environment
+            has places are played in turns; a policy that keeps something for a dialogue then needs
+            TorchRL's ``InitTracker`` in the environment, to know where the next one begins.
         batch_size: transitions of a mini-batch, for each replica.
         freezes: how often in a round the target is frozen and learned against.
         epochs: how many epochs over the buffer follow each freeze.
