@@ -158,7 +158,8 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
 
     assert config.log is not None
     file = Path(config.log).expanduser()
-    texts = transcripts(env, policy, config.log_dialogues, seed=config.seed)
+    dialogues = min(config.log_dialogues, config.dialogues)
+    texts = transcripts(env, policy, dialogues, seed=config.seed)
     file.write_text("\n".join(texts), encoding="utf-8")
 
 

@@ -10,9 +10,13 @@ from torchrl.envs.utils import ExplorationType
 from bbq_torchrl.trainers import Outcomes, Policy, derive_seed, outcomes, play_dialogues
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tensordict import TensorDictBase
+
     from bbq_torchrl.envs import DialogueEnv
 
-__all__ = ["evaluate"]
+__all__ = ["evaluate", "evaluation_rollouts"]
 
 
 def evaluate(
@@ -37,12 +41,26 @@ def evaluate(
     Returns:
         success (bool), reward (float64) and turns (int64), each of shape [*replicas, dialogues].
     """
+    rollouts = evaluation_rollouts(env, policy, dialogues, seed=seed, exploration=exploration)
+    played = [outcomes(rollout) for rollout in rollouts]
+    return Outcomes(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))
+
+
+def evaluation_rollouts(
+    env: DialogueEnv,
+    policy: Policy,
+    dialogues: int,
+    *,
+    seed: int = 0,
+    exploration: ExplorationType = ExplorationType.DETERMINISTIC,
+) -> Iterator[TensorDictBase]:
+    """Yields the dialogues that :func:`evaluate` counts, a batch at a time.
+
+    Args are those of :func:`evaluate`; the rollouts are those of
+    :func:`~bbq_torchrl.trainers.play_dialogues`.
+    """
     torch.manual_seed(derive_seed(seed, "torch", "evaluate"))
     env.set_seed(derive_seed(seed, "env", "evaluate"))
-    played = [
-        outcomes(rollout)
-        for rollout in play_dialogues(
-            env, policy, dialogues, max_steps=env.max_agent_turns, exploration=exploration
-        )
-    ]
-    return Outcomes(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))
+    yield from play_dialogues(
+        env, policy, dialogues, max_steps=env.max_agent_turns, exploration=exploration
+    )

@@ -221,6 +221,8 @@ def read_metrics(folder: Path) -> Metrics:
     rows: list[list[float]] = []
     for row in reader:
         try:
+            if None in row:
+                raise ValueError("more values than columns")
             rows.append([float(row[name]) for name in names])
         except (TypeError, ValueError) as error:
             raise ValueError(f"{file}, line {reader.line_num}, is damaged: {row}") from error
@@ -230,6 +232,9 @@ def read_metrics(folder: Path) -> Metrics:
         raise ValueError(f"{file} has no complete round")
     table = np.array(rows[: rounds * replicas]).reshape(rounds, replicas, len(names))
     columns = {name: table[..., index] for index, name in enumerate(names)}
-    if (columns["replica"] != np.arange(replicas)).any():
+    in_order = (columns["replica"] == np.arange(replicas)).all() and (
+        columns["round"] == np.arange(rounds)[:, None]
+    ).all()
+    if not in_order:
         raise ValueError(f"{file} must have a row for each round and replica, in order")
     return Metrics(columns)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.play import evaluate
+from torch import nn
+
+from bbq_torchrl.evaluation.play import evaluation_rollouts
 from bbq_torchrl.simulator import Transcript
 
 if TYPE_CHECKING:
@@ -17,30 +19,45 @@ __all__ = ["transcripts"]
 
 
 def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int = 0) -> list[str]:
-    """Plays one batch and returns its first dialogues, one text each, a line a turn.
+    """Plays dialogues and returns them as texts, a line a turn.
 
-    They are the dialogues that :func:`~bbq_torchrl.evaluation.play.evaluate` plays first with the
-    same seed; of a run of several replicas, the first one's.
+    They are the dialogues that :func:`~bbq_torchrl.evaluation.play.evaluate` counts first with the
+    same environment and seed; of a run of several replicas, the first one's.
 
     Args:
-        env: batch size [replicas, places]; at most so many dialogues are returned.
+        env: batch size [replicas, places].
         policy: writes an action.
         dialogues: how many.
         seed: of everything random in them.
     """
-    states: list[TensorDictBase] = []
-
-    def recording(tensordict: TensorDictBase) -> TensorDictBase:
-        states.append(env.dialogues[0, :dialogues].cpu())
-        return policy(tensordict)
-
-    evaluate(env, recording, env.batch_size[-1], seed=seed)
-    states.append(env.dialogues[0, :dialogues].cpu())
     transcript = Transcript(env.simulator.domain)
-    return [
-        _text(transcript, number, [state[number] for state in states])
-        for number in range(len(states[0]))
-    ]
+    recorder = _Recorder(env, policy)
+    texts: list[str] = []
+    for rollout in evaluation_rollouts(env, recorder, dialogues, seed=seed):
+        states = [*recorder.states, env.dialogues[0].cpu()]
+        recorder.states.clear()
+        for place in range(rollout.batch_size[-2]):
+            texts.append(_text(transcript, len(texts), [state[place] for state in states]))
+    return texts
+
+
+class _Recorder(nn.Module):
+    """A policy that keeps what the first replica's dialogues are before each of its actions.
+
+    A module, so that the policy within is put into evaluation mode as it would be by itself.
+    """
+
+    def __init__(self, env: DialogueEnv, policy: Policy) -> None:
+        super().__init__()
+        self.policy = policy
+        self.states: list[TensorDictBase] = []
+        # An environment is a module too; as an attribute it would become a part of the policy.
+        self._dialogues = lambda: env.dialogues[0].cpu()
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Notes the dialogues, then acts."""
+        self.states.append(self._dialogues())
+        return self.policy(tensordict)
 
 
 def _text(transcript: Transcript, number: int, states: list[TensorDictBase]) -> str:

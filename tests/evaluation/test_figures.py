@@ -1,0 +1,100 @@
+"""Figures show every seed, their mean, and what belongs to a run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from bbq_torchrl.evaluation.figures import Curves, draw_comparison, draw_run, moving_average
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that are saved during a test."""
+    figures = []
+    save = Figure.savefig
+
+    def recording(figure, *arguments, **options):
+        figures.append(figure)
+        save(figure, *arguments, **options)
+
+    monkeypatch.setattr(Figure, "savefig", recording)
+    return figures
+
+
+def curves(seeds, rounds=30, label="DQN"):
+    success = np.random.default_rng(seeds).uniform(size=(rounds, seeds))
+    return Curves(label, success, np.linspace(0.4, 0.6, seeds))
+
+
+def labels(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+@pytest.mark.parametrize("window", [1, 3, 50])
+def test_a_moving_average_is_over_the_last_rounds(window):
+    values = np.random.default_rng(0).uniform(size=(20, 2))
+    expected = [values[max(0, n - window + 1) : n + 1].mean(0) for n in range(20)]
+    assert moving_average(values, window) == pytest.approx(np.array(expected))
+
+
+def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(tmp_path, drawn):
+    draw_run(
+        tmp_path / "curve.png",
+        curves(3),
+        title="a run",
+        spiked="spiked with 100 rule dialogues",
+        extensions={10: "price", 20: "zip", 40: "state"},
+    )
+    (axes,) = drawn[0].axes
+    # Three replicas, their mean, three final points, their mean, the spike, two slots in time.
+    assert len(axes.get_lines()) == 3 + 1 + 1 + 1 + 1 + 2
+    assert [text.get_text() for text in axes.texts] == [" price", " zip"]
+    assert axes.get_title() == "a run"
+    assert labels(drawn[0]) == [
+        "DQN (3 seeds, mean of 10 rounds)",
+        "final evaluation: 0.500",
+        "spiked with 100 rule dialogues",
+    ]
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_thick_line_is_the_moving_mean_over_replicas(tmp_path, drawn):
+    group = curves(3)
+    draw_run(tmp_path / "curve.png", group, title="a run")
+    thick = max(drawn[0].axes[0].get_lines(), key=lambda line: line.get_linewidth())
+    assert thick.get_ydata() == pytest.approx(moving_average(group.success).mean(1))
+
+
+def test_a_run_of_one_replica_shows_its_raw_rounds(tmp_path, drawn):
+    group = Curves("DQN", curves(1).success, np.array([]))
+    draw_run(tmp_path / "curve.png", group, title="a run")
+    raw, mean = drawn[0].axes[0].get_lines()
+    assert raw.get_ydata() == pytest.approx(group.success[:, 0])
+    assert mean.get_ydata() == pytest.approx(moving_average(group.success)[:, 0])
+
+
+def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer(tmp_path, drawn):
+    file = tmp_path / "figure.png"
+    draw_comparison(file, [curves(5, label="BBQN"), curves(4)], title="both")
+    (axes,) = drawn[0].axes
+    assert len(axes.get_lines()) == 5 + 1 + 4 + 1
+    (band,) = axes.collections
+    mean = axes.get_lines()[5].get_ydata()
+    points = band.get_paths()[0].vertices
+    for number in (0, 15, 29):
+        ends = points[points[:, 0] == number, 1]
+        assert ends.min() < mean[number] < ends.max()
+    assert labels(drawn[0]) == [
+        "BBQN (5 seeds, mean of 10 rounds)",
+        "DQN (4 seeds, mean of 10 rounds)",
+    ]
+    assert file.is_file()
+
+
+@pytest.mark.parametrize("count", [0, 8])
+def test_more_groups_than_colours_are_refused(tmp_path, count):
+    with pytest.raises(ValueError, match=f"between 1 and 7 groups can be drawn, got {count}"):
+        draw_comparison(tmp_path / "figure.png", [curves(1)] * count, title="too many")
+    assert not list(tmp_path.iterdir())

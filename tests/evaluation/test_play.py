@@ -1,0 +1,83 @@
+"""Evaluations play the dialogues that were asked for, and transcripts are of those."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bbq_torchrl.envs import DialogueEnv, scripted_policy
+from bbq_torchrl.evaluation.play import evaluate
+from bbq_torchrl.evaluation.transcripts import transcripts
+from bbq_torchrl.modules import MLP, Greedy, q_network
+
+PLACES = 6
+
+
+@pytest.fixture
+def env(movie):
+    return DialogueEnv(movie, batch_size=(2, PLACES), seed=0)
+
+
+@pytest.mark.parametrize("dialogues", [1, PLACES, PLACES + 1, 3 * PLACES])
+def test_exactly_so_many_dialogues_are_played(env, dialogues):
+    played = evaluate(env, scripted_policy("random", env), dialogues)
+    for entry in played:
+        assert entry.shape == (2, dialogues)
+    assert (played.turns >= 1).all()
+
+
+def test_outcomes_follow_from_the_rules_of_reward(env):
+    played = evaluate(env, scripted_policy("rule", env), 40)
+    assert (played.turns == 8).all()
+    assert played.success.any()
+    assert not played.success.all()
+    expected = torch.where(played.success, 40.0, -10.0) - 7
+    assert torch.equal(played.reward, expected.double())
+
+
+def test_the_first_dialogues_do_not_depend_on_how_many_follow(env):
+    policy = scripted_policy("random", env)
+    few, many = evaluate(env, policy, 4, seed=3), evaluate(env, policy, 15, seed=3)
+    for short, long in zip(few, many, strict=True):
+        assert torch.equal(short, long[:, :4])
+
+
+def test_a_seed_decides_all_dialogues_whatever_was_played_before(env):
+    policy = scripted_policy("random", env)
+    first = evaluate(env, policy, 20, seed=5)
+    other = evaluate(env, policy, 20, seed=6)
+    again = evaluate(env, policy, 20, seed=5)
+    assert all(map(torch.equal, first, again))
+    assert not torch.equal(first.turns, other.turns)
+
+
+def network(env):
+    torch.manual_seed(0)
+    layers = MLP(env.layout.size, 39, [32], stack=(2,), dropout=0.5)
+    return Greedy(q_network(layers, env.action_spec_unbatched))
+
+
+# The network is handed over as it comes out of training, with its dropout switched on.
+@pytest.mark.parametrize("policy", ["careful", "random", "network"])
+def test_transcripts_are_of_the_dialogues_that_are_counted(env, policy):
+    policy = network(env).train() if policy == "network" else scripted_policy(policy, env)
+    dialogues = 2 * PLACES - 1
+    played = evaluate(env, policy, dialogues, seed=9)
+    texts = transcripts(env, policy, dialogues, seed=9)
+    assert len(texts) == dialogues
+    for number, text in enumerate(texts):
+        head, *turns, end = text.splitlines()
+        assert head.startswith(f"dialogue {number + 1}: ")
+        assert end.strip() == ("success" if played.success[0, number] else "failure")
+        agent = [line for line in turns if line.startswith("  agent: ")]
+        user = [line for line in turns if line.startswith("  user: ")]
+        assert len(agent) == played.turns[0, number]
+        assert len(user) == len(agent) + 1
+
+
+def test_a_policy_is_given_back_in_the_mode_it_came_in(env):
+    policy = network(env).train()
+    evaluate(env, policy, 3)
+    transcripts(env, policy, 3)
+    assert policy.training
+    assert all(module.training for module in policy.modules())

@@ -1,0 +1,147 @@
+"""Runs are grouped by setting and compared over seeds."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+from result_folders import make_run
+from scipy import stats
+
+from bbq_torchrl.evaluation import estimate, interquartile_mean, probability_of_improvement
+from bbq_torchrl.evaluation.groups import find_results, read_groups
+from bbq_torchrl.evaluation.report import main
+
+GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
+BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
+
+
+def read_csv(file):
+    with file.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_results_are_found_in_and_below_folders_once(tmp_path):
+    first = make_run(tmp_path / "sweep" / "0", [0.5])
+    second = make_run(tmp_path / "sweep" / "deeper" / "1", [0.5], seed=1)
+    found = find_results([tmp_path / "sweep", first])
+    assert found == [first.resolve(), second.resolve()]
+
+
+@pytest.mark.parametrize("name", ["", "nowhere"])
+def test_a_folder_without_results_is_refused(tmp_path, name):
+    with pytest.raises(ValueError, match="holds no finished run"):
+        find_results([tmp_path / name])
+
+
+def test_runs_that_differ_in_their_seed_alone_are_one_group(tmp_path):
+    folders = [
+        make_run(tmp_path / "0", [0.5, 0.6], seed=0),
+        make_run(tmp_path / "other", [0.1], agent="dqn", explore="epsilon_greedy"),
+        make_run(tmp_path / "1", [0.7], seed=1),
+    ]
+    bbqn, dqn = read_groups(folders)
+    assert (bbqn.label, dqn.label) == ("BBQN-MAP", "DQN")
+    assert bbqn.final == [0.5, 0.6, 0.7]
+    assert bbqn.cumulative == pytest.approx([0.25, 0.3, 0.35])
+    assert bbqn.success.tolist() == [[0.25, 0.3, 0.35]] * 3
+    assert (bbqn.reward, bbqn.turns) == (10, 8)
+    assert dqn.final == [0.1]
+
+
+@pytest.mark.parametrize(
+    ("other", "labels"),
+    [
+        ({"prior_std": 0.05}, ("BBQN-MAP, agent.prior_std=0.1", "BBQN-MAP, agent.prior_std=0.05")),
+        ({"target": "mc"}, ("BBQN-MAP", "BBQN-MC")),
+        ({"rounds": 2}, ("BBQN-MAP, protocol.rounds=3", "BBQN-MAP, protocol.rounds=2")),
+        (
+            {"explore": "epsilon_greedy"},
+            ("BBQN-MAP, explore=thompson", "BBQN-MAP, explore=epsilon_greedy"),
+        ),
+    ],
+)
+def test_a_label_says_what_tells_groups_of_an_agent_apart(tmp_path, other, labels):
+    folders = [make_run(tmp_path / "a", [0.5]), make_run(tmp_path / "b", [0.5], **other)]
+    assert tuple(group.label for group in read_groups(folders)) == labels
+
+
+def test_one_training_does_not_count_as_two_seeds(tmp_path):
+    folders = [make_run(tmp_path / name, [0.5], seed=4) for name in ("a", "b")]
+    with pytest.raises(ValueError, match=r"same setting and seed \(4\)"):
+        read_groups(folders)
+
+
+def test_metrics_and_result_must_be_of_one_run(tmp_path):
+    run, other = make_run(tmp_path / "a", [0.5]), make_run(tmp_path / "b", [0.5], rounds=2)
+    (other / "metrics.csv").replace(run / "metrics.csv")
+    with pytest.raises(ValueError, match="metrics are of 2 rounds and 1 replicas, the result of 3"):
+        read_groups([run])
+
+
+@pytest.mark.parametrize("text", [None, "- 1\n", "seed: 1\n", "a: [\n"])
+def test_a_configuration_that_is_none_is_refused(tmp_path, text):
+    file = make_run(tmp_path / "run", [0.5]) / "config.yaml"
+    if text is None:
+        file.unlink()
+    else:
+        file.write_text(text)
+    with pytest.raises(ValueError, match=r"config\.yaml (cannot be read|is not the configuration)"):
+        read_groups([tmp_path / "run"])
+
+
+def test_the_report_has_the_statistics_of_each_group_and_pair(tmp_path, capsys):
+    make_run(tmp_path / "runs" / "bbqn", GOOD)
+    make_run(tmp_path / "runs" / "dqn", BAD, agent="dqn", explore="epsilon_greedy")
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
+
+    printed = capsys.readouterr().out
+    assert "# env=full, domain=movie" in printed
+    low, high = stats.t.interval(0.95, 4, sum(GOOD) / 5, stats.sem(GOOD))
+    row = next(line for line in printed.splitlines() if line.startswith("| BBQN-MAP | thompson"))
+    assert f"| {estimate(GOOD)} | [{low:.3f}, {high:.3f}] |" in row
+    assert f"| {estimate(GOOD, 'iqm')} |" in row
+    assert f"| {estimate([rate / 2 for rate in GOOD])} |" in row
+    assert row.endswith("| 10.00 | 8.00 |")
+    pair = probability_of_improvement(GOOD, BAD)
+    assert f"| BBQN-MAP | DQN | {pair} | {pair} |" in printed
+
+    files = {file.name for file in (tmp_path / "report").iterdir()}
+    assert files == {"report.md", "report.csv", "improvements.csv", "curves.png"}
+    assert printed.rstrip() in (tmp_path / "report" / "report.md").read_text()
+    bbqn, dqn = read_csv(tmp_path / "report" / "report.csv")
+    assert (bbqn["agent"], bbqn["explore"], bbqn["seeds"]) == ("bbqn", "thompson", "5")
+    assert float(bbqn["final_success_t_low"]) == pytest.approx(low)
+    assert float(dqn["final_success_bootstrap_high"]) == estimate(BAD).high
+    assert float(dqn["training_success_iqm"]) == pytest.approx(interquartile_mean(BAD) / 2)
+    (improvement,) = read_csv(tmp_path / "report" / "improvements.csv")
+    assert float(improvement["final_success"]) == 1
+
+
+def test_few_seeds_have_no_bootstrap_interval_and_one_none_at_all(tmp_path):
+    make_run(tmp_path / "runs" / "bbqn", GOOD[:3])
+    make_run(tmp_path / "runs" / "dqn", BAD[:1], agent="dqn", explore="epsilon_greedy")
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
+    three, one = read_csv(tmp_path / "report" / "report.csv")
+    assert three["final_success_bootstrap_low"] == three["final_success_iqm_low"] == ""
+    assert float(three["final_success_iqm"]) == pytest.approx(0.75)
+    assert float(three["final_success_t_low"]) < 0.75
+    assert one["final_success_t_low"] == ""
+    assert float(one["final_success_mean"]) == 0.5
+
+
+def test_a_figure_holds_seven_groups_and_the_next_one_the_rest(tmp_path):
+    for number in range(8):
+        make_run(tmp_path / "runs" / str(number), [0.5], lr=0.1 * (number + 1))
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
+    figures = sorted(file.name for file in (tmp_path / "report").glob("*.png"))
+    assert figures == ["curves.png", "curves_2.png"]
+
+
+def test_what_cannot_be_compared_is_refused_in_one_line(tmp_path, capsys):
+    out = tmp_path / "report"
+    assert main([str(tmp_path / "nowhere"), "--out", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("error: ")
+    assert message.count("\n") == 1
+    assert not out.exists()

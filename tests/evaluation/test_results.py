@@ -1,0 +1,122 @@
+"""result.json and metrics.csv are read as they were written, or refused by name."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+from result_folders import make_run, metrics_text, run_result
+
+from bbq_torchrl.evaluation import read_metrics, read_result
+from bbq_torchrl.evaluation.results import replica_result, write_json
+
+
+def test_a_replica_is_summed_up_over_its_dialogues():
+    found = replica_result(2, [1, 0, 0, 1], [32, -13, -15, 30], [9, 4, 6, 11], training_success=0.3)
+    assert (found.replica, found.success_rate, found.reward, found.turns) == (2, 0.5, 8.5, 7.5)
+    assert (found.dialogues, found.training_success) == (4, 0.3)
+    assert found.standard_error == 0.25
+
+
+def test_a_run_is_the_mean_of_its_replicas():
+    result = run_result([0.2, 0.4, 0.9])
+    assert result.success_rate == pytest.approx(0.5)
+    assert result.training_success == pytest.approx(0.25)
+    assert (result.replicas, result.dialogues, result.reward, result.turns) == (3, 300, 10, 8)
+    variances = [rate * (1 - rate) / 100 for rate in (0.2, 0.4, 0.9)]
+    assert result.standard_error == pytest.approx(math.sqrt(sum(variances)) / 3)
+
+
+def test_a_result_is_read_as_it_was_written(tmp_path):
+    result = run_result([0.25, 0.5])
+    write_json(result, tmp_path / "result.json")
+    assert read_result(tmp_path) == result
+    assert [file.name for file in tmp_path.iterdir()] == ["result.json"]
+
+
+def test_keys_of_a_newer_version_are_left_out(tmp_path):
+    result = run_result([0.25])
+    write_json(result, tmp_path / "result.json")
+    plain = json.loads((tmp_path / "result.json").read_text())
+    plain["new"] = plain["per_replica"][0]["new"] = 1
+    write_json(plain, tmp_path / "result.json")
+    assert read_result(tmp_path) == result
+
+
+def test_a_folder_without_a_result_is_no_finished_run(tmp_path):
+    with pytest.raises(ValueError, match=r"has no result\.json: it is no run folder, or not"):
+        read_result(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: text[: len(text) // 2],
+        lambda text: "",
+        lambda text: "[1, 2]",
+        lambda text: text.replace('"per_replica"', '"replicas_of_it"'),
+        lambda text: text.replace('"success_rate"', '"rate"'),
+    ],
+    ids=["truncated", "empty", "a list", "without replicas", "without rates"],
+)
+def test_a_damaged_result_is_refused_by_name(tmp_path, damage):
+    file = make_run(tmp_path / "run", [0.5]) / "result.json"
+    file.write_text(damage(file.read_text()))
+    with pytest.raises(ValueError, match=r"result\.json is damaged: "):
+        read_result(tmp_path / "run")
+
+
+def write_metrics(folder, text):
+    (folder / "metrics.csv").write_text(text)
+    return folder
+
+
+def test_metrics_are_arrays_of_rounds_and_replicas(tmp_path):
+    metrics = read_metrics(write_metrics(tmp_path, metrics_text([0.2, 0.6], rounds=3)))
+    assert (metrics.rounds, metrics.replicas) == (3, 2)
+    assert metrics["success_rate"] == pytest.approx(np.array([[0.1, 0.3]] * 3))
+    assert metrics["round"][:, 0].tolist() == [0, 1, 2]
+    with pytest.raises(KeyError, match="no column 'kl', only round, replica, dialogues"):
+        metrics["kl"]
+
+
+def test_training_success_counts_dialogues(tmp_path):
+    rows = ["round,replica,dialogues,success_rate", "0,0,10,0.5", "1,0,30,0.9"]
+    metrics = read_metrics(write_metrics(tmp_path, "\n".join(rows) + "\n"))
+    assert metrics.training_success == pytest.approx([(5 + 27) / 40])
+
+
+def test_a_round_that_a_kill_tore_is_left_out(tmp_path):
+    text = metrics_text([0.2, 0.6], rounds=3)
+    for kept in (text[:-4], "".join(text.splitlines(keepends=True)[:-1])):
+        assert read_metrics(write_metrics(tmp_path, kept)).rounds == 2
+
+
+HEAD = "round,replica,dialogues,success_rate\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD + "0,0,50,half\n", r"metrics\.csv, line 2, is damaged"),
+        (HEAD + "0,0,50,.5\n1,0,50\n2,0,50,.5\n", r"metrics\.csv, line 3, is damaged"),
+        (HEAD + "0,0,50,.5,7\n", r"metrics\.csv, line 2, is damaged"),
+        (HEAD + "0,0,50,.5\n0,1,50,.5\n1,1,50,.5\n1,0,50,.5\n", "in order"),
+        (HEAD + "0,0,50,.5\n2,0,50,.5\n", "in order"),
+        ("round,replica,success_rate\n0,0,.5\n", "must have the column dialogues, got round, "),
+        (HEAD, "has no complete round"),
+        ("", "must have the column round"),
+    ],
+)
+def test_damaged_metrics_are_refused_by_name(tmp_path, text, message):
+    with pytest.raises(ValueError, match=message):
+        read_metrics(write_metrics(tmp_path, text))
+
+
+def test_a_folder_without_metrics_is_no_run_folder(tmp_path):
+    shutil.rmtree(tmp_path)
+    with pytest.raises(ValueError, match=r"has no metrics\.csv: it is no run folder"):
+        read_metrics(tmp_path)

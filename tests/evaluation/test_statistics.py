@@ -1,0 +1,160 @@
+"""Statistics over seeds agree with their closed forms and with SciPy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bbq_torchrl.evaluation import (
+    binomial_standard_error,
+    estimate,
+    interquartile_mean,
+    probability_of_improvement,
+)
+
+SEEDS = [0.71, 0.64, 0.80, 0.75, 0.69, 0.77, 0.73]
+
+
+def numbers(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=count)
+
+
+@pytest.mark.parametrize(("rate", "dialogues"), [(0.0, 10), (0.183, 100_000), (0.5, 1), (1.0, 7)])
+def test_standard_error_is_that_of_the_binomial_distribution(rate, dialogues):
+    expected = stats.binom(dialogues, rate).std() / dialogues
+    assert binomial_standard_error(rate, dialogues) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((1.2, 10), r"rate must be between 0 and 1, got 1\.2"),
+        ((-0.1, 10), r"rate must be between 0 and 1, got -0\.1"),
+        ((0.5, 0), "dialogues must be at least 1, got 0"),
+    ],
+)
+def test_standard_error_of_nonsense_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        binomial_standard_error(*arguments)
+
+
+@pytest.mark.parametrize("count", range(1, 13))
+def test_interquartile_mean_drops_a_quarter_on_each_side(count):
+    values = numbers(count)
+    dropped = count // 4
+    expected = np.sort(values)[dropped : count - dropped].mean()
+    assert interquartile_mean(values) == pytest.approx(expected)
+
+
+def test_interquartile_mean_of_many_samples_at_once():
+    values = numbers(40).reshape(5, 8)
+    assert interquartile_mean(values) == pytest.approx([interquartile_mean(row) for row in values])
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 30])
+def test_t_interval_is_that_of_student(count):
+    values = numbers(count)
+    low, high = stats.t.interval(0.95, count - 1, values.mean(), stats.sem(values))
+    found = estimate(values, method="t")
+    assert (found.value, found.low, found.high) == pytest.approx((values.mean(), low, high))
+    assert (found.method, found.count) == ("t", count)
+
+
+@pytest.mark.parametrize("statistic", ["mean", "iqm"])
+def test_bootstrap_interval_is_scipys(statistic):
+    function = np.mean if statistic == "mean" else interquartile_mean
+    expected = stats.bootstrap(
+        (np.array(SEEDS),), function, n_resamples=9_999, rng=np.random.default_rng(5)
+    ).confidence_interval
+    found = estimate(SEEDS, statistic, seed=11)
+    assert found.value == pytest.approx(function(SEEDS))
+    # Other resamples: the ends differ by their sampling error, a hundredth or two of the width.
+    tolerance = 0.1 * (expected.high - expected.low)
+    assert (found.low, found.high) == pytest.approx(tuple(expected), abs=tolerance)
+    assert found.method == "bootstrap"
+
+
+def test_bootstrap_interval_of_many_values_is_the_normal_one():
+    values = numbers(400)
+    found = estimate(values)
+    half = 1.96 * stats.sem(values)
+    expected = (values.mean() - half, values.mean() + half)
+    assert (found.low, found.high) == pytest.approx(expected, abs=0.15 * half)
+
+
+@pytest.mark.slow
+def test_five_normal_seeds_are_covered_as_often_as_is_said():
+    generator, repeats, hits = np.random.default_rng(1), 1000, {"bootstrap": 0, "t": 0}
+    for _ in range(repeats):
+        values = generator.normal(size=5)
+        for method in hits:
+            found = estimate(values, method=method)
+            hits[method] += found.low <= 0 <= found.high
+    # Four standard errors of a share of 1000 around .85 and .95.
+    assert abs(hits["bootstrap"] / repeats - 0.85) < 0.045
+    assert abs(hits["t"] / repeats - 0.95) < 0.028
+
+
+def test_an_interval_is_the_same_each_time():
+    assert estimate(SEEDS) == estimate(SEEDS)
+    assert estimate(SEEDS, seed=1) != estimate(SEEDS)
+
+
+def test_equal_seeds_have_an_interval_of_no_width():
+    found = estimate([0.5] * 6)
+    assert (found.value, found.low, found.high) == (0.5, 0.5, 0.5)
+
+
+def test_few_seeds_get_a_t_interval_and_one_seed_none():
+    four, one = estimate(SEEDS[:4]), estimate(SEEDS[:1])
+    assert four == estimate(SEEDS[:4], method="t")
+    assert one.method == "none"
+    assert math.isnan(one.low)
+    assert math.isnan(one.high)
+    assert (str(one), str(four)[:7]) == ("0.710", "0.725 [")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([],), "values must be finite numbers, at least one"),
+        (([0.5, math.nan],), "values must be finite numbers"),
+        (([0.5], "median"), "statistic must be mean or iqm, got 'median'"),
+        (([0.5], "mean", "normal"), "method must be bootstrap or t, got 'normal'"),
+        ((SEEDS, "iqm", "t"), "iqm needs method=bootstrap"),
+        ((SEEDS[:4], "iqm"), "at least 5 seeds, got method=bootstrap and 4 seeds"),
+    ],
+)
+def test_estimates_of_nonsense_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        estimate(*arguments)
+
+
+@pytest.mark.parametrize("sizes", [(5, 5), (3, 8), (1, 1), (6, 20)])
+def test_probability_of_improvement_is_the_share_of_pairs_won(sizes):
+    # Rounded to tenths, so that there are ties.
+    better, worse = (numbers(size, seed).round(1) for seed, size in enumerate(sizes))
+    u = stats.mannwhitneyu(better, worse).statistic
+    found = probability_of_improvement(better, worse)
+    assert found.value == pytest.approx(u / (sizes[0] * sizes[1]))
+    assert found.value + probability_of_improvement(worse, better).value == pytest.approx(1)
+
+
+def test_probability_of_improvement_has_an_interval_from_five_seeds_on():
+    better, worse = numbers(8) + 0.5, numbers(8, 1)
+    found = probability_of_improvement(better, worse)
+    assert 0 <= found.low < found.value < found.high <= 1
+    assert math.isnan(probability_of_improvement(better, worse[:4]).low)
+
+
+def test_groups_that_are_apart_are_told_apart_for_sure():
+    found = probability_of_improvement([0.8, 0.81, 0.82, 0.83, 0.84], [0.1, 0.2, 0.3, 0.4, 0.5])
+    assert (found.value, found.low, found.high) == (1, 1, 1)
+
+
+def test_probability_of_improvement_needs_seeds():
+    with pytest.raises(ValueError, match="both sides must have at least one seed"):
+        probability_of_improvement([], [0.5])
