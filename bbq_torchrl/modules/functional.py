@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FlatLayout", "init_linear_", "mlp", "mlp_local"]
 
-_relu_backward = torch.ops.aten.threshold_backward.default
+_relu_backward = torch.ops.aten.threshold_backward.grad_input
 
 
 @dataclass(frozen=True)
@@ -95,46 +95,48 @@ class _FlatMLP(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float) -> Tensor:
-        out, inputs = _run(x, flat, layout, dropout)
-        ctx.save_for_backward(flat, *inputs)
-        ctx.layout, ctx.dropout = layout, dropout
+        out, inputs, matrices = _run(x, flat, layout, dropout)
+        # of the first layer only if the input wants a gradient
+        needed = matrices if ctx.needs_input_grad[0] else matrices[1:]
+        ctx.save_for_backward(*inputs, *needed)
+        ctx.layout, ctx.dropout, ctx.shape = layout, dropout, flat.shape
         return out
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
-        flat, *inputs = ctx.saved_tensors
-        grad_flat = torch.empty_like(flat)
+        depth = len(ctx.layout.shapes)
+        inputs, matrices = ctx.saved_tensors[:depth], ctx.saved_tensors[depth:]
+        grad_flat = grad.new_empty(ctx.shape)
         grads = ctx.layout.unflatten(grad_flat)
-        layers = ctx.layout.unflatten(flat)
-        product = torch.mm if flat.ndim == 1 else torch.bmm
-        for k in range(len(layers) - 1, -1, -1):
+        product = torch.mm if grad.ndim == 2 else torch.bmm
+        for k in range(depth - 1, -1, -1):
             product(inputs[k].mT, grad, out=grads[k][0])
             torch.sum(grad, -2, out=grads[k][1])
             if k > 0:
                 # A unit that is 0 after ReLU and dropout passes nothing back; the others were
                 # scaled by 1/(1 - dropout).
-                grad = _relu_backward(product(grad, layers[k][0].mT), inputs[k], 0)
+                below = product(grad, matrices[k - depth].mT)
+                grad = _relu_backward(below, inputs[k], 0, grad_input=below)
                 if ctx.dropout > 0:
                     grad = grad.mul_(1 / (1 - ctx.dropout))
-        grad_x = product(grad, layers[0][0].mT) if ctx.needs_input_grad[0] else None
+        grad_x = product(grad, matrices[0].mT) if ctx.needs_input_grad[0] else None
         return grad_x, grad_flat, None, None
 
 
 def _run(
     x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float
-) -> tuple[Tensor, list[Tensor]]:
-    """Returns the outputs and the inputs of each layer."""
+) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+    """Returns the outputs, the input of each layer, and the matrix of each layer."""
     layers = layout.unflatten(flat)
     inputs = [x]
     for matrix, bias in layers[:-1]:
         hidden = _affine(inputs[-1], matrix, bias).relu_()
         if dropout > 0:
             # 1/(1 - dropout) where a uniform number is at least dropout, else 0
-            keep = torch.rand_like(hidden).ge_(dropout).mul_(1 / (1 - dropout))
-            hidden.mul_(keep)
+            hidden.mul_(torch.rand_like(hidden).ge_(dropout).mul_(1 / (1 - dropout)))
         inputs.append(hidden)
-    return _affine(inputs[-1], *layers[-1]), inputs
+    return _affine(inputs[-1], *layers[-1]), inputs, [matrix for matrix, _ in layers]
 
 
 def _affine(x: Tensor, matrix: Tensor, bias: Tensor) -> Tensor:
@@ -179,7 +181,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
     if torch.is_grad_enabled() and (flat.requires_grad or rows.requires_grad):
         out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
     else:
-        out, _ = _run(rows, flat, layout, dropout)
+        out = _run(rows, flat, layout, dropout)[0]
     return out if out.shape[:-1] == x.shape[:-1] else out.reshape(*x.shape[:-1], layout.sizes[-1])
 
 

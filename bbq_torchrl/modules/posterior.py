@@ -8,8 +8,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from bbq_torchrl.modules.noise import fill_normal_
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 __all__ = ["GaussianPosterior", "KLKind", "inverse_softplus"]
 
@@ -44,16 +46,21 @@ def inverse_softplus(std: Tensor) -> Tensor:
     return std + torch.log(-torch.expm1(-std))
 
 
-def _pieces(like: Tensor) -> list[slice]:
-    """Returns slices of the first dimension of ``like`` [L, P]: cache-sized ones on a CPU."""
-    count, numel = like.shape
-    size = max(1, _PIECE // numel) if like.device.type == "cpu" else count
-    return [slice(start, start + size) for start in range(0, count, size)]
+def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:
+    """Yields tensors [*stack, *] a cache-sized part of the stack at a time (on a CPU).
 
-
-def _flat(tensor: Tensor) -> Tensor:
-    """Returns [*stack, P] as [L, P]."""
-    return tensor.reshape(-1, tensor.shape[-1])
+    The first tensor has all weights, [*stack, P]; where it is small (or not on a CPU) the
+    tensors come as they are, else with the stack as one dimension.
+    """
+    numel = tensors[0].shape[-1]
+    count = tensors[0].numel() // numel
+    size = max(1, _PIECE // numel)
+    if count <= size or tensors[0].device.type != "cpu":
+        yield tensors
+        return
+    flat = [t.reshape(count, -1) for t in tensors]
+    for start in range(0, count, size):
+        yield [t[start : start + size] for t in flat]
 
 
 class _Draw(torch.autograd.Function):
@@ -68,29 +75,27 @@ class _Draw(torch.autograd.Function):
         kind: KLKind,
         fill_noise_: Callable[[Tensor], object],
     ) -> tuple[Tensor, Tensor]:
-        weights, noise, ratio = (torch.empty_like(mu) for _ in range(3))
-        kl = mu.new_empty(mu.shape[:-1])
-        flat = [_flat(t) for t in (mu, rho, weights, noise, ratio)]
+        weights, noise, ratio = (mu.new_empty(mu.shape) for _ in range(3))
         inverse = prior_std.reciprocal()
+        kls = []
         scratch = None
-        for piece in _pieces(flat[0]):
-            m, r, w, n, s = (t[piece] for t in flat)
+        for m, r, w, n, s in _pieces(mu, rho, weights, noise, ratio):
             fill_noise_(n)
             _softplus(r, 1, 20, out=s)
             torch.addcmul(m, s, n, out=w)
             s.mul_(inverse).clamp_min_(_LEAST_RATIO)
             if scratch is None:
                 scratch = torch.empty_like(s)
-            part = scratch[: s.shape[0]]
+            elif scratch.shape != s.shape:
+                scratch = scratch[: s.shape[0]]
             if kind == "closed":
-                value = _closed_kl(m, s, inverse, part)
+                kls.append(_closed_kl(m, s, inverse, scratch))
             else:
-                value = _sampled_kl(w, n, s, inverse, part)
-            kl.view(-1)[piece] = value
+                kls.append(_sampled_kl(w, n, s, inverse, scratch))
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(rho, noise, ratio, prior_std, mu if kind == "closed" else weights)
         ctx.kind = kind
-        return weights, kl
+        return weights, kls[0] if len(kls) == 1 else torch.cat(kls).reshape(mu.shape[:-1])
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -104,22 +109,21 @@ class _Draw(torch.autograd.Function):
             grad_kl = rho.new_zeros(rho.shape[:-1])
         if grad_weights is None:
             grad_weights = torch.zeros_like(rho)
-        grad_mu, grad_rho = torch.empty_like(rho), torch.empty_like(rho)
-        scale = grad_kl.reshape(-1, 1) / prior_std  # [L, 1] or [L, P]
-        pull = scale / prior_std
-        flat = [_flat(t) for t in (rho, noise, ratio, location, grad_weights, grad_mu, grad_rho)]
+        grad_mu, grad_rho = rho.new_empty(rho.shape), rho.new_empty(rho.shape)
+        scale = grad_kl.unsqueeze(-1) / prior_std  # [*stack, 1] or [*stack, P]
         dead_zone = _SAME_STD * torch.finfo(rho.dtype).eps
-        for piece in _pieces(flat[0]):
-            r, n, s, x, gw, gm, gr = (t[piece] for t in flat)
+        for r, n, s, x, gw, gm, gr, factor, pull in _pieces(
+            rho, noise, ratio, location, grad_weights, grad_mu, grad_rho, scale, scale / prior_std
+        ):
             # d KL/dμ = μ/p²; the sampled log p(w) pulls at w, and so at σ through the noise
-            torch.addcmul(gw, pull[piece], x, out=gm)
+            torch.addcmul(gw, pull, x, out=gm)
             torch.reciprocal(s, out=gr)
             if ctx.kind == "closed":
                 torch.sub(s, gr, out=gr)
                 _hardshrink(gr, dead_zone, out=gr)
-                gr.mul_(scale[piece]).addcmul_(gw, n)
+                gr.mul_(factor).addcmul_(gw, n)
             else:
-                gr.mul_(scale[piece].neg()).addcmul_(gm, n)
+                gr.mul_(factor).neg_().addcmul_(gm, n)
             _softplus_backward(gr, r, 1, 20, grad_input=gr)
         return grad_mu, grad_rho, None, None, None
 
@@ -164,9 +168,10 @@ def _sampled_kl(
 def _sum_log(ratio: Tensor, scratch: Tensor) -> Tensor:
     """Returns Σ log r over the last dimension, one logarithm for two of them."""
     half = ratio.shape[-1] // 2
-    first, second, odd = ratio.split([half, half, ratio.shape[-1] - 2 * half], -1)
+    odd = ratio.shape[-1] - 2 * half
+    first, second, *rest = ratio.split([half, half, odd] if odd else [half, half], -1)
     out = torch.mul(first, second, out=scratch[..., :half]).log_().sum(-1)
-    return out + odd.log().sum(-1)
+    return out + rest[0].log().squeeze(-1) if rest else out
 
 
 def _sum_square(x: Tensor, factor: Tensor | None, scratch: Tensor) -> Tensor:
@@ -276,7 +281,7 @@ class GaussianPosterior(nn.Module):
 
     def fill_noise_(self, noise: Tensor) -> None:
         """Fills ``noise`` [*, P] with standard normal numbers from torch's global generator."""
-        noise.normal_()
+        fill_normal_(noise)
 
     def sample(self, rows: Sequence[int] = ()) -> Tensor:
         """Returns a draw of the weights for each of ``rows``, [*stack, *rows, P].
@@ -298,7 +303,7 @@ class GaussianPosterior(nn.Module):
             where: bool [*stack, *rows], True for the ones to replace.
         """
         count = self.mu.shape[-1]
-        flat, mu, rho = draws.view(-1, count), _flat(self.mu), _flat(self.rho)
+        flat, mu, rho = (t.view(-1, count) for t in (draws, self.mu, self.rho))
         # New noise for all rows would cost a batch of networks for the few rows that begin
         # something, so this is the one place whose amount of work follows the data.
         which = where.flatten().nonzero().squeeze(-1)

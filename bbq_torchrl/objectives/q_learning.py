@@ -151,20 +151,15 @@ class OneStepQLoss(DQNLoss):
             td_target = self._td_target(tensordict.get("next"), online, target)
             weight = self._row_weights(tensordict, td_target)
             index = self._action_index(tensordict.get(keys.action), values)
-        batch = td_target.shape
-        loss_value, error, chosen = td_loss(
-            self._rows(values, 1),
-            self._rows(index, 1),
+        loss_value, out["td_error"], out["q_value"], square = td_loss(
+            self._rows(values),
+            self._rows(index),
             self._rows(td_target),
             None if weight is None else self._rows(weight),
             self.loss_function,
             self._scale,
         )
-        with torch.no_grad():
-            tensordict.set(keys.priority, error.square().reshape(batch).unsqueeze(-1), inplace=True)
-            rows = torch.stack([error.abs(), chosen])
-            means = rows.mean(-1) if weight is None else (rows * self._rows(weight)).sum(-1)
-            out["td_error"], out["q_value"] = means.unbind()
+        tensordict.set(keys.priority, square.reshape(td_target.shape), inplace=True)
         penalty = out.get("kl")
         if penalty is not None:
             loss_value = loss_value + penalty * self._kl_weight
@@ -173,12 +168,11 @@ class OneStepQLoss(DQNLoss):
         out["loss_value"] = loss_value.detach()
         return TensorDict(out)
 
-    def _rows(self, tensor: Tensor, features: int = 0) -> Tensor:
-        """Returns [*stack, *batch, *features] as [*stack, B, *features]."""
-        if tensor.ndim == len(self.stack) + 1 + features:
+    def _rows(self, tensor: Tensor) -> Tensor:
+        """Returns [*stack, *batch, features] as [*stack, B, features]."""
+        if tensor.ndim == len(self.stack) + 2:
             return tensor
-        tail = tensor.shape[tensor.ndim - features :]
-        return tensor.reshape(*self.stack, -1, *tail)
+        return tensor.reshape(*self.stack, -1, tensor.shape[-1])
 
     def _action_index(self, action: Tensor, values: Tensor) -> Tensor:
         """Returns the index of the action, [*stack, *batch, 1]."""
@@ -189,7 +183,7 @@ class OneStepQLoss(DQNLoss):
     def _td_target(
         self, following: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
     ) -> Tensor:
-        """Returns r + γ max Q(s', ·) over legal actions, r where the episode ended."""
+        """Returns r + γ max Q(s', ·) over legal actions, r at an end, [*stack, *batch, 1]."""
         keys = self.tensor_keys
         function = self._function
         inputs = [following.get(key) for key in function.in_keys]
@@ -197,31 +191,28 @@ class OneStepQLoss(DQNLoss):
         values = _masked(self._target_values(target, inputs), mask)
         if self.double_dqn:
             choice = _masked(function(online, inputs, "mean"), mask)
-            value = values.gather(-1, choice.argmax(-1, keepdim=True)).squeeze(-1)
+            value = values.gather(-1, choice.argmax(-1, keepdim=True))
         else:
-            value = values.amax(-1)
-        terminated = following.get(keys.terminated).squeeze(-1)
-        value = value.mul_(self.value_estimator.gamma).masked_fill_(terminated, 0)
-        return value.add_(following.get(keys.reward).squeeze(-1))
+            value = values.amax(-1, keepdim=True)
+        reward = following.get(keys.reward)
+        going_on = torch.addcmul(reward, value, self.value_estimator.gamma)
+        return torch.where(following.get(keys.terminated), reward, going_on)
 
     def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
-        """Returns row weights [*stack, *batch] that add up to 1, None if all count alike."""
+        """Returns row weights [*stack, *batch, 1] that add up to 1, None if all are the same."""
         weight = None
-        for key in self._loss_mask_keys():
-            mask = tensordict.get(key, None)
+        masks = [tensordict.get(key, None) for key in self._loss_mask_keys()]
+        if self.use_prioritized_weights in (True, "auto"):
+            masks.append(tensordict.get(self.tensor_keys.priority_weight, None))
+        for mask in masks:
             if mask is not None:
+                if mask.ndim < like.ndim:
+                    mask = mask.unsqueeze(-1)
                 mask = self._expand_loss_mask(mask, like).to(like.dtype)
                 weight = mask if weight is None else weight * mask
-        if self.use_prioritized_weights in (True, "auto"):
-            priority = tensordict.get(self.tensor_keys.priority_weight, None)
-            if priority is not None:
-                priority = self._expand_loss_mask(priority, like).to(like.dtype)
-                weight = priority if weight is None else weight * priority
         if weight is None:
             return None
-        dims = tuple(range(len(self.stack), weight.ndim))
-        if not dims:
-            return torch.ones_like(weight)
+        dims = tuple(range(len(self.stack), like.ndim))
         # 0 / tiny where no row counts at all: such an element's data have no gradient
         tiny = torch.finfo(weight.dtype).tiny
         return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)

@@ -14,7 +14,7 @@ DISTANCES: tuple[str, ...] = get_args(Distance)
 
 
 class _TDLoss(torch.autograd.Function):
-    """values [L, B, N] to the loss [L], the TD errors [L, B] and the chosen values [L, B]."""
+    """values [*stack, B, N] to the outputs of :func:`td_loss`."""
 
     @staticmethod
     def forward(
@@ -25,32 +25,35 @@ class _TDLoss(torch.autograd.Function):
         weight: Tensor | None,
         distance: Distance,
         scale: float,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        chosen = values.gather(-1, index).squeeze(-1)
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        chosen = values.gather(-1, index)
         error = chosen - target
         if weight is None:
-            slope_scale = scale / error.shape[-1]
+            scale = scale / max(1, error.shape[-2])
         else:
             # Select, then multiply: a row that does not count may hold anything.
             ignored = weight == 0
-            error = error.masked_fill_(ignored, 0)
-            chosen = chosen.masked_fill_(ignored, 0)
-            slope_scale = scale
+            chosen, error = chosen.masked_fill_(ignored, 0), error.masked_fill_(ignored, 0)
+        square, size = error.square(), error.abs()
         if distance == "l2":
-            rows, slope = error.square(), error * (2 * slope_scale)
+            rows, slope = square, error * (2 * scale)
         elif distance == "l1":
-            rows, slope = error.abs(), error.sign() * slope_scale
+            rows, slope = size, error.sign() * scale
         else:
-            slope = error.clamp(-1, 1)
-            rows = slope * (error - 0.5 * slope)
-            slope = slope * slope_scale
-        if weight is not None:
-            rows, slope = rows * weight, slope * weight
+            clamped = error.clamp(-1, 1)
+            rows, slope = clamped * (error - 0.5 * clamped), clamped * scale
+        sums = torch.cat([rows, size, chosen], -1)
+        if weight is None:
+            loss, td_error, q_value = sums.mean(-2).unbind(-1)
+            scale *= max(1, error.shape[-2])
+        else:
+            slope = slope.mul_(weight)
+            loss, td_error, q_value = sums.mul_(weight).sum(-2).unbind(-1)
         ctx.save_for_backward(index, slope)
         ctx.shape = values.shape
-        ctx.mark_non_differentiable(error, chosen)
+        ctx.mark_non_differentiable(td_error, q_value, square)
         ctx.set_materialize_grads(False)
-        return rows.sum(-1).mul_(slope_scale), error, chosen
+        return loss * scale, td_error, q_value, square
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -58,7 +61,7 @@ class _TDLoss(torch.autograd.Function):
         if grad is None:
             return None, None, None, None, None, None
         index, slope = ctx.saved_tensors
-        slope = (slope * grad.unsqueeze(-1)).unsqueeze(-1)
+        slope = slope * grad[..., None, None]
         out = slope.new_zeros(ctx.shape).scatter_(-1, index, slope)
         return out, None, None, None, None, None
 
@@ -70,30 +73,30 @@ def td_loss(
     weight: Tensor | None = None,
     distance: Distance = "l2",
     scale: float = 1.0,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns each network's loss, its TD errors and the values of the actions taken.
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Returns each network's loss, mean |TD error| and mean Q, and each row's squared error.
 
     Args:
         values: Q, shape [*stack, B, N].
         index: actions, int64, shape [*stack, B, 1].
-        target: what the chosen values should be, shape [*stack, B]; gets no gradient.
-        weight: of each row, [*stack, B], adding up to 1 over a batch; None for 1/B each. Rows
-            of weight 0 may hold anything, NaN too.
+        target: what the chosen values should be, shape [*stack, B, 1]; gets no gradient.
+        weight: of each row, [*stack, B, 1], adding up to 1 over a batch; None for 1/B each.
+            Rows of weight 0 may hold anything, NaN too.
         distance: "l2" (squared), "l1" or "smooth_l1" (as ``torch.nn``'s, β = 1).
         scale: factor of the loss.
 
     Returns:
         the loss [*stack], Σ weight · scale · distance(Q(s, a) - target), differentiable in
-        values; and without gradients Q(s, a) - target and Q(s, a), each [*stack, B] and 0 in
-        rows of weight 0.
+        values; and without gradients Σ weight · |Q(s, a) - target| and Σ weight · Q(s, a), each
+        [*stack], and (Q(s, a) - target)² [*stack, B, 1], 0 in rows of weight 0.
 
     Example:
         >>> import torch
         >>> values = torch.tensor([[1.0, 2.0], [3.0, 4.0]])
-        >>> td_loss(values, torch.tensor([[1], [0]]), torch.tensor([0.0, 0.0]))
-        (tensor(6.5000), tensor([2., 3.]), tensor([2., 3.]))
+        >>> td_loss(values, torch.tensor([[1], [0]]), torch.zeros(2, 1))
+        (tensor(6.5000), tensor(2.5000), tensor(2.5000), tensor([[4.], [9.]]))
     """
-    out: tuple[Tensor, Tensor, Tensor] = _TDLoss.apply(
+    out: tuple[Tensor, Tensor, Tensor, Tensor] = _TDLoss.apply(
         values, index, target, weight, distance, scale
     )
     return out

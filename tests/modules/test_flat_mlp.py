@@ -67,13 +67,14 @@ def test_gradcheck_with_dropout():
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_gradcheck_of_local_reparameterisation(stack):
-    x = torch.randn(*stack, 4, 5, dtype=torch.double, requires_grad=True)
-    mu = torch.randn(*stack, LAYOUT.numel, dtype=torch.double, requires_grad=True)
-    sigma = torch.rand(*stack, LAYOUT.numel, dtype=torch.double) + 0.1
+    layout = FlatLayout((3, 4, 2))
+    x = torch.randn(*stack, 2, 3, dtype=torch.double, requires_grad=True)
+    mu = torch.randn(*stack, layout.numel, dtype=torch.double, requires_grad=True)
+    sigma = torch.rand(*stack, layout.numel, dtype=torch.double) + 0.1
 
     def same_noise(*args):
         torch.manual_seed(3)
-        return mlp_local(*args, LAYOUT)
+        return mlp_local(*args, layout)
 
     assert torch.autograd.gradcheck(same_noise, (x, mu, sigma.requires_grad_()))
 

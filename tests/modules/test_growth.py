@@ -84,8 +84,9 @@ def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
         # the same noise for the same weight, however large the network is
         wanted = noise["full"].reshape(-1, masked.layout.numel)
         wanted = wanted[:, index] if buffer.shape[-1] == small.layout.numel else wanted
-        buffer.copy_(wanted[noise["row"] : noise["row"] + buffer.shape[0]])
-        noise["row"] += buffer.shape[0]
+        rows = buffer.view(-1, buffer.shape[-1])
+        rows.copy_(wanted[noise["row"] : noise["row"] + rows.shape[0]])
+        noise["row"] += rows.shape[0]
 
     monkeypatch.setattr(GaussianPosterior, "fill_noise_", fill)
 
