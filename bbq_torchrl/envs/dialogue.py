@@ -42,8 +42,8 @@ class DialogueEnv(EnvBase):
 
     The environment keeps the state of its dialogues (``env.dialogues``) and the generator of all
     its random choices; ``state_dict`` holds both. A dialogue that has ended stays as it is until it
-    is reset. Each call draws numbers for the whole batch, so that what one dialogue does never
-    shifts the random numbers of another.
+    is reset. Each turn draws numbers for the whole batch, and so does each reset: what one dialogue
+    does in a turn never shifts the random numbers of another.
 
     Args:
         domain: what the dialogues are about.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
@@ -74,9 +75,10 @@ class ErrorModel:
 
     def to(self, device: torch.device | str) -> ErrorModel:
         """Returns the same error model with every tensor on ``device``."""
-        moved = object.__new__(ErrorModel)
+        moved = copy(self)
         for name, value in vars(self).items():
-            setattr(moved, name, value.to(device) if isinstance(value, torch.Tensor) else value)
+            if isinstance(value, torch.Tensor):
+                setattr(moved, name, value.to(device))
         return moved
 
     def distort(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 import torch
@@ -45,9 +46,12 @@ class KnowledgeBase:
     """
 
     def __init__(self, domain: DomainTensors) -> None:
-        records = domain.records
-        if records.shape[0] == 0:
+        if domain.records.shape[0] == 0:
             raise ValueError("the knowledge base must have at least one record, got none")
+        device = domain.records.device
+        # Built from many small pieces, which an accelerator would be slow at.
+        domain = domain.to("cpu")
+        records = domain.records
         self.n_records = records.shape[0]
         listed = sorted(
             {
@@ -94,13 +98,18 @@ class KnowledgeBase:
                 for slot, size in enumerate(domain.n_values)
             ]
         )
+        self._move(device)
 
     def to(self, device: torch.device | str) -> KnowledgeBase:
         """Returns the same knowledge base with every tensor on ``device``."""
-        moved = object.__new__(KnowledgeBase)
-        for name, value in vars(self).items():
-            setattr(moved, name, value.to(device) if isinstance(value, torch.Tensor) else value)
+        moved = copy(self)
+        moved._move(device)
         return moved
+
+    def _move(self, device: torch.device | str) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, torch.Tensor):
+                setattr(self, name, value.to(device))
 
     def _chosen(self, held: torch.Tensor) -> torch.Tensor:
         """Returns which set each slot's held value stands for, long ``[*B, K]``."""
@@ -253,4 +262,4 @@ def _intersect(sets: torch.Tensor, chosen: torch.Tensor) -> torch.Tensor:
     words = sets.index_select(0, by_slot[0])
     for column in by_slot[1:]:
         words &= sets.index_select(0, column)
-    return words.view(*chosen.shape[:-1], -1)
+    return words.view(*chosen.shape[:-1], sets.shape[-1])

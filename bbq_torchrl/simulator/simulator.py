@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -101,6 +102,7 @@ class Simulator:
             raise ValueError(f"max_turn must be at least {_ACTS_PER_TURN}, got {max_turn}")
         self.rewards = Rewards() if rewards is None else rewards
         self.max_turn = max_turn
+        self._has_choices = bool((domain.action_offer >= 0).any())
         self._build(domain, KnowledgeBase(domain), ErrorModel(domain) if errors is None else errors)
 
     def _build(
@@ -110,7 +112,7 @@ class Simulator:
         self.knowledge_base = knowledge_base
         self.errors = errors
         self.user = User(domain)
-        self.tracker = Tracker(domain, knowledge_base)
+        self.tracker = Tracker(domain, knowledge_base, has_choices=self._has_choices)
         self.features = Features(domain, knowledge_base)
         self._is_ticket = torch.arange(domain.n_slots, device=self.device) == domain.ticket
         slot = torch.stack([domain.action_request, domain.action_inform, domain.action_offer])
@@ -118,8 +120,7 @@ class Simulator:
 
     def to(self, device: torch.device | str) -> Simulator:
         """Returns the same simulator with every tensor on ``device``."""
-        moved = object.__new__(Simulator)
-        moved.rewards, moved.max_turn = self.rewards, self.max_turn
+        moved = copy(self)
         moved._build(self.domain.to(device), self.knowledge_base.to(device), self.errors.to(device))
         return moved
 

@@ -80,11 +80,14 @@ class Tracker:
     Args:
         domain: the domain's tensors.
         knowledge_base: the domain's records.
+        has_choices: whether the domain has actions of kind ``multiple_choice``.
     """
 
-    def __init__(self, domain: DomainTensors, knowledge_base: KnowledgeBase) -> None:
+    def __init__(
+        self, domain: DomainTensors, knowledge_base: KnowledgeBase, *, has_choices: bool
+    ) -> None:
         self._knowledge_base = knowledge_base
-        self._has_choices = bool((domain.action_offer >= 0).any())
+        self._has_choices = has_choices
         self._act = domain.action_act
         request, inform, choice = domain.action_request, domain.action_inform, domain.action_offer
         slot = torch.maximum(torch.maximum(request, inform), choice)
@@ -112,8 +115,10 @@ class Tracker:
             action: long ``[*B]``, indices of the domain's actions.
         """
         slot, is_slot = self._slot.take(action), rows(self._is_slot, action)
-        kinds = self._kinds.index_select(1, action.reshape(-1)).view(-1, *action.shape)
-        request, inform, booking, choice, confirm, end, special = kinds.unbind()
+        kinds = self._kinds.index_select(1, action.reshape(-1))
+        request, inform, booking, choice, confirm, end, special = kinds.view(
+            self._kinds.shape[0], *action.shape
+        ).unbind()
         offered = None
         if self._has_choices:
             counts, total = self._knowledge_base.counts_by_value(held, slot)

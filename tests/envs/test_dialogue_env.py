@@ -1,0 +1,281 @@
+"""The dialogue environment by itself: specs, resets, seeds, state."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import pytest
+import torch
+from torchrl.envs import check_env_specs
+
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
+
+
+def assert_same(one, other):
+    assert set(one.keys(True, True)) == set(other.keys(True, True))
+    for key in one.keys(True, True):
+        assert torch.equal(one[key], other[key]), key
+
+
+def step(env, action):
+    td = env.dialogues.select().set("action", action)
+    return env.step(td)["next"]
+
+
+@pytest.mark.parametrize("domain_name", ["movie", "restaurant"])
+@pytest.mark.parametrize("batch_size", [(), (5,), (2, 3)])
+@pytest.mark.parametrize("schedule", [None, ExtensionSchedule(start=1, every=1)])
+def test_specs_describe_what_the_environment_gives(domain_name, batch_size, schedule, request):
+    domain = request.getfixturevalue(domain_name)
+    env = DialogueEnv(domain, batch_size=batch_size, schedule=schedule, seed=0)
+    check_env_specs(env)
+    n_slots, n_acts = len(domain.slots), len(domain.acts)
+    n_features = 2 * n_acts + 7 * n_slots + 3 + domain.turn_width
+    assert env.observation_spec["observation"].shape == (*batch_size, n_features)
+    assert env.action_spec.shape == batch_size
+    assert env.action_spec.n == len(domain.actions)
+
+
+def test_a_rollout_has_every_key_in_the_documented_shape_and_type(movie):
+    env = DialogueEnv(movie, batch_size=(2, 3), seed=0)
+    rollout = env.rollout(4, break_when_any_done=False)
+    expected = {
+        "observation": ((268,), torch.float32),
+        "action_mask": ((39,), torch.bool),
+        "success": ((1,), torch.bool),
+        "turns": ((1,), torch.int64),
+        "goal_id": ((1,), torch.int64),
+        "done": ((1,), torch.bool),
+        "terminated": ((1,), torch.bool),
+        "truncated": ((1,), torch.bool),
+    }
+    for where in (rollout, rollout["next"]):
+        for key, (shape, dtype) in expected.items():
+            assert where[key].shape == (2, 3, 4, *shape), key
+            assert where[key].dtype == dtype, key
+    assert rollout["action"].shape == (2, 3, 4)
+    assert rollout["next", "reward"].shape == (2, 3, 4, 1)
+
+
+def test_rolling_out_to_the_last_end_gives_each_dialogue_once(movie):
+    env = DialogueEnv(movie, batch_size=(64,), seed=1)
+    torch.manual_seed(0)
+    rollout = env.rollout(env.max_agent_turns, break_when_any_done=False, break_when_all_done=True)
+    done = rollout["next", "done"].squeeze(-1)
+    valid = (done.cumsum(-1) - done.long()) == 0
+    assert done[:, -1].all()
+    last = valid.sum(-1) - 1
+    rows = torch.arange(64)
+    assert (rollout["next", "turns"].squeeze(-1)[rows, last] == valid.sum(-1)).all()
+    assert valid.sum(-1).unique().numel() > 5
+    reward = (rollout["next", "reward"].squeeze(-1) * valid).sum(-1)
+    success = rollout["next", "success"].squeeze(-1)[rows, last]
+    assert torch.equal(reward, torch.where(success, 40.0, -10.0) - (valid.sum(-1) - 1))
+    assert (rollout["goal_id"] == rollout["goal_id"][:, :1]).all()
+    assert torch.equal(rollout["next", "terminated"], rollout["next", "done"])
+    assert not rollout["next", "truncated"].any()
+
+
+@pytest.mark.parametrize("batch_size", [(6,), (2, 3)])
+def test_a_partial_reset_starts_those_dialogues_only(movie, batch_size):
+    env = DialogueEnv(movie, batch_size=batch_size, seed=2)
+    env.reset()
+    for name in ("greeting", "request(city)"):
+        before = step(env, torch.full(batch_size, movie.action_index(name)))
+    state = env.dialogues.clone()
+    which = torch.zeros(*batch_size, 1, dtype=torch.bool)
+    which.view(-1)[1] = which.view(-1)[4] = True
+    # TorchRL keeps what is not reset from the data that comes with the mask.
+    after = env.reset(before.clone().set("_reset", which))
+    mask = which.squeeze(-1)
+
+    assert after["observation"].shape == before["observation"].shape
+    assert (after["turns"].squeeze(-1) == torch.where(mask, 0, 2)).all()
+    assert not after["done"].any()
+    for key in ("observation", "goal_id", "turns"):
+        assert torch.equal(after[key][~mask], before[key][~mask]), key
+    for key in state.keys():  # noqa: SIM118  (a TensorDict iterates over its rows)
+        assert torch.equal(env.dialogues[key][~mask], state[key][~mask]), key
+    assert (env.dialogues["turn"][mask] == 0).all()
+    assert (env.dialogues["agent_act"][mask] == -1).all()
+
+
+def test_a_dialogue_that_ended_starts_again_while_the_others_go_on(movie):
+    env = DialogueEnv(movie, batch_size=(3,), seed=3)
+    td = env.reset()
+    greeting, thanks = movie.action_index("greeting"), movie.action_index("thanks")
+    td["action"] = torch.tensor([greeting, thanks, greeting])
+    ended, td = env.step_and_maybe_reset(td)
+    assert ended["next", "done"].flatten().tolist() == [False, True, False]
+    assert ended["next", "turns"].flatten().tolist() == [1, 1, 1]
+    assert td["turns"].flatten().tolist() == [1, 0, 1]
+    assert not td["done"].any()
+    td["action"] = torch.tensor([greeting, greeting, thanks])
+    ended, td = env.step_and_maybe_reset(td)
+    assert ended["next", "turns"].flatten().tolist() == [2, 1, 2]
+    assert td["turns"].flatten().tolist() == [2, 1, 0]
+
+
+def test_what_one_dialogue_does_never_changes_another(movie):
+    """The rows of replica 1 end at once or go on; those of replica 0 see the same still."""
+
+    def play(other_action):
+        env = DialogueEnv(movie, batch_size=(2, 4), seed=4, slot_error_prob=0.3)
+        td = env.reset()
+        seen = []
+        for turn in range(8):
+            action = torch.full((2, 4), turn + 6)
+            action[1] = movie.action_index(other_action)
+            td = env.step(td.set("action", action))["next"]
+            seen.append(td["observation"][0])
+        return torch.stack(seen)
+
+    assert torch.equal(play("thanks"), play("greeting"))
+
+
+def test_the_seed_decides_everything_but_the_policy(movie):
+    def rollout(env):
+        torch.manual_seed(0)
+        return env.rollout(10, scripted_policy("random", env), break_when_any_done=False)
+
+    one = rollout(DialogueEnv(movie, batch_size=(8,), seed=5, intent_error_prob=0.2))
+    assert_same(one, rollout(DialogueEnv(movie, batch_size=(8,), seed=5, intent_error_prob=0.2)))
+    env = DialogueEnv(movie, batch_size=(8,), seed=6, intent_error_prob=0.2)
+    other = rollout(env)
+    assert not torch.equal(one["observation"], other["observation"])
+    assert env.set_seed(5) != 5
+    assert_same(one, rollout(env))
+
+
+def test_without_a_seed_torch_manual_seed_decides(movie):
+    def first():
+        return DialogueEnv(movie, batch_size=(8,)).reset()["goal_id"]
+
+    torch.manual_seed(1)
+    one, other = first(), first()
+    assert not torch.equal(one, other)
+    torch.manual_seed(1)
+    assert torch.equal(first(), one)
+
+
+@pytest.mark.parametrize("turns", [0, 3])
+def test_a_saved_environment_goes_on_as_if_nothing_had_happened(movie, turns, tmp_path):
+    def make(seed):
+        schedule = ExtensionSchedule(start=1, every=1)
+        return DialogueEnv(movie, batch_size=(2, 4), seed=seed, schedule=schedule)
+
+    def play(env, count):
+        torch.manual_seed(0)
+        return [env.rand_step(env.dialogues.select()) for _ in range(count)]
+
+    env = make(7)
+    env.set_round(2)
+    env.reset()
+    play(env, turns)
+    torch.save(env.state_dict(), tmp_path / "env.pt")
+    expected = play(env, 5)
+    started = env.reset()
+
+    loaded = make(8)
+    loaded.load_state_dict(torch.load(tmp_path / "env.pt", weights_only=True))
+    assert loaded.round == 2
+    for one, other in zip(play(loaded, 5), expected, strict=True):
+        assert_same(one, other)
+    assert_same(loaded.reset(), started)
+
+
+def test_an_environment_is_saved_before_its_first_reset(movie):
+    env, other = DialogueEnv(movie, seed=9), DialogueEnv(movie, seed=10)
+    other.load_state_dict(env.state_dict())
+    assert_same(other.reset(), env.reset())
+
+
+def test_dialogues_of_another_batch_are_refused(movie):
+    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+    env.reset()
+    other = DialogueEnv(movie, batch_size=(4,), seed=0)
+    with pytest.raises(ValueError, match=r"saved dialogues have batch size \[3\]"):
+        other.load_state_dict(env.state_dict())
+
+
+def test_a_copy_and_a_pickle_go_on_alike(movie):
+    env = DialogueEnv(movie, batch_size=(4,), seed=11)
+    env.reset()
+    copies = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
+    action = torch.full((4,), movie.action_index("confirm_answer"))
+    expected = step(env, action)
+    for other in copies:
+        assert_same(step(other, action), expected)
+
+
+def test_the_domain_says_how_hard_it_is_unless_the_caller_does(movie):
+    assert DialogueEnv(movie).simulator.errors.slot_error_prob == movie.reference_slot_error_prob
+    assert DialogueEnv(movie, slot_error_prob=0.0).simulator.errors.slot_error_prob == 0.0
+
+
+def test_settings_reach_the_simulator(movie):
+    env = DialogueEnv(
+        movie,
+        batch_size=(2,),
+        slot_error_prob=0.25,
+        slot_error_mode="mixed",
+        intent_error_prob=0.5,
+        max_turn=10,
+        success_reward=1.0,
+        failure_reward=-2.0,
+        turn_reward=-0.5,
+    )
+    errors = env.simulator.errors
+    assert (errors.slot_error_prob, errors.slot_error_mode) == (0.25, "mixed")
+    assert errors.intent_error_prob == 0.5
+    assert env.max_agent_turns == 6
+    env.reset()
+    greeting, thanks = movie.action_index("greeting"), movie.action_index("thanks")
+    td = step(env, torch.tensor([greeting, thanks]))
+    assert td["reward"].flatten().tolist() == [-0.5, -2.0]
+    assert env.simulator.rewards.success == 1.0
+
+
+def test_dialogues_before_the_first_reset_are_refused(movie):
+    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+        _ = DialogueEnv(movie).dialogues
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"slot_error_prob": 2.0}, "slot_error_prob must be a probability"),
+        ({"slot_error_mode": "all"}, "slot_error_mode must be one of"),
+        ({"max_turn": 0}, "max_turn must be at least 2, got 0"),
+        ({"device": "nowhere"}, "device must be one that is present, got 'nowhere'"),
+    ],
+)
+def test_bad_settings_are_refused(movie, settings, message):
+    with pytest.raises(ValueError, match=message):
+        DialogueEnv(movie, **settings)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without CUDA")
+def test_an_absent_cuda_device_is_refused(movie):
+    with pytest.raises(ValueError, match="device must be one that is present, got 'cuda'"):
+        DialogueEnv(movie, device="cuda")
+    with pytest.raises(ValueError, match="device must be one that is present, got 'cuda:1'"):
+        DialogueEnv(movie).to("cuda:1")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_an_environment_moves_to_an_accelerator_and_back(movie):
+    env = DialogueEnv(movie, batch_size=(5,), seed=0)
+    env.reset()
+    goals = env.dialogues["goal_id"]
+    env = env.to("cuda")
+    assert env.dialogues.device.type == "cuda"
+    assert torch.equal(env.dialogues["goal_id"].cpu(), goals)
+    check_env_specs(env)
+    state = env.state_dict()
+    expected = env.reset()
+    other = DialogueEnv(movie, batch_size=(5,), seed=1, device="cuda")
+    other.load_state_dict(state)
+    assert_same(other.reset(), expected)
+    assert env.to("cpu").reset().device.type == "cpu"

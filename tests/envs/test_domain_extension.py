@@ -1,0 +1,135 @@
+"""Domain extension: slots, actions, goals and features that come in the course of training."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torchrl.envs import ActionMask, TransformedEnv
+
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
+
+PAPER = [40, 50, 60, 70, 80, 90, 100, 110, 120, 130]
+
+
+def active_names(env):
+    flags = env.active_slots.tolist()
+    return {slot for slot, flag in zip(env.domain.slots, flags, strict=True) if flag}
+
+
+def test_a_slot_comes_every_ten_rounds_after_forty(movie):
+    schedule = ExtensionSchedule()
+    essential = set(movie.essential)
+    assert set(schedule.active(movie, 0)) == set(schedule.active(movie, 39)) == essential
+    for position, round_number in enumerate(PAPER):
+        added = set(movie.extension_order[: position + 1])
+        assert set(schedule.active(movie, round_number)) == essential | added
+        assert set(schedule.active(movie, round_number + 9)) == essential | added
+    assert set(schedule.active(movie, 10_000)) == essential | set(movie.extension_order)
+
+
+def test_active_slots_are_in_the_order_of_the_domains_slots(movie):
+    active = ExtensionSchedule(start=0, every=1).active(movie, 3)
+    assert list(active) == [slot for slot in movie.slots if slot in active]
+
+
+def test_slots_can_be_chosen(movie):
+    schedule = ExtensionSchedule(slots=("zip", "price"), start=2, every=3)
+    added = [set(schedule.active(movie, r)) - set(movie.essential) for r in range(7)]
+    assert added == [set(), set(), {"zip"}, {"zip"}, {"zip"}, {"zip", "price"}, {"zip", "price"}]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"start": -1}, "start must be a round, 0 or later, got -1"),
+        ({"every": 0}, "every must be at least 1 round, got 0"),
+        ({"slots": ("zip", "zip")}, "slots must be different from each other"),
+    ],
+)
+def test_a_schedule_that_makes_no_sense_is_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        ExtensionSchedule(**settings)
+
+
+def test_unknown_slots_and_rounds_are_refused(movie):
+    with pytest.raises(ValueError, match="adds cuisine, but domain 'movie' has only actor, "):
+        DialogueEnv(movie, schedule=ExtensionSchedule(slots=("cuisine",)))
+    for schedule in (None, ExtensionSchedule()):
+        with pytest.raises(ValueError, match="round must be 0 or later, got -1"):
+            DialogueEnv(movie, schedule=schedule).set_round(-1)
+
+
+def test_without_a_schedule_everything_is_there_from_the_start(movie):
+    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+    for round_number in (0, 500):
+        env.set_round(round_number)
+        assert env.round == round_number
+        assert active_names(env) == set(movie.slots)
+        assert env.reset()["action_mask"].all()
+
+
+def test_a_round_brings_its_actions(movie):
+    env = DialogueEnv(movie, batch_size=(2, 2), seed=0, schedule=ExtensionSchedule())
+    for round_number, count in ((0, 19), (39, 19), (40, 21), (50, 23)):
+        env.set_round(round_number)
+        mask = env.reset()["action_mask"]
+        assert (mask.sum(-1) == count).all()
+        names = active_names(env)
+        legal = [action.slot is None or action.slot in names for action in movie.actions]
+        assert mask[0, 0].tolist() == legal
+
+
+def test_goals_and_features_know_only_the_active_slots(movie):
+    env = DialogueEnv(movie, batch_size=(300,), seed=0, schedule=ExtensionSchedule())
+    slots = torch.tensor([slot in movie.essential for slot in movie.slots])
+    essential = {*movie.essential, "all"}
+    columns = torch.tensor(
+        [
+            group not in {"user_act", "agent_act", "turn", "turn_onehot"}
+            and member not in essential
+            for group, _, member in (name.partition(":") for name in env.layout.names)
+        ]
+    )
+    torch.manual_seed(0)
+    rollout = env.rollout(10, break_when_any_done=False)
+    assert (rollout["observation"][..., columns] == 0).all()
+    assert (env.dialogues["constraints"][:, ~slots] == 0).all()
+    assert not env.dialogues["requests"][:, ~slots].any()
+    ticket = movie.slots.index(movie.ticket_slot)
+    assert env.dialogues["requests"][:, ticket].all()
+    env.set_round(1_000)
+    env.reset()
+    assert (env.dialogues["constraints"][:, ~slots] != 0).any()
+
+
+def test_dialogues_under_way_keep_their_goals(movie):
+    env = DialogueEnv(movie, batch_size=(20,), seed=0, schedule=ExtensionSchedule())
+    env.reset()
+    before = env.dialogues["constraints"].clone()
+    env.set_round(500)
+    torch.manual_seed(0)
+    env.rand_step(env.dialogues.select())
+    assert torch.equal(env.dialogues["constraints"], before)
+
+
+def test_random_actions_are_legal_in_every_round(movie):
+    env = DialogueEnv(movie, batch_size=(200,), seed=0, schedule=ExtensionSchedule())
+    torch.manual_seed(0)
+    for round_number in (0, 40, 70):
+        env.set_round(round_number)
+        mask = env.reset()["action_mask"]
+        action = env.rand_action()["action"]
+        assert mask.gather(-1, action[:, None]).all()
+        assert action.unique().numel() > 0.9 * int(mask[0].sum())
+
+
+def test_random_actions_are_legal_behind_an_action_mask(movie):
+    base = DialogueEnv(movie, batch_size=(200,), seed=0, schedule=ExtensionSchedule())
+    env = TransformedEnv(base, ActionMask())
+    torch.manual_seed(0)
+    for round_number in (0, 70, 0):
+        env.set_round(round_number)
+        rollout = env.rollout(4, break_when_any_done=False)
+        mask = rollout["action_mask"]
+        assert mask.gather(-1, rollout["action"][..., None]).all()
+        assert rollout["action"].unique().numel() > 0.9 * int(mask[0, 0].sum())

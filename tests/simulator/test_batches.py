@@ -1,0 +1,227 @@
+"""The same dialogues in any batch, on any device, compiled or not."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bbq_torchrl.domains import tensorise
+from bbq_torchrl.simulator import ErrorModel, Simulator
+from bbq_torchrl.simulator.choices import index_below, one_of, pick_slot
+
+
+def simulator_of(domain, mode="mixed"):
+    tensors = tensorise(domain)
+    errors = ErrorModel(tensors, slot_error_prob=0.3, slot_error_mode=mode, intent_error_prob=0.2)
+    return Simulator(tensors, errors=errors)
+
+
+def all_active(simulator):
+    return torch.ones(simulator.domain.n_slots, dtype=torch.bool, device=simulator.device)
+
+
+def assert_same(one, other):
+    assert one.keys() == other.keys()
+    for key in one.keys():  # noqa: SIM118  (a TensorDict iterates over its rows)
+        assert one[key].dtype == other[key].dtype, key
+        assert torch.equal(one[key].cpu(), other[key].cpu()), key
+
+
+def play(simulator, shape, turns, generator, start=None):
+    """Plays random actions. Returns states and features of all turns."""
+    active = all_active(simulator)
+    state = start
+    if state is None:
+        state = simulator.reset(simulator.draw_reset(shape, generator), active)
+    states, features = [state], [simulator.observe(state, active)]
+    for _ in range(turns):
+        action = torch.randint(simulator.domain.n_actions, shape, generator=generator)
+        state = simulator.turn(state, action, simulator.draw_turn(shape, generator), active)
+        states.append(state)
+        features.append(simulator.observe(state, active))
+    return states, features
+
+
+@pytest.mark.parametrize("domain_name", ["movie", "restaurant"])
+@pytest.mark.parametrize("shape", [(), (1,), (3, 5), (2, 1, 4), (0,)])
+def test_a_batch_of_any_shape_plays_as_the_flat_one(domain_name, shape, request):
+    simulator = simulator_of(request.getfixturevalue(domain_name))
+    count = torch.Size(shape).numel()
+    shaped = play(simulator, shape, 12, torch.Generator().manual_seed(3))
+    flat = play(simulator, (count,), 12, torch.Generator().manual_seed(3))
+    for one, other in zip(shaped[0], flat[0], strict=True):
+        assert one.batch_size == torch.Size(shape)
+        assert_same(one.reshape(count), other)
+    for one, other in zip(shaped[1], flat[1], strict=True):
+        assert one.shape == (*shape, simulator.layout.size)
+        assert torch.equal(one.reshape(other.shape), other)
+
+
+def test_dialogues_side_by_side_do_not_touch_each_other(restaurant):
+    simulator = simulator_of(restaurant)
+    generator = torch.Generator().manual_seed(5)
+    active = all_active(simulator)
+    start = simulator.draw_reset((8,), generator)
+    together = simulator.reset(start, active)
+    alone = [simulator.reset(start[row], active) for row in range(8)]
+    for _ in range(10):
+        action = torch.randint(simulator.domain.n_actions, (8,), generator=generator)
+        draws = simulator.draw_turn((8,), generator)
+        together = simulator.turn(together, action, draws, active)
+        for row in range(8):
+            alone[row] = simulator.turn(alone[row], action[row], draws[row], active)
+            assert_same(alone[row], together[row])
+
+
+def test_a_turn_leaves_state_action_and_draws_as_they_were(movie):
+    simulator = simulator_of(movie)
+    generator = torch.Generator().manual_seed(7)
+    (*_, state), _ = play(simulator, (40,), 5, generator)
+    action = torch.randint(simulator.domain.n_actions, (40,), generator=generator)
+    draws = simulator.draw_turn((40,), generator)
+    copies = state.clone(), action.clone(), draws.clone()
+    simulator.turn(state, action, draws, all_active(simulator))
+    assert_same(state, copies[0])
+    assert torch.equal(action, copies[1])
+    assert_same(draws, copies[2])
+
+
+def test_the_same_seed_plays_the_same_dialogues(movie):
+    simulator = simulator_of(movie)
+    one = play(simulator, (16,), 8, torch.Generator().manual_seed(11))[0]
+    same = play(simulator, (16,), 8, torch.Generator().manual_seed(11))[0]
+    other = play(simulator, (16,), 8, torch.Generator().manual_seed(12))[0]
+    assert_same(one[-1], same[-1])
+    assert not torch.equal(one[-1]["goal_id"], other[-1]["goal_id"])
+
+
+def test_draws_are_uniform_and_named_as_documented(movie):
+    simulator = simulator_of(movie)
+    n_slots = simulator.domain.n_slots
+    reset = simulator.draw_reset((2, 3))
+    assert {key: tuple(value.shape) for key, value in reset.items()} == {
+        "goal": (2, 3),
+        "constraint": (2, 3, n_slots),
+        "request": (2, 3, n_slots),
+    }
+    draws = simulator.draw_turn((4_000,), torch.Generator().manual_seed(0))
+    per_slot = {"agenda", "error", "error_kind", "error_slot", "error_value"}
+    assert set(draws.keys()) == per_slot | {"intent", "intent_act", "offer"}
+    for key, value in draws.items():
+        assert value.dtype == torch.float32
+        assert value.shape == ((4_000, n_slots) if key in per_slot else (4_000,))
+        assert value.min() >= 0
+        assert value.max() < 1
+        # The mean of n uniform numbers has the standard deviation 1 / sqrt(12 n).
+        assert abs(value.double().mean() - 0.5) < 5 / (12 * value.numel()) ** 0.5
+
+
+def test_legal_actions_are_those_without_slot_and_those_of_active_slots(movie):
+    simulator = simulator_of(movie)
+    names = set(movie.essential)
+    active = torch.tensor([slot in names for slot in movie.slots])
+    legal = simulator.action_mask(active).tolist()
+    expected = [action.slot is None or action.slot in names for action in movie.actions]
+    assert legal == expected
+    assert sum(legal) == 19
+    assert simulator.action_mask(all_active(simulator)).all()
+
+
+@pytest.mark.parametrize(
+    "mode",
+    [
+        "mixed",
+        pytest.param("value", marks=pytest.mark.slow),
+        pytest.param("slot", marks=pytest.mark.slow),
+    ],
+)
+def test_a_turn_compiles_without_a_graph_break(restaurant, mode):
+    simulator = simulator_of(restaurant, mode)
+    active = all_active(simulator)
+
+    def turn_and_observe(state, action, draws):
+        state = simulator.turn(state, action, draws, active)
+        return state, simulator.observe(state, active)
+
+    # The backend "eager" traces all of it and generates no code.
+    torch._dynamo.reset()
+    compiled = torch.compile(turn_and_observe, fullgraph=True, backend="eager", dynamic=False)
+    generator = torch.Generator().manual_seed(2)
+    (*_, state), _ = play(simulator, (6,), 3, generator)
+    action = torch.randint(simulator.domain.n_actions, (6,), generator=generator)
+    draws = simulator.draw_turn((6,), generator)
+    one, other = compiled(state, action, draws), turn_and_observe(state, action, draws)
+    assert_same(one[0], other[0])
+    assert torch.equal(one[1], other[1])
+
+
+@pytest.mark.slow
+def test_compiled_code_plays_the_same_dialogues(restaurant):
+    simulator = simulator_of(restaurant)
+    active = all_active(simulator)
+    torch._dynamo.reset()
+    compiled = torch.compile(simulator.turn, fullgraph=True, dynamic=False)
+    generator = torch.Generator().manual_seed(2)
+    (*_, state), _ = play(simulator, (6,), 1, generator)
+    for _ in range(5):
+        action = torch.randint(simulator.domain.n_actions, (6,), generator=generator)
+        draws = simulator.draw_turn((6,), generator)
+        expected = simulator.turn(state, action, draws, active)
+        assert_same(compiled(state, action, draws, active), expected)
+        state = expected
+
+
+@pytest.mark.parametrize("mode", ["value", "slot", "mixed"])
+@pytest.mark.parametrize("domain_name", ["movie", "restaurant"])
+def test_no_tensor_of_a_turn_stays_behind_on_another_device(domain_name, mode, request):
+    # The device "meta" holds shapes only, and refuses tensors of other devices as a GPU would.
+    simulator = simulator_of(request.getfixturevalue(domain_name), mode).to("meta")
+    active = all_active(simulator)
+    state = simulator.reset(simulator.draw_reset((3, 4)), active)
+    action = torch.zeros(3, 4, dtype=torch.long, device="meta")
+    after = simulator.turn(state, action, simulator.draw_turn((3, 4)), active)
+    assert after.keys() == state.keys()
+    for key, value in after.items():
+        assert value.device.type == "meta", key
+        assert value.shape == state[key].shape, key
+    assert simulator.observe(after, active).device.type == "meta"
+    assert simulator.action_mask(active).device.type == "meta"
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("domain_name", ["movie", "restaurant"])
+def test_an_accelerator_plays_the_same_dialogues(domain_name, request):
+    here = simulator_of(request.getfixturevalue(domain_name))
+    there = here.to("cuda")
+    generator = torch.Generator().manual_seed(4)
+    draws = here.draw_reset((300,), generator)
+    one = here.reset(draws, all_active(here))
+    other = there.reset(draws.to("cuda"), all_active(there))
+    assert_same(one, other)
+    for _ in range(21):
+        action = torch.randint(here.domain.n_actions, (300,), generator=generator)
+        draws = here.draw_turn((300,), generator)
+        one = here.turn(one, action, draws, all_active(here))
+        other = there.turn(other, action.cuda(), draws.to("cuda"), all_active(there))
+        assert_same(one, other)
+        seen = there.observe(other, all_active(there)).cpu()
+        assert torch.equal(here.observe(one, all_active(here)), seen)
+
+
+def test_a_choice_of_none_chooses_nothing():
+    empty = torch.zeros(4, dtype=torch.bool)
+    assert not pick_slot(empty, torch.rand(4)).any()
+    assert int(index_below(torch.tensor(0.99), 0)) == 0
+    assert not one_of(torch.tensor(-1), 4).any()
+
+
+def test_the_largest_number_never_reaches_the_count():
+    largest = torch.tensor(1 - 2**-24)
+    counts = torch.tensor([1, 3, 7, 1_000, 2**24 + 1])
+    assert (index_below(largest, counts) < counts).all()
+
+
+def test_equal_numbers_choose_the_lowest_slot():
+    pool = torch.tensor([False, True, True, False, True])
+    for number in (0.0, 0.5):
+        assert pick_slot(pool, torch.full((5,), number)).tolist() == [False, True, *[False] * 3]

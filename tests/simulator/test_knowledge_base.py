@@ -1,0 +1,157 @@
+"""The bit-packed knowledge base against counting by hand."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bbq_torchrl.domains import Goal, tensorise
+from bbq_torchrl.simulator import KnowledgeBase
+from bbq_torchrl.simulator.bits import byte_counts, pack, popcount
+
+from .scenes import SHOWINGS, SLOTS, Scene, cinema
+
+NONE, DONT_CARE, NO_MATCH, FIRST = 0, 1, 2, 4
+FREE = {"people", "ticket", "done"}
+INFORMED = ("movie", "city", "date", "theater", "genre")
+VALUES = {"movie": 3, "city": 4, "date": 12, "theater": 20, "genre": 1, "people": 3}
+
+rows = st.lists(
+    st.fixed_dictionaries(
+        {}, optional={slot: st.integers(0, VALUES[slot] - 1) for slot in VALUES}
+    ).filter(bool),
+    min_size=1,
+    max_size=150,
+)
+
+
+@st.composite
+def shelves(draw):
+    """Draws showings and values held, as texts."""
+    showings = draw(rows)
+    held = {}
+    for slot in VALUES:
+        # Mostly a value of a showing, so that something matches.
+        source = draw(st.sampled_from(showings))
+        choices = [NONE, NONE, DONT_CARE, NO_MATCH] if draw(st.booleans()) else []
+        if slot in source:
+            choices += [str(source[slot])] * 2
+        if choices:
+            held[slot] = draw(st.sampled_from(choices))
+    texts = tuple({slot: f"v{value}" for slot, value in row.items()} for row in showings)
+    return texts, {s: f"v{v}" if isinstance(v, str) else v for s, v in held.items()}
+
+
+@settings(max_examples=150, deadline=None)
+@given(shelf=shelves(), slot=st.sampled_from(INFORMED))
+def test_look_ups_agree_with_going_through_the_records_one_by_one(shelf, slot):
+    showings, held = shelf
+    domain = tensorise(cinema(Goal({}), showings=showings))
+    knowledge_base = KnowledgeBase(domain)
+    ids = torch.tensor(
+        [
+            value if isinstance(value := held.get(name, NONE), int) else words.index(value)
+            for name, words in zip(SLOTS, domain.vocabulary, strict=True)
+        ]
+    )
+
+    def meets(showing, name, value):
+        if name in FREE or value in (NONE, DONT_CARE):
+            return True
+        return value != NO_MATCH and showing.get(name) == value
+
+    matching = [row for row in showings if all(meets(row, *item) for item in held.items())]
+    assert int(knowledge_base.matching_counts(ids)) == len(matching)
+
+    for name, literal in zip(SLOTS, knowledge_base.value_counts(ids).tolist(), strict=True):
+        same = sum(row.get(name) == held.get(name, NONE) for row in showings)
+        assert literal == (0 if name in FREE else same)
+
+    position = SLOTS.index(slot)
+    words = domain.vocabulary[position]
+    counted = Counter(row[slot] for row in matching if slot in row)
+    counts, total = knowledge_base.counts_by_value(ids, torch.tensor(position))
+    assert int(total) == len(matching)
+    assert {w: n for w, n in zip(words[FIRST:], counts.tolist(), strict=False) if n} == counted
+
+    value, has_match = knowledge_base.fill(ids, torch.tensor(position))
+    most = max(counted.values(), default=0)
+    best = [words.index(word) for word, count in counted.items() if count == most]
+    assert int(value) == min(best, default=NO_MATCH)
+    assert bool(has_match) == bool(matching)
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=200))
+def test_packed_sets_count_their_members(members):
+    words = pack(torch.tensor(members))
+    assert words.shape == (-(-len(members) // 64),)
+    assert int(popcount(words)) == sum(members)
+    by_byte = [sum(members[start : start + 8]) for start in range(0, len(members), 8)]
+    assert byte_counts(words)[: len(by_byte)].tolist() == by_byte
+
+
+def test_a_fill_takes_the_most_frequent_value_and_of_equals_the_first():
+    scene = Scene({})
+    shelf = scene.simulator.knowledge_base
+
+    def fill(slot, held):
+        ids = torch.tensor([scene.id(s, held[s]) if s in held else 0 for s in SLOTS])
+        position = SLOTS.index(slot)
+        return scene.domain.vocabulary[position][int(shelf.fill(ids, torch.tensor(position))[0])]
+
+    assert fill("theater", {}) == "odeon"
+    assert fill("city", {"theater": "odeon"}) == "seattle"  # one each: seattle has the lower id
+    assert fill("city", {"theater": "odeon", "date": "today"}) == "boston"
+    assert fill("theater", {"theater": "lux"}) == "lux"
+    assert fill("date", {"theater": "lux"}) == "no match"
+    assert fill("genre", {}) == "no match"
+    assert fill("city", {"genre": "I do not care"}) == "seattle"
+    assert fill("city", {"date": "no match"}) == "no match"
+    assert fill("city", {"people": "9"}) == "seattle"
+
+
+def test_many_dialogues_at_once_fill_as_one_does(movie):
+    domain = tensorise(movie)
+    shelf = KnowledgeBase(domain)
+    generator = torch.Generator().manual_seed(0)
+    count = 5_000  # more than are filled in one block
+    record = torch.randint(domain.records.shape[0], (count,), generator=generator)
+    is_held = torch.rand(count, domain.n_slots, generator=generator) < 0.3
+    held = domain.records[record] * is_held
+    slots = [s for s in set(domain.action_inform.tolist()) if s not in (-1, domain.ticket)]
+    slots.remove(domain.complete)
+    slot = torch.tensor(slots)[torch.randint(len(slots), (count,), generator=generator)]
+    value, has_match = shelf.fill(held, slot)
+    assert has_match.all()
+    for row in range(0, count, 499):
+        alone = shelf.fill(held[row], slot[row])
+        assert (int(alone[0]), bool(alone[1])) == (int(value[row]), bool(has_match[row]))
+
+
+def test_memory_grows_with_the_records_and_not_with_their_square(movie):
+    def bits(n_records):
+        shelf = KnowledgeBase(replace(domain, records=domain.records.repeat(n_records, 1)))
+        return 64 * (shelf.sets.numel() + shelf.ordered_sets.numel())
+
+    domain = tensorise(movie)
+    assert bits(4) < 5 * bits(1)
+
+
+def test_a_knowledge_base_without_records_or_deciding_slots_is_refused():
+    domain = tensorise(cinema(Goal({})))
+    with pytest.raises(ValueError, match="at least one record, got none"):
+        KnowledgeBase(replace(domain, records=domain.records[:0]))
+    with pytest.raises(ValueError, match="at least one slot must constrain"):
+        KnowledgeBase(replace(domain, constrains=torch.zeros(len(SLOTS), dtype=torch.bool)))
+
+
+def test_values_that_only_differ_in_case_are_one(movie):
+    shouted = tuple({slot: value.upper() for slot, value in row.items()} for row in SHOWINGS)
+    scene = Scene({"city": "boston"}, showings=(*SHOWINGS, *shouted))
+    held = scene.situation(held={"city": "boston"})["held"]
+    assert int(scene.simulator.knowledge_base.matching_counts(held)) == 4
