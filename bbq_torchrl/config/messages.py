@@ -15,16 +15,22 @@ from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfi
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["explain"]
+__all__ = ["explain", "unknown_key"]
 
 
-def explain(error: Exception, overrides: Sequence[str], options: Callable[[str], list[str]]) -> str:
+def explain(
+    error: Exception,
+    overrides: Sequence[str],
+    options: Callable[[str], list[str]],
+    root: type = Config,
+) -> str:
     """One sentence for a configuration that could not be composed.
 
     Args:
         error: what Hydra or OmegaConf raised.
         overrides: the command line it was composed from.
         options: the options of a group.
+        root: the schema of the whole configuration.
     """
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(error, OverrideParseException):
@@ -36,8 +42,10 @@ def explain(error: Exception, overrides: Sequence[str], options: Callable[[str],
     if isinstance(cause, ValidationError):
         return _wrong_type(cause, overrides)
     return (
-        _not_an_option(overrides, options)
-        or _unknown_key(error, cause)
+        _not_an_option(overrides, options, root)
+        or _several_values(error)
+        or _removed(overrides)
+        or _unknown_key(error, cause, root)
         or " ".join(str(error).split())
     )
 
@@ -86,15 +94,30 @@ def _allowed(key: str, schema: Any) -> str | None:
     return None
 
 
-def _unknown_key(error: Exception, cause: BaseException | None) -> str | None:
+def _several_values(error: Exception) -> str | None:
+    match = re.match(r"(?:Ambiguous value for argument|Sweep parameters) '([^']+)'", str(error))
+    if match is None:
+        return None
+    return f"{match[1]} has several values: add --multirun to run them all"
+
+
+def _removed(overrides: Sequence[str]) -> str | None:
+    removed = next((item for item in overrides if item.startswith("~")), None)
+    return removed and f"{removed} cannot be read: no key can be removed, each has a value"
+
+
+def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> str | None:
     match = re.match(r"(?:Could not (?:\w+) |Key )[^']*'([^']+)'", _first_line(error))
     if match is None:
         return None
     key = match.group(1).lstrip("+~").partition("=")[0]
-    parent, _, name = key.rpartition(".")
     schema = getattr(cause, "object_type", None)
-    if not is_dataclass(schema):
-        schema = Config
+    return unknown_key(key, schema if is_dataclass(schema) else root)
+
+
+def unknown_key(key: str, schema: Any) -> str:
+    """One sentence for a dotted key that the schema of its group lacks."""
+    parent, _, name = key.rpartition(".")
     keys = [item.name for item in fields(schema)]
     close = get_close_matches(name, keys, n=1)
     hint = f" (did you mean {f'{parent}.' if parent else ''}{close[0]}?)" if close else ""
@@ -108,13 +131,20 @@ def _place(parent: str, schema: Any) -> str:
     return parent or "the configuration"
 
 
-def _not_an_option(overrides: Sequence[str], options: Callable[[str], list[str]]) -> str | None:
+def _not_an_option(
+    overrides: Sequence[str], options: Callable[[str], list[str]], root: type
+) -> str | None:
     """A sentence for a group that was given something else than the name of an option."""
+    groups = [item.name for item in fields(root) if item.name in SCHEMAS]
     for override in overrides:
         group, equals, value = override.partition("=")
+        if group.lstrip("+") == EXPERIMENT and root is not Config:
+            return f"{EXPERIMENT} is for training only: write the keys of {value} one by one"
         if equals and group == EXPERIMENT:
-            return f"experiment is added with a plus: write +experiment={value}"
-        if equals and group in SCHEMAS and value not in options(group):
+            return f"{EXPERIMENT} is added with a plus: write +{EXPERIMENT}={value}"
+        if group.startswith("+") and group.lstrip("+") in groups:
+            return f"{override} cannot be read: a group is chosen without a plus"
+        if equals and group in groups and value not in options(group):
             sweep = "; several options need --multirun" if "," in value else ""
             return f"{group} must be one of {', '.join(options(group))}, got {value!r}{sweep}"
     return None

@@ -8,11 +8,12 @@ classes again. This module imports neither torch nor Hydra.
 from __future__ import annotations
 
 from dataclasses import MISSING as _ABSENT
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from bbq_torchrl.config.settings import (
     ANY_TEXT,
+    BELOW_ONE,
     BOOLEAN,
     COUNT,
     COUNTS,
@@ -51,7 +52,11 @@ __all__ = [
     "MLFlowLoggerConfig",
     "MiuLabDomainConfig",
     "MovieDomainConfig",
+    "NoSpikeConfig",
+    "PaperProtocolConfig",
     "ProtocolConfig",
+    "QuickProtocolConfig",
+    "RuleSpikeConfig",
     "SpikeConfig",
     "TensorboardLoggerConfig",
     "ThompsonConfig",
@@ -71,7 +76,7 @@ DEVICE = Allowed(
     ),
 )
 
-BELOW_ONE = Allowed("a number from 0 to below 1", lambda value: 0 <= value < 1)
+EMPTY = Allowed("0, or be given with spike=rule", lambda value: value == 0)
 
 EVALUATION_MODES = ("mean", "average", "draw")
 
@@ -264,9 +269,9 @@ class FolderDomainConfig(DomainConfig):
 # ------------------------------------------------------------------------- spike, protocol, logger
 @dataclass
 class SpikeConfig:
-    """Replay-buffer spiking: dialogues of a scripted policy before the first round."""
+    """What is in the replay buffer before the first round."""
 
-    name: str = setting("rule", one_of("rule", "none"), "chosen by spike=<option>")
+    name: str = REQUIRED
     dialogues: int = setting(100, NON_NEGATIVE_INTEGER, "scripted dialogues put into the buffer")
     policy: str = setting("rule", ANY_TEXT, "scripted policy of the domain that plays them")
     protect: bool = setting(True, BOOLEAN, "spiked transitions are never evicted")
@@ -279,10 +284,25 @@ class SpikeConfig:
 
 
 @dataclass
+class RuleSpikeConfig(SpikeConfig):
+    """Replay-buffer spiking: dialogues of a scripted policy."""
+
+    name: str = _name("rule")
+
+
+@dataclass
+class NoSpikeConfig(SpikeConfig):
+    """An empty buffer."""
+
+    name: str = _name("none")
+    dialogues: int = setting(0, EMPTY, "scripted dialogues put into the buffer")
+
+
+@dataclass
 class ProtocolConfig:
     """How long and in which steps an agent trains and is measured."""
 
-    name: str = setting("paper", one_of("paper", "quick"), "chosen by protocol=<option>")
+    name: str = REQUIRED
     rounds: int = setting("${env.paper_rounds}", COUNT, "rounds of training")
     dialogues: int = setting(50, COUNT, "dialogues of a round and replica")
     batch_size: int = setting(32, COUNT, "transitions of an update")
@@ -292,6 +312,24 @@ class ProtocolConfig:
     eval_dialogues: int = setting(10_000, COUNT, "dialogues of the final evaluation of a replica")
     eval_batch: int = setting(2_500, COUNT, "evaluation dialogues that run side by side")
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
+
+
+@dataclass
+class PaperProtocolConfig(ProtocolConfig):
+    """The paper's protocol."""
+
+    name: str = _name("paper")
+
+
+@dataclass
+class QuickProtocolConfig(ProtocolConfig):
+    """Under two minutes on one core: fewer rounds and a smaller buffer; it still learns visibly."""
+
+    name: str = _name("quick")
+    rounds: int = setting(40, COUNT, "rounds of training")
+    capacity: int = setting(3_000, COUNT, "transitions a replica's buffer holds")
+    eval_dialogues: int = setting(2_000, COUNT, "dialogues of the final evaluation of a replica")
+    eval_batch: int = setting(2_000, COUNT, "evaluation dialogues that run side by side")
 
 
 @dataclass
@@ -339,8 +377,8 @@ class Config:
     explore: ExploreConfig = REQUIRED  # type: ignore[assignment]
     env: EnvConfig = REQUIRED  # type: ignore[assignment]
     domain: DomainConfig = REQUIRED  # type: ignore[assignment]
-    spike: SpikeConfig = field(default_factory=SpikeConfig)
-    protocol: ProtocolConfig = field(default_factory=ProtocolConfig)
+    spike: SpikeConfig = REQUIRED  # type: ignore[assignment]
+    protocol: ProtocolConfig = REQUIRED  # type: ignore[assignment]
     logger: LoggerConfig = REQUIRED  # type: ignore[assignment]
     replicas: int = setting(1, COUNT, "independent seeds trained side by side")
     seed: int = setting(0, NON_NEGATIVE_INTEGER, "seed that all random numbers derive from")
@@ -397,8 +435,8 @@ SCHEMAS: dict[str, dict[str, type]] = {
     ),
     "env": _options(FullEnvConfig, DomainExtensionConfig),
     "domain": _options(MovieDomainConfig, MiuLabDomainConfig, FolderDomainConfig),
-    "spike": {"rule": SpikeConfig, "none": SpikeConfig},
-    "protocol": {"paper": ProtocolConfig, "quick": ProtocolConfig},
+    "spike": _options(RuleSpikeConfig, NoSpikeConfig),
+    "protocol": _options(PaperProtocolConfig, QuickProtocolConfig),
     "logger": _options(
         CsvLoggerConfig, TensorboardLoggerConfig, WandbLoggerConfig, MLFlowLoggerConfig
     ),

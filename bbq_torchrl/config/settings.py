@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ANY_TEXT",
+    "BELOW_ONE",
     "BOOLEAN",
     "COUNT",
     "COUNTS",
@@ -71,13 +72,20 @@ NUMBER = Allowed("a number", _is_number)
 PROBABILITY = Allowed(
     "a number between 0 and 1", lambda value: _is_number(value) and 0 <= value <= 1
 )
+BELOW_ONE = Allowed(
+    "a number from 0 to below 1", lambda value: _is_number(value) and 0 <= value < 1
+)
 NON_NEGATIVE_INTEGER = Allowed(
     "an integer of at least 0", lambda value: _is_integer(value) and value >= 0
 )
 COUNT = Allowed("an integer of at least 1", lambda value: _is_integer(value) and value >= 1)
 COUNTS = Allowed(
     "a list of integers of at least 1, such as [256,256]",
-    lambda value: bool(value) and all(_is_integer(item) and item >= 1 for item in value),
+    lambda value: (
+        isinstance(value, list)
+        and bool(value)
+        and all(_is_integer(item) and item >= 1 for item in value)
+    ),
 )
 BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
 ANY_TEXT = Allowed("a text", lambda value: isinstance(value, str) and value != "")

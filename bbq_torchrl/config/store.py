@@ -21,9 +21,16 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.config.messages import explain
+from bbq_torchrl.config.messages import explain, unknown_key
 from bbq_torchrl.config.pairs import explorations_table
-from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.schema import (
+    EXPERIMENT,
+    SCHEMAS,
+    Config,
+    EvaluateConfig,
+    FolderDomainConfig,
+    MiuLabDomainConfig,
+)
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.validation import validate
 
@@ -42,6 +49,9 @@ __all__ = [
 ]
 
 Root = TypeVar("Root", Config, EvaluateConfig)
+
+ROOTS = {"config": Config, "evaluate": EvaluateConfig}
+"""YAML file of a root -> its schema."""
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -70,8 +80,8 @@ def options(group: str) -> list[str]:
 
 def _register() -> None:
     store = ConfigStore.instance()
-    store.store(name="_config", node=Config)
-    store.store(name="_evaluate", node=EvaluateConfig)
+    for name, root in ROOTS.items():
+        store.store(name=f"_{name}", node=root)
     for group, schemas in SCHEMAS.items():
         for option, schema in schemas.items():
             store.store(group=group, name=f"_{option}", node=schema)
@@ -115,7 +125,7 @@ def compose_raw(
     try:
         return hydra_compose(name, list(overrides), return_hydra_config=with_hydra)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        raise ConfigError(explain(error, overrides, options)) from error
+        raise ConfigError(explain(error, overrides, options, ROOTS[name])) from error
 
 
 def to_config(composed: DictConfig, root: type[Root]) -> Root:
@@ -152,7 +162,7 @@ def _typed(plain: DictConfig, root: type[Root]) -> Root:
         config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
     except OmegaConfBaseException as error:
         raise ConfigError(explain(error, (), options)) from error
-    if hasattr(config.domain, "path"):
+    if isinstance(config.domain, (MiuLabDomainConfig, FolderDomainConfig)) and config.domain.path:
         config.domain.path = os.path.abspath(os.path.expanduser(config.domain.path))
     validate(config)
     return config
@@ -165,7 +175,10 @@ def _typed_group(group: str, plain: DictConfig) -> DictConfig:
     if name not in schemas:
         raise ConfigError(f"{group} must be one of {', '.join(schemas)}, got {name!r}")
     typed = OmegaConf.structured(schemas[name])
+    known = {item.name for item in fields(schemas[name])}
     for key, value in plain[group].items_ex(resolve=False):
+        if key not in known:
+            raise ConfigError(unknown_key(f"{group}.{key}", schemas[name]))
         typed[key] = value
     assert isinstance(typed, DictConfig)
     return typed
@@ -187,7 +200,7 @@ def compose(overrides: Sequence[str] = (), root: type[Root] = Config) -> Root:  
         >>> compose(["env=domain_ext"]).protocol.rounds
         200
     """
-    name = "config" if root is Config else "evaluate"
+    name = next(name for name, schema in ROOTS.items() if schema is root)
     with session():
         return to_config(compose_raw(overrides, name), root)
 
