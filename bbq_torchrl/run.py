@@ -60,9 +60,9 @@ def run(config: Config, folder: Path) -> RunResult:
     trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
     started = time.perf_counter()
     _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
-    result = _evaluated(config, folder, agent, trainer.env, trained, started)  # type: ignore[arg-type]
+    result = _evaluated(config, folder, agent, trainer.env, trained, started)
     write_json(result, folder / RESULT_FILE)
-    _draw(config, folder, result, trainer.env)  # type: ignore[arg-type]
+    _draw(config, folder, result, trainer.env)
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     return result
 
