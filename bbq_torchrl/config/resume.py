@@ -57,7 +57,7 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
         key = override.lstrip("+~").partition("=")[0]
         if key == "resume":
             continue
-        if key == EXPERIMENT:
+        if key in (EXPERIMENT, "hydra.run.dir"):
             raise ConfigError(_refusal(override, folder))
         if key == "protocol.rounds":
             config.protocol.rounds = _extended(saved, given, folder)

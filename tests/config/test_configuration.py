@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import fields, is_dataclass
 from itertools import product
 
 import pytest
 import yaml
 
-from bbq_torchrl.config import EXPLORATIONS, SCHEMAS, ConfigError, EvaluateConfig
+from bbq_torchrl.config import EXPLORATIONS, SCHEMAS, ConfigError, EvaluateConfig, store
 from bbq_torchrl.config.command import prepare
 from bbq_torchrl.config.resume import resumed_config
 from bbq_torchrl.config.schema import Config
@@ -29,15 +30,18 @@ def test_the_yaml_files_of_a_group_are_the_options_of_its_schema(group):
     assert set(options(group)) == set(SCHEMAS[group])
 
 
-@pytest.mark.parametrize(
-    ("group", "option"), [(g, o) for g in SCHEMAS for o in SCHEMAS[g] if o not in ("none", "quick")]
-)
-def test_yaml_and_dataclass_name_the_same_keys_and_defaults(group, option):
+@pytest.mark.parametrize(("group", "option"), [(g, o) for g in SCHEMAS for o in SCHEMAS[g]])
+def test_yaml_and_dataclass_give_the_same_values(group, option):
     plain = yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text())
-    defaults = SCHEMAS[group][option]()
+    schema = SCHEMAS[group][option]()
     plain.pop("defaults")
-    for key, value in plain.items():
-        assert getattr(defaults, key) == value, key
+    expected = {item.name: getattr(schema, item.name) for item in fields(schema)}
+    assert expected.pop("name") == option
+    unwritten = expected.keys() - plain.keys()
+    assert {key: plain.get(key) for key in expected.keys() - unwritten} == plain
+    assert {key: expected[key] for key in plain} == plain
+    # What a YAML file leaves out is a key that only others of its group are about.
+    assert unwritten <= ({"policy", "protect", "drop_above", "drop_window"} & expected.keys())
 
 
 @pytest.mark.parametrize(("agent", "explore"), list(product(EXPLORATIONS, options("explore"))))
@@ -62,17 +66,66 @@ def test_rounds_follow_the_environment_unless_given():
     assert compose(["env=domain_ext", "protocol.rounds=20"]).protocol.rounds == 20
 
 
+@pytest.mark.parametrize("agent", EXPLORATIONS)
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_an_experiment_leaves_the_agent_to_the_command_line(experiment, agent):
+    config = compose([f"+experiment={experiment}", f"agent={agent}", "protocol.rounds=7"])
+    assert (config.agent.name, config.explore.name) == (agent, EXPLORATIONS[agent][0])
+    assert config.protocol.rounds == 7
+
+
+def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkeypatch):
+    conf = tmp_path / "conf"
+    shutil.copytree(conf_folder(), conf)
+    (conf / "experiment" / "agents").mkdir()
+    (conf / "experiment" / "agents" / "warm.yaml").write_text(
+        "# @package _global_\n"
+        "defaults: [override /agent: dqn, override /explore: boltzmann]\n"
+        "agent:\n  lr: 0.5\n"
+    )
+    monkeypatch.setattr(store, "conf_folder", lambda: conf)
+    assert "agents/warm" in options("experiment")
+    config = compose(["+experiment=agents/warm"])
+    assert (config.agent.name, config.explore.name, config.agent.lr) == ("dqn", "boltzmann", 0.5)
+    assert compose(["+experiment=agents/warm", "agent.lr=.1"]).agent.lr == 0.1
+
+
+def test_the_folder_inside_an_installed_package_comes_first(tmp_path, monkeypatch):
+    package = tmp_path / "bbq_torchrl"
+    monkeypatch.setattr(store, "_PACKAGE", package)
+    with pytest.raises(FileNotFoundError, match="no configuration folder 'conf'"):
+        conf_folder()
+    for folder in (tmp_path / "conf", package / "conf"):
+        folder.mkdir(parents=True)
+        (folder / "config.yaml").touch()
+        assert conf_folder() == folder
+
+
 REFUSED = {
     "agent=nope": "agent must be one of bbqn, dqn, got 'nope'",
     "explore=nope": "explore must be one of",
     "env=nope": "env must be one of domain_ext, full",
     "+experiment=nope": "experiment must be one of",
+    "experiment=quick": "experiment is added with a plus: write +experiment=quick",
+    "+agent=dqn": "+agent=dqn cannot be read: a group is chosen without a plus",
+    "agent=bbqn,dqn": "agent must be one of bbqn, dqn, got 'bbqn,dqn'; several options need",
+    "seed=1,2": "seed=1,2 has several values: add --multirun",
+    "seed=range(0,3)": "seed=range(0,3) has several values: add --multirun",
+    "agent.name=dqn": "agent.name must be 'bbqn', got 'dqn': choose by agent=dqn",
+    "spike.name=none": "spike.name must be 'rule', got 'none': choose by spike=none",
+    "~agent": "agent must be given",
+    "~agent.lr": "~agent.lr cannot be read: no key can be removed",
+    "agent.lr": "'agent.lr' cannot be read: write key=value",
+    "+agent.nope=1": "agent.nope is not a key; the keys of agent=bbqn are name, hidden, lr",
+    "+nope=1": "nope is not a key; the keys of the configuration are agent, explore, env",
     "agent.priorstd=1": "did you mean agent.prior_std",
     "nope=1": "nope is not a key",
     "seed=abc": "seed must be an integer of at least 0, got 'abc'",
     "seed=-1": "seed must be an integer of at least 0, got -1",
     "agent.lr=abc": "agent.lr must be a positive number, got 'abc'",
     "agent.lr=0": "agent.lr must be a positive number, got 0",
+    "agent.lr=nan": "agent.lr must be a positive number, got nan",
+    "agent.hidden=256": "agent.hidden must be a list of integers of at least 1",
     "agent.hidden=[]": "agent.hidden must be a list of integers",
     "agent.gamma=1.5": "agent.gamma must be a number between 0 and 1, got 1.5",
     "agent.prior_std=-1": "agent.prior_std must be a positive number or 'fan_in', got -1",
@@ -89,6 +142,9 @@ REFUSED = {
     "env.slot_error_mode=foo": "env.slot_error_mode must be one of value, slot, delete, mixed",
     "env.max_turn=1": "env.max_turn must be an integer of at least 2, got 1",
     "domain=miulab": "domain.path must be given",
+    "domain=folder domain.path=''": "domain.path must be a text, got ''",
+    "domain=movie domain.path=x": "domain.path is not a key; the keys of domain=movie are name",
+    "spike=none spike.dialogues=5": "spike.dialogues must be 0, or be given with spike=rule, got 5",
     "spike.drop_above=.5 spike.protect=false": "spike.drop_above cannot be combined",
     "env=domain_ext agent.kl=sampled": "agent.kl must be closed",
     "agent=dqn agent.prior_std=.1": "agent.prior_std is not a key",
@@ -104,6 +160,24 @@ def test_what_cannot_be_run_is_refused_in_one_sentence(command):
     assert "\n" not in message.strip()
 
 
+REFUSED_EVALUATIONS = {
+    "dialogues=5": "policy must be given, as policy=<value>",
+    "policy=rule dialogues=0": "dialogues must be an integer of at least 1, got 0",
+    "policy=rule mode=nope": "mode must be one of mean, average, draw or null",
+    "policy=rule agent=dqn": "agent is not a key; the keys of the configuration are env, domain",
+    "policy=rule env.priorstd=1": "env.priorstd is not a key; the keys of env=full are name",
+    "policy=rule +experiment=quick": "experiment is for training only",
+}
+
+
+@pytest.mark.parametrize("command", REFUSED_EVALUATIONS)
+def test_an_evaluation_that_cannot_run_is_refused_in_one_sentence(command):
+    with pytest.raises(ConfigError) as refused:
+        compose(command.split(), EvaluateConfig)
+    assert REFUSED_EVALUATIONS[command] in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
 def test_every_job_of_a_sweep_is_checked_before_the_first_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match="agent=dqn cannot be combined"):
@@ -117,6 +191,52 @@ def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path):
     prepared = [prepare(command, lambda config: None)[-1] for _ in range(2)]
     assert len(set(prepared)) == 2
     assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    "command", [["--help"], ["--cfg", "job", "agent=dqn"], ["--info"], ["--hydra-help"]]
+)
+def test_what_only_shows_something_is_left_to_hydra(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    assert prepare(command, fail) == command
+    assert not list(tmp_path.iterdir())
+
+
+def fail(config):
+    raise ValueError("nothing was to be checked")
+
+
+def test_a_run_that_fails_its_check_leaves_no_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="nothing was to be checked"):
+        prepare(["agent=dqn"], fail)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["--config-name", "other"], "--config-name is not supported: choose by <group>=<option>"),
+        (["--config-path", "."], "--config-path is not supported"),
+        (["--multirun", "seed=1,2", "resume=somewhere"], "cannot be combined with --multirun"),
+        (["--multirun", "seed=range(0"], "cannot be read: write key=value"),
+    ],
+)
+def test_what_hydra_would_misread_is_refused(command, message):
+    with pytest.raises(ConfigError, match=message):
+        prepare(command, lambda config: None)
+
+
+def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_path):
+    folder = tmp_path / "it's a run"
+    folder.mkdir()
+    save_config(compose(["agent=dqn"]), folder / "config.yaml")
+    checked = []
+    # Quoted as the shell hands it over to Hydra's grammar.
+    quoted = str(folder).replace("'", "\\'")
+    prepared = prepare([f"resume='{quoted}'"], checked.append)
+    assert checked[0].agent.name == "dqn"
+    assert prepared[1:] == [f"hydra.run.dir='{quoted}'", "hydra.output_subdir=null"]
 
 
 def test_a_run_folder_is_not_used_twice(tmp_path):
@@ -154,7 +274,19 @@ class TestResume:
         assert config.protocol.rounds == 9
         assert config.logger.name == "tensorboard"
 
-    @pytest.mark.parametrize("override", ["agent=bbqn", "seed=1", "protocol.batch_size=8"])
+    def test_may_repeat_what_the_run_has_anyway(self, folder):
+        assert self.resume(folder, "agent=dqn", "seed=0").agent.name == "dqn"
+
+    @pytest.mark.parametrize(
+        "override",
+        [
+            "agent=bbqn",
+            "seed=1",
+            "protocol.batch_size=8",
+            "+experiment=quick",
+            "hydra.run.dir=elsewhere",
+        ],
+    )
     def test_refuses_what_contradicts_the_run(self, folder, override):
         with pytest.raises(ConfigError, match="contradicts the run"):
             self.resume(folder, override)
@@ -168,9 +300,29 @@ class TestResume:
         with pytest.raises(ConfigError, match="is finished"):
             self.resume(folder)
 
+    def test_extends_a_finished_run(self, folder):
+        (folder / "result.json").write_text("{}")
+        assert self.resume(folder, "protocol.rounds=6").protocol.rounds == 6
+
     def test_refuses_a_folder_that_is_no_run_folder(self, tmp_path):
-        with pytest.raises(ConfigError, match="is not a run folder"):
+        with pytest.raises(ConfigError, match=r"is not a run folder: it has no config\.yaml"):
             self.resume(tmp_path)
+        with pytest.raises(ConfigError, match="is not a run folder: there is no such folder"):
+            self.resume(tmp_path / "nowhere")
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("agent: [", "is not a YAML file of a run"),
+            ("- 1", "must hold a mapping of groups, got a list"),
+            ("seed: 1", "agent must be given"),
+            ("agent:\n  name: nope", "agent must be one of bbqn, dqn, got 'nope'"),
+        ],
+    )
+    def test_refuses_a_folder_whose_configuration_is_damaged(self, folder, text, message):
+        (folder / "config.yaml").write_text(text)
+        with pytest.raises(ConfigError, match=message):
+            self.resume(folder)
 
 
 def test_evaluation_composes_from_the_same_groups():

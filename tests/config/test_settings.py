@@ -1,0 +1,90 @@
+"""Every value that a key does not allow is refused by name."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from bbq_torchrl.config import SCHEMAS, ConfigError, check_settings
+from bbq_torchrl.config.schema import Config, EvaluateConfig
+from bbq_torchrl.config.settings import (
+    NON_NEGATIVE,
+    POSITIVE,
+    PROBABILITY,
+    Allowed,
+    at_least,
+    one_of,
+    optional,
+    or_text,
+    walk,
+)
+
+CANDIDATES = (-1, 0, 1, 2, 1.5, -0.5, math.nan, math.inf, True, None, "", "nope", [], [0], [8], {})
+
+OPTIONS = [schema for schemas in SCHEMAS.values() for schema in schemas.values()]
+
+
+def leaves(schema):
+    """The keys of a schema that are no groups."""
+    return [(key, item) for key, item, _ in walk(schema()) if "allowed" in item.metadata]
+
+
+KEYS = [(schema, key) for schema in (*OPTIONS, Config, EvaluateConfig) for key, _ in leaves(schema)]
+
+
+def valid(schema):
+    """A configuration of the schema that passes; what has to be given is given."""
+    config = schema()
+    for key, item in leaves(schema):
+        if getattr(config, key) == "???":
+            setattr(config, key, "given")
+        elif isinstance(getattr(config, key), str) and getattr(config, key).startswith("${"):
+            setattr(config, key, 1)
+        assert item.metadata["meaning"]
+    return config
+
+
+@pytest.mark.parametrize(("schema", "key"), [(s, k) for s, k in KEYS if s in OPTIONS])
+def test_a_value_that_is_not_allowed_is_refused_by_key_and_value(schema, key):
+    allowed = dict(leaves(schema))[key].metadata["allowed"]
+    check_settings(valid(schema))
+    refused = [value for value in CANDIDATES if not allowed.test(value)]
+    assert len(refused) >= 3
+    for value in refused:
+        config = valid(schema)
+        setattr(config, key, value)
+        with pytest.raises(ConfigError) as error:
+            check_settings(config)
+        assert str(error.value) == f"{key} must be {allowed.text}, got {value!r}"
+
+
+@pytest.mark.parametrize(("schema", "key"), KEYS)
+def test_the_default_of_a_key_is_allowed(schema, key):
+    value, allowed = getattr(valid(schema), key), dict(leaves(schema))[key].metadata["allowed"]
+    assert allowed.test(value)
+
+
+def test_what_has_to_be_given_is_asked_for():
+    schema = SCHEMAS["domain"]["folder"]
+    with pytest.raises(ConfigError, match="path must be given: it must be a text"):
+        check_settings(schema())
+
+
+@pytest.mark.parametrize(
+    ("allowed", "text", "accepted", "refused"),
+    [
+        (POSITIVE, "a positive number", [1e-9, 3], [0, -1, True, "1", math.inf]),
+        (NON_NEGATIVE, "a number of at least 0", [0, 0.5], [-1e-9, math.nan]),
+        (PROBABILITY, "a number between 0 and 1", [0, 1, 0.5], [1.01, -0.01, "half"]),
+        (at_least(2), "an integer of at least 2", [2, 40], [1, 2.0, True]),
+        (one_of("map", "mc"), "one of map, mc", ["map", "mc"], ["MAP", None]),
+        (one_of("full"), "'full'", ["full"], ["", "fuller"]),
+        (or_text(POSITIVE, "fan_in"), "a positive number or 'fan_in'", ["fan_in", 1], ["fan", 0]),
+        (optional(POSITIVE, "never"), "a positive number or null (never)", [None, 1], [0, "null"]),
+    ],
+)
+def test_what_is_allowed_says_so(allowed: Allowed, text, accepted, refused):
+    assert allowed.text == text
+    assert all(map(allowed.test, accepted))
+    assert not any(map(allowed.test, refused))
