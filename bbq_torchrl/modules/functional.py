@@ -73,7 +73,7 @@ class FlatLayout:
         Args:
             flat: shape [*lead, P].
         """
-        parts = flat.split(self._split_sizes, -1)
+        parts = torch.split_with_sizes(flat, self._split_sizes, -1)
         lead = flat.shape[:-1]
         return [
             (matrix.view(*lead, *shape), bias)
@@ -111,15 +111,14 @@ class _FlatMLP(torch.autograd.Function):
         grads = ctx.layout.unflatten(grad_flat)
         product = torch.mm if grad.ndim == 2 else torch.bmm
         for k in range(depth - 1, -1, -1):
-            product(inputs[k].mT, grad, out=grads[k][0])
             torch.sum(grad, -2, out=grads[k][1])
+            if k > 0 and ctx.dropout > 0:
+                grad = grad * _dropout_scale(ctx.dropout)
+            product(inputs[k].mT, grad, out=grads[k][0])
             if k > 0:
-                # A unit that is 0 after ReLU and dropout passes nothing back; the others were
-                # scaled by 1/(1 - dropout).
+                # a unit that is 0 after ReLU and dropout passes nothing back
                 below = product(grad, matrices[k - depth].mT)
                 grad = _relu_backward(below, inputs[k], 0, grad_input=below)
-                if ctx.dropout > 0:
-                    grad = grad.mul_(1 / (1 - ctx.dropout))
         grad_x = product(grad, matrices[0].mT) if ctx.needs_input_grad[0] else None
         return grad_x, grad_flat, None, None
 
@@ -127,22 +126,33 @@ class _FlatMLP(torch.autograd.Function):
 def _run(
     x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float
 ) -> tuple[Tensor, list[Tensor], list[Tensor]]:
-    """Returns the outputs, the input of each layer, and the matrix of each layer."""
+    """Returns the outputs, the input of each layer (units dropped), and the matrices."""
     layers = layout.unflatten(flat)
+    widths = layout.sizes[1:-1]
+    kept: Sequence[Tensor] = ()
+    if dropout > 0 and widths:
+        # 1 where a uniform number is at least dropout, else 0; for all hidden units at once
+        kept = x.new_empty((*x.shape[:-1], sum(widths))).uniform_().ge_(dropout).split(widths, -1)
     inputs = [x]
-    for matrix, bias in layers[:-1]:
-        hidden = _affine(inputs[-1], matrix, bias).relu_()
-        if dropout > 0:
-            # 1/(1 - dropout) where a uniform number is at least dropout, else 0
-            hidden.mul_(torch.rand_like(hidden).ge_(dropout).mul_(1 / (1 - dropout)))
-        inputs.append(hidden)
-    return _affine(inputs[-1], *layers[-1]), inputs, [matrix for matrix, _ in layers]
+    for k, (matrix, bias) in enumerate(layers[:-1]):
+        scale = _dropout_scale(dropout) if k > 0 else 1.0
+        hidden = _affine(inputs[-1], matrix, bias, scale).relu_()
+        inputs.append(hidden.mul_(kept[k]) if kept else hidden)
+    scale = _dropout_scale(dropout) if widths else 1.0
+    out = _affine(inputs[-1], *layers[-1], scale)
+    return out, inputs, [matrix for matrix, _ in layers]
 
 
-def _affine(x: Tensor, matrix: Tensor, bias: Tensor) -> Tensor:
+def _dropout_scale(dropout: float) -> float:
+    """Returns what the units that are left are multiplied by, to keep their sum's mean."""
+    return 1 / (1 - dropout)
+
+
+def _affine(x: Tensor, matrix: Tensor, bias: Tensor, scale: float = 1.0) -> Tensor:
+    """Returns scale · x W + b."""
     if matrix.ndim == 2:
-        return torch.addmm(bias, x, matrix)
-    return torch.baddbmm(bias.unsqueeze(-2), x, matrix)
+        return torch.addmm(bias, x, matrix, alpha=scale)
+    return torch.baddbmm(bias.unsqueeze(-2), x, matrix, alpha=scale)
 
 
 def _rows(x: Tensor, lead: Sequence[int], features: int) -> Tensor:
@@ -153,6 +163,8 @@ def _rows(x: Tensor, lead: Sequence[int], features: int) -> Tensor:
             f"input must have shape [{', '.join(str(d) for d in lead)}{', ' if lead else ''}"
             f"*batch, {features}], got {list(x.shape)}"
         )
+    if x.ndim == 2 + min(n, 1) and n < 2:
+        return x
     return x.reshape(prod(lead), -1, features) if lead else x.reshape(-1, features)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.modules.posterior import GaussianPosterior, KLKind, check_kl_kind
+from bbq_torchrl.modules.posterior import GaussianPosterior
+from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind
 
 if TYPE_CHECKING:
     from types import TracebackType

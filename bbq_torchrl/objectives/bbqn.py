@@ -9,7 +9,7 @@ from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.modules.exploration import bayesian_layers
 from bbq_torchrl.modules.kl import collect_kl
-from bbq_torchrl.modules.posterior import KLKind, check_kl_kind
+from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 if TYPE_CHECKING:

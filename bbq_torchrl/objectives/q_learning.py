@@ -201,14 +201,20 @@ class OneStepQLoss(DQNLoss):
     def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
         """Returns row weights [*stack, *batch, 1] that add up to 1, None if all are the same."""
         weight = None
-        masks = [tensordict.get(key, None) for key in self._loss_mask_keys()]
+        keys = list(self._loss_mask_keys())
         if self.use_prioritized_weights in (True, "auto"):
-            masks.append(tensordict.get(self.tensor_keys.priority_weight, None))
-        for mask in masks:
+            keys.append(self.tensor_keys.priority_weight)
+        for key in keys:
+            mask = tensordict.get(key, None)
             if mask is not None:
-                if mask.ndim < like.ndim:
+                if mask.ndim == like.ndim - 1:
                     mask = mask.unsqueeze(-1)
-                mask = self._expand_loss_mask(mask, like).to(like.dtype)
+                if mask.shape != like.shape:
+                    raise ValueError(
+                        f"{key!r} must have the batch's shape {list(like.shape[:-1])}, got "
+                        f"{list(mask.shape)}"
+                    )
+                mask = mask.to(like.dtype)
                 weight = mask if weight is None else weight * mask
         if weight is None:
             return None

@@ -169,6 +169,17 @@ def test_an_element_without_rows_has_no_loss_and_no_gradient():
     assert flat(loss, "weight").grad[1].any()
 
 
+def test_a_mask_of_another_shape_is_refused():
+    loss, _ = plain_loss((2,))
+    td = transitions((2,), (2,))
+    td["rows"] = torch.ones(2, 2, 3, dtype=torch.bool)
+    loss.loss_mask_key = "rows"
+    with pytest.raises(
+        ValueError, match=r"'rows' must have the batch's shape \[2, 2\], got \[2, 2, 3\]"
+    ):
+        loss(td)
+
+
 def test_torchrls_padding_masks_are_honoured_too():
     loss, _ = plain_loss()
     td = transitions(batch=(6,))

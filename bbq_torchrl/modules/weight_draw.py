@@ -1,0 +1,211 @@
+"""A draw of all weights of a Gaussian posterior and its KL, with gradients written by hand.
+
+Both are a few passes over vectors as long as the network has weights, and memory traffic is what
+they cost: σ is computed once for the two, temporaries are reused, and a stack of networks is
+worked on a cache-sized piece at a time.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+__all__ = ["KLKind", "check_kl_kind", "closed_kl", "draw_with_kl"]
+
+KLKind = Literal["closed", "sampled"]
+KL_KINDS: tuple[str, ...] = get_args(KLKind)
+
+# σ/p is not taken to be smaller than this: log and 1/r stay finite where σ underflows, and so
+# does the product of two of them.
+_LEAST_RATIO = 1e-18
+
+# σ/p - p/σ counts as zero up to this many machine epsilons: softplus of the very same ρ may
+# differ in the last bits between the vectorised part of a loop and its remainder.
+_SAME_STD = 32.0
+
+# How many weights the passes below work on at a time: half a megabyte a vector, so that the
+# handful of vectors of one piece stay in a core's cache however large the stack is.
+_PIECE = 2**17
+
+_softplus = torch.ops.aten.softplus.out
+_softplus_backward = torch.ops.aten.softplus_backward.grad_input
+_hardshrink = torch.ops.aten.hardshrink.out
+
+
+def check_kl_kind(kind: str) -> None:
+    """Raises ValueError unless ``kind`` is "closed" or "sampled"."""
+    if kind not in KL_KINDS:
+        raise ValueError(f"kl must be one of {list(KL_KINDS)}, got {kind!r}")
+
+
+def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:
+    """Yields tensors [*stack, *] a cache-sized part of the stack at a time (on a CPU).
+
+    The first tensor has all weights, [*stack, P]; where it is small (or not on a CPU) the
+    tensors come as they are, else with the stack as one dimension.
+    """
+    numel = tensors[0].shape[-1]
+    count = tensors[0].numel() // numel
+    size = max(1, _PIECE // numel)
+    if count <= size or tensors[0].device.type != "cpu":
+        yield tensors
+        return
+    flat = [t.reshape(count, -1) for t in tensors]
+    for start in range(0, count, size):
+        yield [t[start : start + size] for t in flat]
+
+
+class _Draw(torch.autograd.Function):
+    """(μ, ρ, p) to the draw w = μ + softplus(ρ) noise [*stack, P] and its KL [*stack]."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        mu: Tensor,
+        rho: Tensor,
+        prior_std: Tensor,
+        kind: KLKind,
+        fill_noise_: Callable[[Tensor], object],
+    ) -> tuple[Tensor, Tensor]:
+        weights, noise, ratio = (mu.new_empty(mu.shape) for _ in range(3))
+        inverse = prior_std.reciprocal()
+        kls = []
+        scratch = None
+        for m, r, w, n, s in _pieces(mu, rho, weights, noise, ratio):
+            fill_noise_(n)
+            _softplus(r, 1, 20, out=s)
+            torch.addcmul(m, s, n, out=w)
+            s.mul_(inverse).clamp_min_(_LEAST_RATIO)
+            if scratch is None:
+                scratch = torch.empty_like(s)
+            elif scratch.shape != s.shape:
+                scratch = scratch[: s.shape[0]]
+            if kind == "closed":
+                kls.append(_closed_kl_value(m, s, inverse, scratch))
+            else:
+                kls.append(_sampled_kl_value(w, n, s, inverse, scratch))
+        ctx.set_materialize_grads(False)
+        ctx.save_for_backward(rho, noise, ratio, prior_std, mu if kind == "closed" else weights)
+        ctx.kind = kind
+        return weights, kls[0] if len(kls) == 1 else torch.cat(kls).reshape(mu.shape[:-1])
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(
+        ctx: Any, grad_weights: Tensor | None, grad_kl: Tensor | None
+    ) -> tuple[Tensor | None, Tensor | None, None, None, None]:
+        rho, noise, ratio, prior_std, location = ctx.saved_tensors
+        if grad_kl is None:
+            if grad_weights is None:
+                return None, None, None, None, None
+            grad_kl = rho.new_zeros(rho.shape[:-1])
+        if grad_weights is None:
+            grad_weights = torch.zeros_like(rho)
+        grad_mu, grad_rho = rho.new_empty(rho.shape), rho.new_empty(rho.shape)
+        scale = grad_kl.unsqueeze(-1) / prior_std  # [*stack, 1] or [*stack, P]
+        dead_zone = _SAME_STD * torch.finfo(rho.dtype).eps
+        for r, n, s, x, gw, gm, gr, factor, pull in _pieces(
+            rho, noise, ratio, location, grad_weights, grad_mu, grad_rho, scale, scale / prior_std
+        ):
+            # d KL/dμ = μ/p²; the sampled log p(w) pulls at w, and so at σ through the noise
+            torch.addcmul(gw, pull, x, out=gm)
+            torch.reciprocal(s, out=gr)
+            if ctx.kind == "closed":
+                torch.sub(s, gr, out=gr)
+                _hardshrink(gr, dead_zone, out=gr)
+                gr.mul_(factor).addcmul_(gw, n)
+            else:
+                gr.mul_(factor).neg_().addcmul_(gm, n)
+            _softplus_backward(gr, r, 1, 20, grad_input=gr)
+        return grad_mu, grad_rho, None, None, None
+
+
+class _ClosedKL(torch.autograd.Function):
+    """(μ, ρ, p) to KL(N(μ, softplus(ρ)²) ‖ N(0, p²)), summed over the weights: [*stack]."""
+
+    @staticmethod
+    def forward(ctx: Any, mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
+        inverse = prior_std.reciprocal()
+        ratio = F.softplus(rho).mul_(inverse).clamp_min_(_LEAST_RATIO)
+        ctx.save_for_backward(mu, rho, ratio, prior_std)
+        return _closed_kl_value(mu, ratio, inverse, torch.empty_like(ratio))
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad_kl: Tensor) -> tuple[Tensor, Tensor, None]:
+        mu, rho, ratio, prior_std = ctx.saved_tensors
+        scale = grad_kl.unsqueeze(-1) / prior_std
+        grad_rho = torch.sub(ratio, ratio.reciprocal())
+        grad_rho = torch.hardshrink(grad_rho, _SAME_STD * torch.finfo(rho.dtype).eps).mul_(scale)
+        return (scale / prior_std) * mu, grad_rho.mul_(torch.sigmoid(rho)), None
+
+
+def _closed_kl_value(mu: Tensor, ratio: Tensor, inverse: Tensor, scratch: Tensor) -> Tensor:
+    """Returns ½ Σ (r² - 1) + ½ Σ (μ/p)² - Σ log r with r = σ/p, [*lead]."""
+    log = _sum_log(ratio, scratch)
+    # r² - 1 term by term: Σ r² less P would be the rounding of two large numbers near the prior
+    excess = torch.addcmul(ratio.new_tensor(-1.0), ratio, ratio, out=scratch).sum(-1)
+    return 0.5 * (excess + _sum_square(mu, inverse, scratch)) - log
+
+
+def _sampled_kl_value(
+    weights: Tensor, noise: Tensor, ratio: Tensor, inverse: Tensor, scratch: Tensor
+) -> Tensor:
+    """Returns log q(w) - log p(w) = ½ Σ (w/p)² - ½ Σ noise² - Σ log r, [*lead]."""
+    log = _sum_log(ratio, scratch)
+    own = _sum_square(noise, None, scratch)
+    return 0.5 * (_sum_square(weights, inverse, scratch) - own) - log
+
+
+def _sum_log(ratio: Tensor, scratch: Tensor) -> Tensor:
+    """Returns Σ log r over the last dimension, one logarithm for two of them."""
+    half = ratio.shape[-1] // 2
+    odd = ratio.shape[-1] - 2 * half
+    first, second, *rest = ratio.split([half, half, odd] if odd else [half, half], -1)
+    out = torch.mul(first, second, out=scratch[..., :half]).log_().sum(-1)
+    return out + rest[0].log().squeeze(-1) if rest else out
+
+
+def _sum_square(x: Tensor, factor: Tensor | None, scratch: Tensor) -> Tensor:
+    """Returns Σ (factor x)² over the last dimension."""
+    if factor is not None and factor.numel() > 1:
+        x, factor = torch.mul(x, factor, out=scratch), None
+    norm = torch.linalg.vector_norm(x, dim=-1)
+    return (norm if factor is None else norm * factor.reshape(())).square()
+
+
+def draw_with_kl(
+    mu: Tensor,
+    rho: Tensor,
+    prior_std: Tensor,
+    kind: KLKind,
+    fill_noise_: Callable[[Tensor], object],
+) -> tuple[Tensor, Tensor]:
+    """Returns the draw μ + softplus(ρ) noise, [*stack, P], and the KL from N(0, p²), [*stack].
+
+    Differentiable in mu and rho (once).
+
+    Args:
+        mu: shape [*stack, P].
+        rho: shape [*stack, P].
+        prior_std: p, shape [1] or [P].
+        kind: "closed", the divergence itself, or "sampled", log q(w) - log p(w) at the draw.
+        fill_noise_: fills a tensor [*, P] with standard normal numbers.
+    """
+    weights, kl = _Draw.apply(mu, rho, prior_std, kind, fill_noise_)
+    return weights, kl
+
+
+def closed_kl(mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
+    """Returns KL(N(μ, softplus(ρ)²) ‖ N(0, p²)) summed over the weights, [*stack].
+
+    Differentiable in mu and rho (once); arguments as those of :func:`draw_with_kl`.
+    """
+    out: Tensor = _ClosedKL.apply(mu, rho, prior_std)
+    return out
