@@ -110,17 +110,18 @@ class _Draw(torch.autograd.Function):
         grad_mu, grad_rho = rho.new_empty(rho.shape), rho.new_empty(rho.shape)
         scale = grad_kl.unsqueeze(-1) / prior_std  # [*stack, 1] or [*stack, P]
         dead_zone = _SAME_STD * torch.finfo(rho.dtype).eps
+        one = rho.new_ones(())
         for r, n, s, x, gw, gm, gr, factor, pull in _pieces(
             rho, noise, ratio, location, grad_weights, grad_mu, grad_rho, scale, scale / prior_std
         ):
             # d KL/dμ = μ/p²; the sampled log p(w) pulls at w, and so at σ through the noise
             torch.addcmul(gw, pull, x, out=gm)
-            torch.reciprocal(s, out=gr)
             if ctx.kind == "closed":
-                torch.sub(s, gr, out=gr)
+                torch.addcdiv(s, one, s, value=-1, out=gr)  # σ/p - p/σ
                 _hardshrink(gr, dead_zone, out=gr)
                 gr.mul_(factor).addcmul_(gw, n)
             else:
+                torch.reciprocal(s, out=gr)
                 gr.mul_(factor).neg_().addcmul_(gm, n)
             _softplus_backward(gr, r, 1, 20, grad_input=gr)
         return grad_mu, grad_rho, None, None, None
@@ -150,7 +151,7 @@ def _closed_kl_value(mu: Tensor, ratio: Tensor, inverse: Tensor, scratch: Tensor
     """Returns ½ Σ (r² - 1) + ½ Σ (μ/p)² - Σ log r with r = σ/p, [*lead]."""
     log = _sum_log(ratio, scratch)
     # r² - 1 term by term: Σ r² less P would be the rounding of two large numbers near the prior
-    excess = torch.addcmul(ratio.new_tensor(-1.0), ratio, ratio, out=scratch).sum(-1)
+    excess = torch.addcmul(ratio.new_full((), -1.0), ratio, ratio, out=scratch).sum(-1)
     return 0.5 * (excess + _sum_square(mu, inverse, scratch)) - log
 
 
