@@ -5,7 +5,7 @@ from __future__ import annotations
 from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
 from bbq_torchrl.trainers.collect import Outcomes, Policy, outcomes, play, play_dialogues
 from bbq_torchrl.trainers.errors import NonFiniteLossError
-from bbq_torchrl.trainers.loggers import LoggerName, make_loggers
+from bbq_torchrl.trainers.loggers import LoggerName, check_logger, make_loggers
 from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimiser import ReplicaAdam
@@ -28,6 +28,7 @@ __all__ = [
     "RoundSettings",
     "RoundTrainer",
     "SpikeSettings",
+    "check_logger",
     "derive_seed",
     "keep_freed_memory",
     "make_loggers",

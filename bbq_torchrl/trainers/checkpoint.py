@@ -123,7 +123,9 @@ class CheckpointFolder:
         Raises:
             torchrl.checkpoint.CheckpointError: if it was made by another configuration.
         """
-        self._checkpoint.load(path)
+        # Each part moves its state to its own device: the run may go on where the device that it
+        # was saved from is absent.
+        self._checkpoint.load(path, map_location="cpu")
 
     def _files(self) -> list[Path]:
         """Returns the checkpoints of finished rounds, the newest first."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-__all__ = ["LoggerName", "log_rows", "make_loggers", "trim_scalars"]
+__all__ = ["LoggerName", "check_logger", "log_rows", "make_loggers", "trim_scalars"]
 
 LoggerName = Literal["csv", "tensorboard", "wandb", "mlflow"]
 
@@ -47,14 +47,24 @@ def make_loggers(
     """
     chosen = list(dict.fromkeys(["csv", *names]))
     for name in chosen:
-        if name not in get_args(LoggerName):
-            raise ValueError(f"logger must be one of {list(get_args(LoggerName))}, got {name!r}")
-        if name != "csv" and importlib.util.find_spec(name) is None:
-            raise ImportError(
-                f"logger={name} needs the package {name}: pip install 'bbq-torchrl[{name}]'"
-            )
+        check_logger(name)
     run_folder.mkdir(parents=True, exist_ok=True)
     return [_make_logger(name, run_folder, resume, wandb_project) for name in chosen]
+
+
+def check_logger(name: str) -> None:
+    """Checks that there is a logger of that name.
+
+    Raises:
+        ValueError: if the name is unknown.
+        ImportError: if its package is missing; names the extra to install.
+    """
+    if name not in get_args(LoggerName):
+        raise ValueError(f"logger must be one of {list(get_args(LoggerName))}, got {name!r}")
+    if name != "csv" and importlib.util.find_spec(name) is None:
+        raise ImportError(
+            f"logger={name} needs the package {name}: pip install 'bbq-torchrl[{name}]'"
+        )
 
 
 def _make_logger(name: str, run_folder: Path, resume: bool, wandb_project: str) -> Logger:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from statistics import fmean
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -20,6 +19,7 @@ from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.seeding import derive_seed
 from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
+from bbq_torchrl.trainers.spiking import is_spike_outgrown, spike_replay
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -214,27 +214,17 @@ class RoundTrainer:
 
     def _fill_with_spike(self) -> None:
         """Stores the spike policy's dialogues, each replica its own."""
-        if not self.spike.dialogues:
+        if self.spike_policy is None or not self.spike.dialogues:
             return
-        assert self.spike_policy is not None
         self._seed_phase("spike", 0)
         _call_hook(self.env, "set_round", 0)
-        settings = self.settings
-        plays = play_dialogues(
-            self.env, self.spike_policy, self.spike.dialogues, max_steps=settings.max_steps
+        spike_replay(
+            self.replay,
+            self.env,
+            self.spike_policy,
+            self.spike,
+            max_steps=self.settings.max_steps,
         )
-        for rollout in plays:
-            rows = rows_per_replica(rollout, self.replay.keys)
-            for length, td in zip(self.replay.lengths, rows, strict=True):
-                if length + len(td) >= self.replay.capacity:
-                    raise ValueError(
-                        f"the transitions of {self.spike.dialogues} spiked dialogues must be fewer "
-                        f"than the capacity {self.replay.capacity}: raise the capacity or spike "
-                        "with fewer dialogues"
-                    )
-            self.replay.extend(rows)
-        if self.spike.protect:
-            self.replay.protect()
 
     def _round(self, round_number: int) -> list[MetricRow]:
         """Plays and learns one round. Returns its metrics, a row for each replica."""
@@ -322,15 +312,10 @@ class RoundTrainer:
             _call_hook(module, "step", 1)
 
     def _drop_spike(self, collected: Sequence[Mapping[str, float]]) -> None:
-        """Drops a replica's spiked transitions once its mean success is above the threshold."""
-        threshold, window = self.spike.drop_above, self.spike.drop_window
-        if threshold is None:
-            return
-        before = self.metrics.rows
+        """Drops a replica's spiked transitions once it does well without them."""
         for replica, row in enumerate(collected):
-            past = [r["success_rate"] for r in before[replica :: self.replicas]][-window + 1 :]
-            rates = [*(past if window > 1 else []), row["success_rate"]]
-            if len(rates) == window and fmean(rates) > threshold:
+            before = [past["success_rate"] for past in self.metrics.rows[replica :: self.replicas]]
+            if is_spike_outgrown([*before, row["success_rate"]], self.spike):
                 self.replay.drop_protected(replica)
 
     def _seed_phase(self, *path: str | int) -> None:
