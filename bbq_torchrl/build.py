@@ -45,6 +45,7 @@ from bbq_torchrl.trainers import (
     RoundSettings,
     RoundTrainer,
     SpikeSettings,
+    check_logger,
     derive_seed,
     make_loggers,
 )
@@ -273,13 +274,18 @@ def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent
 
 
 def check(config: Config) -> None:
-    """Checks what the configuration alone does not tell: device, corpus and scripted policy.
+    """Checks what the configuration alone does not tell: device, logger, corpus, scripted policy.
 
     Raises:
-        ConfigError: the device is absent, or the domain has no such scripted policy.
+        ConfigError: the device is absent, the logger's package is not installed, or the domain has
+            no such scripted policy.
         ValueError or OSError: the corpus is damaged or not there.
     """
     check_device(config.device)
+    try:
+        check_logger(config.logger.name)
+    except ImportError as error:
+        raise ConfigError(str(error)) from error
     domain = build_domain(config.domain)
     if config.spike.policy not in domain.policies:
         raise ConfigError(

@@ -22,11 +22,12 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import CompactHydraException, HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from bbq_torchrl.config.messages import explain
 from bbq_torchrl.config.resume import RUN_CONFIG, resumed_config
-from bbq_torchrl.config.schema import Config
+from bbq_torchrl.config.schema import EXPERIMENT, Config
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["REFUSED", "Refusal", "command", "prepare"]
 
 REFUSED = 2
-"""Exit code of a command that was refused, or stopped by an error with a clear cause."""
+"""Exit code of a command that was refused; a run that an error stops ends with 1, Hydra's code."""
 
 Task = Callable[[Config, Path], float]
 Check = Callable[[Config], None]
@@ -108,8 +109,9 @@ def prepare(arguments: Sequence[str], check: Check) -> list[str]:
         return list(arguments)
     with session() as hydra_session:
         _refuse_unread(parsed)
-        composed = None if parsed.multirun else compose_raw(parsed.overrides, with_hydra=True)
-        if composed is not None and composed.hydra.mode is None:
+        mode = None if parsed.multirun else hydra_session.get_mode("config", parsed.overrides)
+        if not parsed.multirun and mode is not RunMode.MULTIRUN:
+            composed = compose_raw(parsed.overrides, with_hydra=True)
             resume = composed.resume
             config = _job_config(_without_hydra(composed), parsed.overrides)
             check(config)
@@ -146,15 +148,30 @@ def _job_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
 
 
 def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[list[str]]]:
-    """The configuration of a sweep, and the overrides of each of its jobs."""
+    """The configuration of a sweep, and the overrides of each of its jobs.
+
+    Only Hydra's own sweeper says beforehand what its jobs are. Of another one (Optuna's, say) none
+    are returned: each job is checked when it starts.
+    """
     parser = OverridesParser.create(config_loader=hydra_session.config_loader)
     try:
         parsed = parser.parse_overrides(list(arguments))
+        of_sweeper = [
+            str(item.input_line)
+            for item in parsed
+            if not item.is_sweep_override()
+            and item.key_or_group.partition(".")[0].partition("/")[0] in ("hydra", EXPERIMENT)
+        ]
+        composed = compose_raw(of_sweeper, with_hydra=True)
+        sweeper = composed.hydra.sweeper
+        if not str(sweeper._target_).endswith(f".{BasicSweeper.__name__}"):
+            return composed, []
+        swept = [f"{key}={value}" for key, value in (sweeper.params or {}).items()]
+        parsed = parser.parse_overrides([*swept, *arguments])
         jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
     except HydraException as error:
         raise ConfigError(explain(error, arguments, options)) from error
-    composed = compose_raw(jobs[0], with_hydra=True)
-    return composed, jobs
+    return compose_raw(jobs[0], with_hydra=True), jobs
 
 
 def _run_folder(composed: DictConfig, resume: str | None) -> list[str]:

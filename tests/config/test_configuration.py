@@ -74,16 +74,22 @@ def test_an_experiment_leaves_the_agent_to_the_command_line(experiment, agent):
     assert config.protocol.rounds == 7
 
 
-def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkeypatch):
+def own_conf(tmp_path, monkeypatch):
+    """A copy of the configuration folder that takes its place."""
     conf = tmp_path / "conf"
     shutil.copytree(conf_folder(), conf)
+    monkeypatch.setattr(store, "conf_folder", lambda: conf)
+    return conf
+
+
+def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkeypatch):
+    conf = own_conf(tmp_path, monkeypatch)
     (conf / "experiment" / "agents").mkdir()
     (conf / "experiment" / "agents" / "warm.yaml").write_text(
         "# @package _global_\n"
         "defaults: [override /agent: dqn, override /explore: boltzmann]\n"
         "agent:\n  lr: 0.5\n"
     )
-    monkeypatch.setattr(store, "conf_folder", lambda: conf)
     assert "agents/warm" in options("experiment")
     config = compose(["+experiment=agents/warm"])
     assert (config.agent.name, config.explore.name, config.agent.lr) == ("dqn", "boltzmann", 0.5)
@@ -183,6 +189,28 @@ def test_every_job_of_a_sweep_is_checked_before_the_first_runs(tmp_path, monkeyp
     with pytest.raises(ConfigError, match="agent=dqn cannot be combined"):
         prepare(["--multirun", "agent=bbqn,dqn", "explore=thompson"], lambda config: None)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_jobs_of_a_sweep_that_an_experiment_asks_for_are_checked(tmp_path, monkeypatch):
+    conf = own_conf(tmp_path, monkeypatch)
+    (conf / "experiment" / "sweep.yaml").write_text(
+        "# @package _global_\n"
+        "hydra:\n  mode: MULTIRUN\n  sweeper:\n    params:\n      agent.lr: .1,.2,-1\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=r"agent\.lr must be a positive number, got -1"):
+        prepare(["+experiment=sweep"], lambda config: None)
+    checked = []
+    prepare(["+experiment=sweep", "agent.lr=.3,.4"], checked.append)
+    assert [config.agent.lr for config in checked] == [0.3, 0.4]
+
+
+def test_jobs_that_only_another_sweeper_knows_are_left_to_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    other = ["--multirun", "hydra.sweeper._target_=some.OtherSweeper", "agent.lr=interval(.1,.2)"]
+    assert prepare(other, fail)[:-1] == other
+    with pytest.raises(ConfigError, match="BasicSweeper does not support"):
+        prepare(["--multirun", "agent.lr=interval(.1,.2)"], fail)
 
 
 def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path):

@@ -1,0 +1,202 @@
+"""What cannot be run is refused before anything runs, in one line, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+import sys
+from datetime import date
+
+import pytest
+import torch
+
+import train
+from bbq_torchrl import build, evaluate
+from bbq_torchrl.config.command import REFUSED
+from bbq_torchrl.config.store import compose, save_config
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    """Runs a command line of train.py. Returns the line that refuses it."""
+    place = tmp_path / "here"
+    place.mkdir()
+    monkeypatch.chdir(place)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
+        with pytest.raises(SystemExit) as end:
+            train.main()
+        assert end.value.code == REFUSED
+        out, err = capsys.readouterr()
+        assert not out
+        assert err.startswith("error: ")
+        assert err.count("\n") == 1
+        assert not list(place.iterdir())
+        return err
+
+    return run
+
+
+def replace(old, new, count=1):
+    def damage(text):
+        assert old in text
+        return text.replace(old, new, count)
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "message"),
+    [
+        ("knowledge_base.csv", replace("terrace", "balcony"), "balcony"),
+        ("knowledge_base.csv", lambda text: text.splitlines()[0] + "\n", "knowledge base"),
+        ("knowledge_base.csv", lambda text: text.rstrip()[:-12], "knowledge_base.csv"),
+        ("goals.jsonl", replace('"cuisine"', '"kitchen"'), "kitchen"),
+        ("goals.jsonl", replace('"indian"', '"martian"'), "martian"),
+        ("goals.jsonl", lambda text: text[: len(text) // 2], "goals.jsonl"),
+        ("values.json", lambda text: text[:-20], "values.json"),
+        ("domain.yaml", replace("request(cuisine)", "demand(cuisine)"), "demand"),
+        ("domain.yaml", None, "domain.yaml"),
+    ],
+)
+def test_a_damaged_domain_folder(refused, restaurant_folder, tmp_path, file, damage, message):
+    folder = tmp_path / "domain"
+    shutil.copytree(restaurant_folder, folder)
+    if damage is None:
+        (folder / file).unlink()
+    else:
+        (folder / file).write_text(damage((folder / file).read_text()))
+    assert message in refused("domain=folder", f"domain.path={folder}")
+
+
+def test_a_domain_folder_that_is_not_there(refused):
+    assert "nowhere" in refused("domain=folder", "domain.path=nowhere")
+
+
+def test_a_pickle_with_a_class_in_it(refused, tmp_path):
+    for name in ("user_goals_first_turn_template.v2.p", "movie_kb.1k.p", "dicts.v3.p"):
+        (tmp_path / name).write_bytes(pickle.dumps({"day": date(2018, 2, 2)}, protocol=2))
+    message = refused("domain=miulab", f"domain.path={tmp_path}")
+    assert "datetime" in message
+
+
+def test_a_device_that_is_absent(refused):
+    number = torch.cuda.device_count()
+    assert f"device=cuda:{number} is absent" in refused(f"device=cuda:{number}")
+
+
+def test_a_logger_whose_package_is_missing(refused, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mlflow", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, package=None: None)
+    message = refused("logger=mlflow")
+    assert "logger=mlflow needs the package mlflow: pip install 'bbq-torchrl[mlflow]'" in message
+
+
+def test_a_scripted_policy_that_the_domain_lacks(refused, restaurant_folder):
+    message = refused("domain=folder", f"domain.path={restaurant_folder}", "spike.policy=greedy")
+    assert "spike.policy must be one of rule, careful, got 'greedy'" in message
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("agent=dqn explore=thompson", "explore must be one of epsilon_greedy, boltzmann, greedy"),
+        ("agent.priorstd=1", "did you mean agent.prior_std?"),
+        ("protocol.rounds=many", "protocol.rounds must be an integer of at least 1, got 'many'"),
+        ("resume=nowhere", "nowhere is not a run folder: there is no such folder"),
+        ("--multirun agent=bbqn,dqn explore=thompson", "agent=dqn cannot be combined"),
+    ],
+)
+def test_a_wrong_command_line(refused, override, message):
+    assert message in refused(*override.split())
+
+
+def test_one_bad_job_stops_a_sweep_before_its_first(refused):
+    assert "agent.lr must be a positive number, got 0" in refused("--multirun", "agent.lr=.1,0")
+
+
+def evaluation_refused(capsys, *arguments):
+    assert evaluate.main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("policy=nope", "policy must be a run folder or one of random, rule"),
+        ("policy=rule mode=mean", "mode must be null for policy=rule, got 'mean'"),
+        ("policy=rule device=cuda:99", "device=cuda:99 is absent"),
+        ("policy=rule domain=folder domain.path=nowhere", "nowhere"),
+        ("policy=rule dialogues=none", "dialogues must be an integer of at least 1, got 'none'"),
+        ("polcy=rule", "did you mean policy?"),
+    ],
+)
+def test_a_wrong_evaluation(capsys, arguments, message):
+    assert message in evaluation_refused(capsys, *arguments.split())
+
+
+def test_a_run_folder_that_is_none_or_has_no_checkpoint(capsys, tmp_path):
+    assert "is not a run folder" in evaluation_refused(capsys, f"policy={tmp_path}")
+    save_config(compose(["agent=dqn"]), tmp_path / "config.yaml")
+    message = evaluation_refused(capsys, f"policy={tmp_path}")
+    assert "has no checkpoint yet" in message
+
+
+def test_an_agent_without_a_posterior_has_no_modes():
+    config = compose(["agent=dqn"])
+    env = build.build_env(config.env, build.build_domain(config.domain), (1, 2))
+    agent = build.build_agent(config, env)
+    with pytest.raises(ValueError, match="mode must be null for agent=dqn, got 'mean'"):
+        build.evaluation_policy(config, agent.actor, "mean")
+
+
+def test_an_evaluation_prints_one_line_of_json(capsys, restaurant_folder, tmp_path):
+    log = tmp_path / "dialogues.txt"
+    assert (
+        evaluate.main(
+            [
+                "policy=random",
+                "domain=folder",
+                f"domain.path={restaurant_folder}",
+                "dialogues=7",
+                "batch=3",
+                f"log={log}",
+            ]
+        )
+        == 0
+    )
+    out = capsys.readouterr().out
+    assert out.count("\n") == 1
+    answer = json.loads(out)
+    keys = ["success_rate", "standard_error", "reward", "turns", "dialogues", "turns_per_second"]
+    assert answer.keys() >= set(keys)
+    assert answer["dialogues"] == 7
+    # Ten were asked for; there are no more than were played.
+    assert log.read_text().count("dialogue ") == 7
+
+
+def test_the_public_corpus_is_evaluated_with_files_and_difficulty_of_choice(capsys, tcbot):
+    arguments = [
+        "policy=careful",
+        "dialogues=40",
+        "batch=16",
+        "domain=miulab",
+        f"domain.path={tcbot}",
+        "domain.goals=user_goals_first_turn_template.part.movie.v1.p",
+        "domain.kb=movie_kb.1k.p",
+        "env.slot_error_prob=.05",
+        "env.slot_error_mode=value",
+        "env.intent_error_prob=0",
+        "env.max_turn=40",
+    ]
+    assert evaluate.main(arguments) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["domain"], answer["dialogues"]) == ("miulab", 40)
+    # The scripted policy succeeds in about two thirds of the dialogues at this difficulty.
+    assert answer["success_rate"] > 0.2
