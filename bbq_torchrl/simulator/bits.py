@@ -34,9 +34,11 @@ def pack(members: torch.Tensor) -> torch.Tensor:
         tensor([5])
     """
     padded = torch.nn.functional.pad(members, (0, -members.shape[-1] % WORD_BITS))
-    weights = 1 << torch.arange(_BYTE_BITS, dtype=torch.uint8, device=members.device)
-    by_byte = padded.unflatten(-1, (-1, _BYTE_BITS)) * weights
-    return by_byte.sum(-1, dtype=torch.uint8).view(torch.int64)
+    first, *rest = padded.to(torch.uint8).unflatten(-1, (-1, _BYTE_BITS)).unbind(-1)
+    packed = first.contiguous()
+    for bit, flags in enumerate(rest, start=1):
+        packed |= flags << bit
+    return packed.view(torch.int64)
 
 
 def _counts_in_bytes(words: torch.Tensor) -> torch.Tensor:

@@ -240,7 +240,7 @@ def _order_by_value(values: torch.Tensor, n_values: int) -> tuple[torch.Tensor, 
 
 def _placed(members: torch.Tensor, place: torch.Tensor, n_places: int) -> torch.Tensor:
     """Returns bool ``[sets, n_places]``: whether the record at each place is a member."""
-    in_place = members[:, place.clamp(min=0)] & (place >= 0)
+    in_place = members.index_select(1, place.clamp(min=0)) & (place >= 0)
     return torch.nn.functional.pad(in_place, (0, n_places - place.numel()))
 
 
