@@ -8,12 +8,16 @@ import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
+from torchrl.envs import Compose
 
+from bbq_torchrl.data.padding import pad_rows, unpad_rows
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+
+    from torchrl.envs import Transform
 
 __all__ = ["TRANSITION_KEYS", "Batch", "ReplicaReplay"]
 
@@ -59,7 +63,17 @@ class ReplicaReplay:
         replicas (int): the number of replicas R. Default: 1.
         keys (sequence of NestedKey): the entries of a transition that are stored.
             Default: :data:`TRANSITION_KEYS`.
+        transform (Transform, optional): as in TorchRL's replay buffers: ``transform.inv`` runs on
+            rows when they are stored, and what it adds (its ``out_keys_inv``) is stored with them;
+            ``transform`` runs on an epoch's rows when they are read. Both see batch size
+            [replicas, rows] with the entry ``valid``. Where it has ``set_seeds(seeds)`` it is
+            seeded along with the shuffling.
         device (torch.device or str): where the transitions are kept. Default: ``"cpu"``.
+
+    Attributes:
+        keys (tuple of NestedKey): the entries that :meth:`extend` reads.
+        stored_keys (tuple of NestedKey): those, and what the transform adds.
+        transform (Transform or None): the transform.
 
     Example:
         >>> import torch
@@ -81,6 +95,7 @@ class ReplicaReplay:
         *,
         replicas: int = 1,
         keys: Sequence[NestedKey] = TRANSITION_KEYS,
+        transform: Transform | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         if capacity < 1:
@@ -90,6 +105,9 @@ class ReplicaReplay:
         self.capacity = capacity
         self.replicas = replicas
         self.keys = tuple(keys)
+        self.transform = transform
+        added = [key for part in _parts(transform) for key in part.out_keys_inv]
+        self.stored_keys = (*self.keys, *(key for key in added if key not in self.keys))
         self._device = torch.device(device)
         self._generators = [torch.Generator(self._device) for _ in range(replicas)]
         self._buffers = [
@@ -135,6 +153,9 @@ class ReplicaReplay:
             # forgets it, so that an epoch depends on this seed alone, not on the epochs before.
             buffer.set_sampler(SamplerWithoutReplacement(drop_last=False))
             buffer.set_rng(generator.manual_seed(seed))
+        for part in _parts(self.transform):
+            if hasattr(part, "set_seeds"):
+                part.set_seeds(seeds)
 
     def extend(self, rows: Sequence[TensorDictBase]) -> None:
         """Stores each replica's new transitions; the oldest unprotected ones make room.
@@ -154,8 +175,12 @@ class ReplicaReplay:
         selected = [td.select(*self.keys) for td in rows]
         for replica, td in enumerate(selected):
             validate_transitions(td, name=f"replica {replica}")
+        selected = [td.to(self._device) for td in selected]
+        if self.transform is not None:
+            stacked = self.transform.inv(pad_rows(selected)).select(*self.stored_keys)
+            selected = unpad_rows(stacked, [len(td) for td in selected])
         for buffer, td in zip(self._buffers, selected, strict=True):
-            td = td.to(self._device)[-buffer.writer.unprotected_capacity :]
+            td = td[-buffer.writer.unprotected_capacity :]
             if len(td):
                 buffer.extend(td)
 
@@ -181,7 +206,7 @@ class ReplicaReplay:
         dropped = buffer.writer.protected
         if dropped:
             index = buffer.writer.oldest_first().to(self._device)
-            rest = buffer.storage.get(index).select(*self.keys)
+            rest = buffer.storage.get(index).select(*self.stored_keys)
             buffer.empty(empty_write_count=False)
             if len(rest):
                 buffer.extend(rest)
@@ -229,12 +254,15 @@ class ReplicaReplay:
             index = torch.cat([index, index[:1].expand(padded - length)])
             stored = buffer.storage.get(slice(0, length))
             target = memory[replica, :padded]
-            for key in self.keys:
+            for key in self.stored_keys:
                 torch.index_select(stored.get(key), 0, index, out=target.get(key))
         rows = memory[:, :padded]
         sizes = torch.tensor(lengths, device=self._device).unsqueeze(-1)
         valid = torch.arange(padded, device=self._device) < sizes
-        return rows.set("valid", valid).unflatten(1, (batches, batch_size))
+        rows = rows.set("valid", valid)
+        if self.transform is not None:
+            rows = self.transform(rows)
+        return rows.unflatten(1, (batches, batch_size))
 
     def _memory(self, rows: int) -> TensorDict:
         """Returns the memory that epochs are gathered into, batch size [replicas, rows].
@@ -244,21 +272,27 @@ class ReplicaReplay:
         """
         memory = self._epoch_rows
         if memory is None or memory.shape[1] != rows:
-            row = self._buffers[0].storage.get(slice(0, 1)).select(*self.keys)
+            row = self._buffers[0].storage.get(slice(0, 1)).select(*self.stored_keys)
             memory = row.expand(self.replicas, rows).apply(torch.empty_like)
             assert isinstance(memory, TensorDict)
             self._epoch_rows = memory
         return memory
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the transitions and the writers' positions (not the generators: see `seed`)."""
-        return {
+        """Returns the transitions, the writers' positions and the transform's state.
+
+        Not the generators: see :meth:`seed`.
+        """
+        state: dict[str, Any] = {
             str(replica): {
-                "rows": _leaves(buffer, self.keys),
+                "rows": _leaves(buffer, self.stored_keys),
                 "writer": buffer.writer.state_dict(),
             }
             for replica, buffer in enumerate(self._buffers)
         }
+        if self.transform is not None:
+            state["transform"] = dict(self.transform.state_dict())
+        return state
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Restores what :meth:`state_dict` returned, row for row in the same places.
@@ -266,10 +300,13 @@ class ReplicaReplay:
         Raises:
             ValueError: if the state is one of another number of replicas or a larger capacity.
         """
-        if len(state_dict) != self.replicas:
-            raise ValueError(
-                f"the state must be of {self.replicas} replicas, got {len(state_dict)}"
-            )
+        replicas = sum(name.isdigit() for name in state_dict)
+        if replicas != self.replicas:
+            raise ValueError(f"the state must be of {self.replicas} replicas, got {replicas}")
+        if ("transform" in state_dict) != (self.transform is not None):
+            raise ValueError("the state must be of a replay with the same transform")
+        if self.transform is not None:
+            self.transform.load_state_dict(state_dict["transform"])
         for replica, buffer in enumerate(self._buffers):
             state = state_dict[str(replica)]
             buffer.empty()
@@ -281,6 +318,13 @@ class ReplicaReplay:
                     )
                 buffer.extend(rows.unflatten_keys("/").to(self._device))
             buffer.writer.load_state_dict(state["writer"])
+
+
+def _parts(transform: Transform | None) -> list[Transform]:
+    """Returns the transforms that one consists of."""
+    if transform is None:
+        return []
+    return list(transform.transforms) if isinstance(transform, Compose) else [transform]
 
 
 def _leaves(buffer: TensorDictReplayBuffer, keys: tuple[NestedKey, ...]) -> dict[str, Tensor]:

@@ -51,7 +51,8 @@ def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> 
     for key, value in rows.items(include_nested=True, leaves_only=True):
         if value.is_floating_point():
             label = key if isinstance(key, str) else "/".join(key)
-            bad = ~torch.isfinite(value).reshape(len(rows), -1).all(-1)
+            finite = torch.isfinite(value)
+            bad = ~(finite.flatten(1).all(-1) if finite.ndim > 1 else finite)
             checks[f"{label} of {name} must be finite"] = bad
     mask = rows.get("action_mask", None)
     if mask is not None:
