@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.data.intrinsic_reward import VIMEReward
 from bbq_torchrl.data.replay import TRANSITION_KEYS, Batch, ReplicaReplay
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
@@ -11,5 +12,6 @@ __all__ = [
     "Batch",
     "ProtectedRoundRobinWriter",
     "ReplicaReplay",
+    "VIMEReward",
     "validate_transitions",
 ]
