@@ -11,6 +11,7 @@ from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
+from bbq_torchrl.data.running_median import RunningMedian
 from bbq_torchrl.modules.information_gain import information_gain
 
 if TYPE_CHECKING:
@@ -81,8 +82,7 @@ class VIMEReward(Transform):
         intrinsic_reward_key: under "next", where the bonus goes, [*batch, 1].
 
     Attributes:
-        medians: buffer [*stack, median_window], of the last stores, in nats; in turn.
-        stores: int64 buffer [*stack], how many stores had a transition to take a median of.
+        median: m, a :class:`~bbq_torchrl.data.running_median.RunningMedian`, with its buffers.
 
     Raises:
         ValueError: for an argument outside of what is listed, or as part of an environment.
@@ -112,9 +112,6 @@ class VIMEReward(Transform):
         "VIMEReward is a transform of replay buffers: it needs whole transitions, which an "
         "environment's transform does not see"
     )
-
-    medians: Tensor
-    stores: Tensor
 
     def __init__(
         self,
@@ -160,12 +157,9 @@ class VIMEReward(Transform):
         self.weights = weights
         self.step_size = step_size
         self.normalise = normalise
-        self.median_window = median_window
         self.clip = clip
         self.valid_key = valid_key
-        stack = dynamics.stack
-        self.register_buffer("medians", dynamics.mean.new_zeros((*stack, median_window)))
-        self.register_buffer("stores", dynamics.count.new_zeros(stack))
+        self.median = RunningMedian(dynamics.stack, median_window, like=dynamics.mean)
         self._generators: list[torch.Generator] | None = None
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
@@ -184,7 +178,7 @@ class VIMEReward(Transform):
             raise ValueError(
                 f"seeds must be {count}, one for each element of the stack, got {len(seeds)}"
             )
-        device = self.medians.device
+        device = self.dynamics.mean.device
         self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
 
     # -- storing ----------------------------------------------------------------------------
@@ -203,7 +197,7 @@ class VIMEReward(Transform):
             )
         batch = tensordict.batch_size
         observation, action, following, terminated = (
-            tensordict.get(key).to(self.medians.device) for key in self.in_keys_inv
+            tensordict.get(key).to(self.dynamics.mean.device) for key in self.in_keys_inv
         )
         is_going_on = ~terminated.reshape(batch)
         valid = tensordict.get(self.valid_key, None)
@@ -230,7 +224,7 @@ class VIMEReward(Transform):
         """Returns the bonus [*stack, rows] of entries [*stack, rows, *]."""
         count = observation.shape[-2]
         if count == 0:
-            return self.medians.new_zeros(observation.shape[:-1])
+            return self.dynamics.mean.new_zeros(observation.shape[:-1])
         for state, states_valid in self._pieces(
             torch.cat([observation, following], -1), torch.cat([valid, predicted], -1)
         ):
@@ -245,7 +239,9 @@ class VIMEReward(Transform):
         gain = torch.cat(pieces, -1)[..., :count]
         is_predicted = predicted.squeeze(-1)
         if self.normalise:
-            gain = gain / self._running_median(gain, is_predicted)
+            median = self.median.update(gain, is_predicted).unsqueeze(-1)
+            # where more than half of the gains are 0, any other is clipped
+            gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)
         return torch.where(is_predicted, gain.clamp_max(self.clip), 0)
 
     def _pieces(self, *entries: Tensor) -> Iterator[list[Tensor]]:
@@ -266,22 +262,6 @@ class VIMEReward(Transform):
         for row, generator in zip(noise, self._generators, strict=True):
             row.normal_(generator=generator)
         return noise.reshape(mu.shape)
-
-    def _running_median(self, gain: Tensor, is_predicted: Tensor) -> Tensor:
-        """Takes this store's median in; returns the median of the last medians, [*stack, 1]."""
-        nan = gain.new_full((), float("nan"))
-        median = torch.where(is_predicted, gain, nan).nanmedian(-1, keepdim=True).values
-        stores = self.stores.unsqueeze(-1)
-        places = torch.arange(self.median_window, device=gain.device)
-        is_new = median.isfinite()
-        here = is_new & (places == stores % self.median_window)
-        self.medians.copy_(torch.where(here, median, self.medians))
-        stores = stores + is_new
-        self.stores.copy_(stores.squeeze(-1))
-        known = torch.where(places < stores, self.medians, nan)
-        # where more than half of the gains are 0, any other is clipped
-        tiny = torch.finfo(gain.dtype).tiny
-        return known.nanmedian(-1, keepdim=True).values.clamp_min(tiny)
 
     # -- reading ----------------------------------------------------------------------------
 

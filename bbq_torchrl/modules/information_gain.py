@@ -146,4 +146,4 @@ def mlp_information_gain(
             error = torch.bmm(error, layers[k][0].mT).mul_(inputs[k] > 0)
     # a posterior so wide that the sum overflows is as surprised as a number can tell
     gain = gain.mul_(0.5 * step_size**2).clamp_max_(torch.finfo(gain.dtype).max)
-    return gain.reshape(*stack, *rows)
+    return gain.reshape((*stack, *rows))
