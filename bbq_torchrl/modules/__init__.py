@@ -2,11 +2,13 @@
 
 from bbq_torchrl.modules.bayes_mlp import BayesLinear, BayesMLP
 from bbq_torchrl.modules.bootstrap import BootstrapMLP
+from bbq_torchrl.modules.dynamics import DynamicsModel
 from bbq_torchrl.modules.evaluation_policy import EvaluationPolicy
 from bbq_torchrl.modules.exploration import Boltzmann, Greedy, ThompsonSampling
 from bbq_torchrl.modules.functional import FlatLayout
 from bbq_torchrl.modules.growth import grow, reset_inactive_
 from bbq_torchrl.modules.heads import BootstrapSampling, MajorityVote, VoteModule, bootstrap_actor
+from bbq_torchrl.modules.information_gain import information_gain, mlp_information_gain
 from bbq_torchrl.modules.kl import collect_kl, kl_divergence
 from bbq_torchrl.modules.mlp import MLP
 from bbq_torchrl.modules.posterior import GaussianPosterior
@@ -27,6 +29,7 @@ __all__ = [
     "BootstrapMLP",
     "BootstrapSampling",
     "CarefulPolicy",
+    "DynamicsModel",
     "EvaluationPolicy",
     "FlatLayout",
     "GaussianPosterior",
@@ -40,7 +43,9 @@ __all__ = [
     "collect_kl",
     "given_weights",
     "grow",
+    "information_gain",
     "kl_divergence",
+    "mlp_information_gain",
     "q_network",
     "reset_inactive_",
     "resolve_weight_mode",
