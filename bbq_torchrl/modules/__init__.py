@@ -7,6 +7,7 @@ from bbq_torchrl.modules.functional import FlatLayout
 from bbq_torchrl.modules.growth import grow, reset_inactive_
 from bbq_torchrl.modules.kl import collect_kl, kl_divergence
 from bbq_torchrl.modules.mlp import MLP
+from bbq_torchrl.modules.noisy import NoisyMLP, NoisySampling, StackedNoisyLinear
 from bbq_torchrl.modules.posterior import GaussianPosterior
 from bbq_torchrl.modules.q_network import q_network
 from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
@@ -28,8 +29,11 @@ __all__ = [
     "FlatLayout",
     "GaussianPosterior",
     "Greedy",
+    "NoisyMLP",
+    "NoisySampling",
     "RandomPolicy",
     "SequencePolicy",
+    "StackedNoisyLinear",
     "ThompsonSampling",
     "collect_kl",
     "given_weights",

@@ -7,8 +7,8 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.modules import MLP, BayesMLP, q_network
-from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
+from bbq_torchrl.modules import MLP, BayesMLP, NoisyMLP, q_network
+from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
 FEATURES, ACTIONS, BATCH = 5, 4, 32
 STACKS = [(), (1,), (3,), (2, 2)]
@@ -66,8 +66,19 @@ def plain_loss(stack=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **set
     return loss, update
 
 
+def noisy_loss(stack=(), *, hidden=(), dtype=torch.float, kind=NoisyDQNLoss, **settings):
+    """A NoisyNet loss whose target lies away from the network; one layer unless told."""
+    net = NoisyMLP(FEATURES, ACTIONS, hidden, stack=stack, dtype=dtype)
+    loss = kind(q_network(net, Categorical(ACTIONS)), **settings)
+    update = HardUpdate(loss, value_network_update_interval=0)
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return loss, update
+
+
 def flat(loss, name, *, target=False):
-    """The flat tensor of that name (mu, rho, weight, prior_rho) that the loss uses."""
+    """The only tensor of that name (mu, rho, weight, prior_rho) that the loss uses."""
     params = loss.target_value_network_params if target else loss.value_network_params
     found = [v for k, v in params.items(True, True) if (k if isinstance(k, str) else k[-1]) == name]
     assert len(found) == 1
