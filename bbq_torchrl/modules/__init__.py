@@ -11,9 +11,11 @@ from bbq_torchrl.modules.heads import BootstrapSampling, MajorityVote, VoteModul
 from bbq_torchrl.modules.information_gain import information_gain, mlp_information_gain
 from bbq_torchrl.modules.kl import collect_kl, kl_divergence
 from bbq_torchrl.modules.mlp import MLP
+from bbq_torchrl.modules.noisy import NoisyMLP, NoisySampling, StackedNoisyLinear
 from bbq_torchrl.modules.posterior import GaussianPosterior
 from bbq_torchrl.modules.q_network import q_network
 from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
+from bbq_torchrl.modules.shared_noise import shared_noise
 from bbq_torchrl.modules.weight_mode import (
     given_weights,
     resolve_weight_mode,
@@ -35,8 +37,11 @@ __all__ = [
     "GaussianPosterior",
     "Greedy",
     "MajorityVote",
+    "NoisyMLP",
+    "NoisySampling",
     "RandomPolicy",
     "SequencePolicy",
+    "StackedNoisyLinear",
     "ThompsonSampling",
     "VoteModule",
     "bootstrap_actor",
@@ -50,5 +55,6 @@ __all__ = [
     "reset_inactive_",
     "resolve_weight_mode",
     "set_weight_mode",
+    "shared_noise",
     "weight_mode",
 ]

@@ -7,7 +7,15 @@ from copy import deepcopy
 
 import pytest
 import torch
-from q_transitions import FEATURES, bayes_loss, flat, heads_loss, plain_loss, transitions
+from q_transitions import (
+    FEATURES,
+    bayes_loss,
+    flat,
+    heads_loss,
+    noisy_loss,
+    plain_loss,
+    transitions,
+)
 from tensordict import TensorDict
 from torchrl.objectives import DQNLoss, HardUpdate, LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
@@ -16,6 +24,11 @@ LOSSES = {
     "bbqn": (bayes_loss, ("mu", "rho"), ["loss", "loss_value", "td_error", "q_value", "kl"]),
     "dqn": (plain_loss, ("weight",), ["loss", "loss_value", "td_error", "q_value"]),
     "bootstrap": (heads_loss, ("trunk", "heads"), ["loss", "loss_value", "td_error", "q_value"]),
+    "noisy": (
+        noisy_loss,
+        ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma"),
+        ["loss", "loss_value", "td_error", "q_value"],
+    ),
 }
 
 
