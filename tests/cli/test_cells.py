@@ -51,6 +51,12 @@ VARIANTS = {
 }
 
 
+@pytest.fixture(autouse=True)
+def without_curves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes as long as training here, and is tested elsewhere."""
+    monkeypatch.setattr("bbq_torchrl.run._draw", lambda *_: None)
+
+
 def command(*choices: str, domain: Path) -> list[str]:
     extension = EXTENSION if "env=domain_ext" in choices else ()
     return [*choices, *SHRUNKEN, *extension, "domain=folder", f"domain.path={domain}"]
@@ -70,7 +76,8 @@ def check_run(overrides: list[str], tmp_path: Path) -> None:
     for folder in (whole, parts):
         folder.mkdir()
     result = run(config, whole)
-    run(compose([*overrides, "protocol.rounds=1"]), parts)
+    one_round = dataclasses.replace(config.protocol, rounds=1)
+    run(dataclasses.replace(config, protocol=one_round), parts)
     resumed = run(dataclasses.replace(config, resume=str(parts)), parts)
 
     assert len(result.per_replica) == 2
