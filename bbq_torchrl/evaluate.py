@@ -138,7 +138,7 @@ def _trained(
     run: Any, folder: Path, env: DialogueEnv, mode: str | None
 ) -> tuple[str, TensorDictModuleBase]:
     """Returns the policy of a run's newest readable checkpoint; ``env`` enters its round."""
-    from bbq_torchrl.build import build_agent, evaluation_policy
+    from bbq_torchrl.build import build_agent
     from bbq_torchrl.trainers import CheckpointFolder
 
     agent = build_agent(run, env)
@@ -149,7 +149,7 @@ def _trained(
     path, metadata = found
     checkpoints.load(path)
     env.set_round(max(int(metadata["round"]) - 1, 0))
-    return evaluation_policy(run, agent.actor, mode)
+    return agent.evaluation(mode)
 
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:

@@ -14,10 +14,11 @@ import numpy as np
 import torch
 
 import bbq_torchrl
-from bbq_torchrl.build import build_env, build_trainer, evaluation_policy
+from bbq_torchrl.build import build_env, build_trainer
 from bbq_torchrl.config.resume import RUN_CONFIG
 from bbq_torchrl.config.store import save_config
 from bbq_torchrl.evaluation.figures import Curves, draw_run
+from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.evaluation.results import (
     RESULT_FILE,
@@ -90,7 +91,7 @@ def _evaluated(
         device=config.device,
     )
     env.set_round(max(protocol.rounds - 1, 0))
-    name, policy = evaluation_policy(config, agent.actor)
+    name, policy = agent.evaluation(None)
     played = evaluate(env, policy, protocol.eval_dialogues, seed=config.seed)
     training_success = read_metrics(folder).training_success
     per_replica = [
@@ -107,6 +108,7 @@ def _evaluated(
         per_replica,
         agent=config.agent.name,
         explore=config.explore.name,
+        intrinsic=config.intrinsic.name,
         env=config.env.name,
         domain=config.domain.name,
         policy=name,
@@ -122,7 +124,7 @@ def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> 
     draw_run(
         folder / "curve.png",
         Curves(
-            f"{config.agent.name}, {config.explore.name}",
+            f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}",
             read_metrics(folder)["success_rate"],
             np.array([item.success_rate for item in result.per_replica]),
         ),

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 __all__ = [
+    "ABOVE_ZERO_TO_ONE",
     "ANY_TEXT",
     "BELOW_ONE",
     "BOOLEAN",
@@ -29,16 +30,22 @@ __all__ = [
     "NUMBER",
     "POSITIVE",
     "PROBABILITY",
+    "REQUIRED",
     "Allowed",
     "ConfigError",
     "at_least",
     "check_settings",
     "one_of",
+    "option",
     "optional",
     "or_text",
     "setting",
     "walk",
 ]
+
+
+REQUIRED = "???"
+"""OmegaConf's mark for a value that somebody has to give."""
 
 
 class ConfigError(ValueError):
@@ -74,6 +81,9 @@ PROBABILITY = Allowed(
 )
 BELOW_ONE = Allowed(
     "a number from 0 to below 1", lambda value: _is_number(value) and 0 <= value < 1
+)
+ABOVE_ZERO_TO_ONE = Allowed(
+    "a number above 0 and up to 1", lambda value: _is_number(value) and 0 < value <= 1
 )
 NON_NEGATIVE_INTEGER = Allowed(
     "an integer of at least 0", lambda value: _is_integer(value) and value >= 0
@@ -133,6 +143,11 @@ def setting(default: Any, allowed: Allowed, meaning: str) -> Any:
     return field(default=default, metadata=metadata)
 
 
+def option(name: str) -> Any:
+    """The field ``name`` of the schema of a group's option, by which the option is told."""
+    return setting(name, one_of(name), "the option of the group; chosen by <group>=<option>")
+
+
 def walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any], Any]]:
     """Yields (dotted key, dataclass field, value) of every leaf of a configuration dataclass."""
     for item in fields(config):
@@ -162,7 +177,7 @@ def check_settings(config: Any) -> None:
     """
     for key, item, value in walk(config):
         allowed: Allowed = item.metadata["allowed"]
-        if value == "???":
+        if value == REQUIRED:
             raise ConfigError(f"{key} must be given: it must be {allowed.text}")
         if not allowed.test(value):
             raise ConfigError(f"{key} must be {allowed.text}, got {value!r}")

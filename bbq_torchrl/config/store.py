@@ -28,11 +28,10 @@ from bbq_torchrl.config.schema import (
     SCHEMAS,
     Config,
     EvaluateConfig,
-    FolderDomainConfig,
-    MiuLabDomainConfig,
 )
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.validation import validate
+from bbq_torchrl.config.worlds import FolderDomainConfig, MiuLabDomainConfig
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -52,6 +51,9 @@ Root = TypeVar("Root", Config, EvaluateConfig)
 
 ROOTS = {"config": Config, "evaluate": EvaluateConfig}
 """YAML file of a root -> its schema."""
+
+_ADDED = {"intrinsic": "none"}
+"""Groups that configurations of earlier versions lack, and the option that those versions were."""
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -173,7 +175,7 @@ def _typed_group(group: str, plain: DictConfig) -> DictConfig:
     schemas = SCHEMAS[group]
     name = plain[group].get("name") if OmegaConf.is_dict(plain[group]) else None
     if name not in schemas:
-        raise ConfigError(f"{group} must be one of {', '.join(schemas)}, got {name!r}")
+        raise ConfigError(f"{group} must be one of {', '.join(sorted(schemas))}, got {name!r}")
     typed = OmegaConf.structured(schemas[name])
     known = {item.name for item in fields(schemas[name])}
     for key, value in plain[group].items_ex(resolve=False):
@@ -226,6 +228,9 @@ def load_config(file: Path) -> Config:
         raise ConfigError(f"{file} is not a YAML file of a run: {error}") from error
     if not isinstance(plain, DictConfig):
         raise ConfigError(f"{file} must hold a mapping of groups, got a list")
+    for group, option in _ADDED.items():
+        if group not in plain and "agent" in plain:
+            plain[group] = {"name": option}
     try:
         return _typed(plain, Config)
     except ConfigError as error:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
+from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import (
     RESULT_FILE,
     Metrics,
@@ -60,9 +61,7 @@ class Run:
     @property
     def agent(self) -> str:
         """The agent as the paper calls it, such as ``BBQN-MAP``."""
-        target = self.config["agent"].get("target")
-        name = self.result.agent.upper()
-        return name if target is None else f"{name}-{str(target).upper()}"
+        return agent_name(self.config)
 
 
 @dataclass(frozen=True)

@@ -76,6 +76,7 @@ class RunResult:
         per_replica: one entry for each replica.
         wall_seconds: of training and evaluation together, without the time of killed processes.
         versions: of the packages that decide the numbers.
+        intrinsic: option of the group; ``none`` in results of versions without it.
     """
 
     agent: str
@@ -95,6 +96,7 @@ class RunResult:
     per_replica: tuple[ReplicaResult, ...]
     wall_seconds: float
     versions: dict[str, str]
+    intrinsic: str = "none"
 
     @classmethod
     def of(cls, per_replica: Sequence[ReplicaResult], **described: Any) -> RunResult:

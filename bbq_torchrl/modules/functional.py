@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-__all__ = ["FlatLayout", "init_linear_", "mlp", "mlp_local"]
+__all__ = ["FlatLayout", "as_rows", "init_linear_", "mlp", "mlp_local"]
 
 _relu_backward = torch.ops.aten.threshold_backward.grad_input
 
@@ -155,8 +155,12 @@ def _affine(x: Tensor, matrix: Tensor, bias: Tensor, scale: float = 1.0) -> Tens
     return torch.baddbmm(bias.unsqueeze(-2), x, matrix, alpha=scale)
 
 
-def _rows(x: Tensor, lead: Sequence[int], features: int) -> Tensor:
-    """Returns x [*lead, *rows, in] as [rows, in] where lead is (), else as [lead, rows, in]."""
+def as_rows(x: Tensor, lead: Sequence[int], features: int) -> Tensor:
+    """Returns x [*lead, *rows, in] as [rows, in] where lead is (), else as [lead, rows, in].
+
+    Raises:
+        ValueError: if the shape of ``x`` does not fit.
+    """
     n = len(lead)
     if x.ndim <= n or x.shape[:n] != torch.Size(lead) or x.shape[-1] != features:
         raise ValueError(
@@ -187,7 +191,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
         torch.Size([5, 7, 2])
     """
     lead = flat.shape[:-1]
-    rows = _rows(x, lead, layout.sizes[0])
+    rows = as_rows(x, lead, layout.sizes[0])
     if len(lead) > 1:
         flat = flat.reshape(-1, layout.numel)
     if torch.is_grad_enabled() and (flat.requires_grad or rows.requires_grad):
@@ -214,7 +218,7 @@ def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tenso
         ValueError: if the shape of ``x`` does not fit.
     """
     lead = mu.shape[:-1]
-    hidden = _rows(x, lead, layout.sizes[0])
+    hidden = as_rows(x, lead, layout.sizes[0])
     if len(lead) > 1:
         mu, sigma = mu.reshape(-1, layout.numel), sigma.reshape(-1, layout.numel)
     means = layout.unflatten(mu)

@@ -10,16 +10,15 @@ KL at the prior. (A sampled KL moves it.)
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.modules.bayes_mlp import BayesMLP
+from bbq_torchrl.modules.bootstrap import BootstrapMLP
 from bbq_torchrl.modules.functional import FlatLayout
-
-if TYPE_CHECKING:
-    from bbq_torchrl.modules.mlp import MLP
+from bbq_torchrl.modules.mlp import MLP
+from bbq_torchrl.modules.noisy import NoisyMLP, noisy_layers
 
 __all__ = ["grow", "grow_flat", "growth_index", "reset_inactive_"]
 
@@ -89,7 +88,7 @@ def grow(
         outputs: the same of the outputs, int64 [out_old].
 
     Raises:
-        ValueError: if something shrinks or an index does not fit.
+        ValueError: if something shrinks, an index does not fit, or the network is another one.
 
     Example:
         >>> import torch
@@ -102,6 +101,11 @@ def grow(
         >>> y.shape, torch.allclose(y[:, :3], small(x))
         (torch.Size([7, 5]), True)
     """
+    if not isinstance(network, (BayesMLP, MLP)):
+        raise ValueError(
+            f"network must be a BayesMLP or MLP to grow, got a {type(network).__name__}: give it "
+            "its full size and use reset_inactive_"
+        )
     layout = FlatLayout((in_features, *network.layout.sizes[1:-1], out_features))
     index = growth_index(network.layout, layout, inputs, outputs)
     grown = deepcopy(network)
@@ -132,7 +136,10 @@ def grow(
 
 @torch.no_grad()
 def reset_inactive_(
-    network: BayesMLP | MLP, *, inputs: Tensor | None = None, outputs: Tensor | None = None
+    network: BayesMLP | BootstrapMLP | MLP | NoisyMLP,
+    *,
+    inputs: Tensor | None = None,
+    outputs: Tensor | None = None,
 ) -> None:
     """Starts the weights of inactive inputs and outputs where :func:`grow` would put them.
 
@@ -141,13 +148,18 @@ def reset_inactive_(
     weights away from the prior.
 
     Args:
-        network: a BayesMLP or MLP; changed in place.
+        network: a BayesMLP, BootstrapMLP, MLP or NoisyMLP; changed in place. To be called before
+            a loss copies the network, as a target updater leaves the copy of a prior function
+            alone.
 
     Keyword Args:
         inputs: bool [in_features], True for the inactive ones: their weights become 0, in a
-            Bayesian network the prior's (mean 0, std prior_std).
+            Bayesian network the prior's (mean 0, std prior_std), in a noisy one μ and σ both:
+            a feature that appears changes neither the mean nor the noise before it is learned.
+            Those of a prior function become 0 too.
         outputs: bool [out_features], True for the inactive ones: the prior's in a Bayesian
-            network; a plain one keeps the start it has.
+            network; a plain or noisy one keeps the start it has (a noisy one tries a new
+            action by the σ that it starts with).
 
     Raises:
         ValueError: if a mask has another shape.
@@ -160,6 +172,23 @@ def reset_inactive_(
         >>> net(torch.tensor([[0.0, 1.0, 0.0]])) - net(torch.zeros(1, 3))
         tensor([[0., 0.]], grad_fn=...)
     """
+    if isinstance(network, BootstrapMLP):
+        if outputs is not None:
+            _mask("outputs", outputs, network.out_features)
+        if inputs is not None:
+            inactive = _mask("inputs", inputs, network.in_features).unsqueeze(-1)
+            for matrix in network.input_matrices():
+                matrix.masked_fill_(inactive.to(matrix.device), 0)
+        return
+    if isinstance(network, NoisyMLP):
+        if outputs is not None:
+            _mask("outputs", outputs, network.out_features)
+        if inputs is not None:
+            first = noisy_layers(network)[0]
+            chosen = _mask("inputs", inputs, network.in_features).to(first.weight_mu.device)
+            first.weight_mu.masked_fill_(chosen, 0)
+            first.weight_sigma.masked_fill_(chosen, 0)
+        return
     layout = network.layout
     affected = torch.zeros(layout.numel, dtype=torch.bool)
     layers = layout.unflatten(affected)

@@ -46,7 +46,8 @@ class OneStepQLoss(DQNLoss):
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
-        double_dqn: whether the online mean network chooses the target's action.
+        double_dqn: whether the online network chooses the target's action (its mean, unless a
+            subclass says otherwise).
         loss_function: "l2", "l1" or "smooth_l1".
 
     Raises:
@@ -128,6 +129,10 @@ class OneStepQLoss(DQNLoss):
         """Returns the frozen network's values [*stack, *batch, N] of the next state."""
         return self._function(tensors, inputs, "mean")
 
+    def _choice_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
+        """Returns the online values [*stack, *batch, N] that choose double DQN's action."""
+        return self._function(tensors, inputs, "mean")
+
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Returns the losses of a batch of transitions.
@@ -187,16 +192,22 @@ class OneStepQLoss(DQNLoss):
         keys = self.tensor_keys
         function = self._function
         inputs = [following.get(key) for key in function.in_keys]
-        mask = None if function.action_mask_key is None else following.get(function.action_mask_key)
+        mask = None
+        if function.action_mask_key is not None:
+            mask = self._beside_values(following.get(function.action_mask_key))
         values = _masked(self._target_values(target, inputs), mask)
         if self.double_dqn:
-            choice = _masked(function(online, inputs, "mean"), mask)
+            choice = _masked(self._choice_values(online, inputs), mask)
             value = values.gather(-1, choice.argmax(-1, keepdim=True))
         else:
             value = values.amax(-1, keepdim=True)
-        reward = following.get(keys.reward)
+        reward = self._beside_values(following.get(keys.reward))
         going_on = torch.addcmul(reward, value, self.value_estimator.gamma)
-        return torch.where(following.get(keys.terminated), reward, going_on)
+        return torch.where(self._beside_values(following.get(keys.terminated)), reward, going_on)
+
+    def _beside_values(self, entry: Tensor) -> Tensor:
+        """Returns an entry [*stack, *batch, n] in a shape that broadcasts with the values."""
+        return entry
 
     def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
         """Returns row weights [*stack, *batch, 1] that add up to 1, None if all are the same."""

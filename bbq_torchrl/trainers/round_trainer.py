@@ -62,8 +62,9 @@ class RoundTrainer:
     not; and what one replica does never shifts another's random numbers.
 
     Optional hooks, used where an object has them: ``env.set_round(round)`` (domain extension),
-    ``loss.set_num_data(tensor)`` (the weight of a KL), and for the modules of the policy
-    ``module.resample()`` before (weight draws) and ``module.step(1)`` after (schedules) each round.
+    ``loss.set_num_data(tensor)`` (the weight of a KL), ``loss.begin_epoch()`` (what does not happen
+    at every update), and for the modules of the policy ``module.resample()`` before (weight draws)
+    and ``module.step(1)`` after (schedules) each round.
 
     Args:
         env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
@@ -298,6 +299,7 @@ class RoundTrainer:
                 # A seed for every epoch: its length is that of the longest replica's, and the
                 # draws of the next epoch must not depend on it.
                 self._seed_phase("learn", round_number, freeze, epoch)
+                _call_hook(self.loss, "begin_epoch")
                 learn_epoch(self.loss, self.optimiser, self.replay.epoch(settings.batch_size), sums)
         means = sums.means()
         broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]

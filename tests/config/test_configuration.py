@@ -48,11 +48,47 @@ def test_yaml_and_dataclass_give_the_same_values(group, option):
 def test_every_pair_is_composed_or_refused_by_name(agent, explore):
     command = [f"agent={agent}", f"explore={explore}"]
     if explore in EXPLORATIONS[agent]:
-        config = compose(command)
+        noisy = ["agent.noisy=true", "agent.dropout=0"] if explore == "noisy" else []
+        config = compose([*command, *noisy])
         assert (config.agent.name, config.explore.name) == (agent, explore)
     else:
         with pytest.raises(ConfigError, match=f"agent={agent} .* explore={explore}.*must be one"):
             compose(command)
+
+
+TABLE_1 = {  # the paper's agents: network, exploration, target, intrinsic reward
+    "dqn": ("dqn", "epsilon_greedy", None, None),
+    "dqn_boltzmann": ("dqn", "boltzmann", None, None),
+    "dqn_bootstrap": ("bootstrap", "bootstrap", None, None),
+    "dqn_vime_map": ("dqn", "epsilon_greedy", None, "map"),
+    "dqn_vime_mc": ("dqn", "epsilon_greedy", None, "mc"),
+    "bbqn_map": ("bbqn", "thompson", "map", None),
+    "bbqn_mc": ("bbqn", "thompson", "mc", None),
+    "bbqn_vime_map": ("bbqn", "thompson", "map", "map"),
+    "bbqn_vime_mc": ("bbqn", "thompson", "mc", "mc"),
+}
+
+
+@pytest.mark.parametrize("env", ["full", "domain_ext"])
+@pytest.mark.parametrize("agent", TABLE_1)
+def test_a_recipe_bears_the_papers_name_and_composes_its_agent(agent, env):
+    config = compose([f"+experiment=agents/{agent}", f"env={env}"])
+    vime = config.intrinsic.name == "vime"
+    composed = (
+        config.agent.name,
+        config.explore.name,
+        getattr(config.agent, "target", None),
+        config.intrinsic.weights if vime else None,
+    )
+    assert composed == TABLE_1[agent]
+    assert config.env.name == env
+    assert config.protocol.rounds == {"full": 400, "domain_ext": 200}[env]
+    assert compose([f"+experiment=agents/{agent}", "protocol=quick", "protocol.rounds=2"])
+
+
+def test_a_recipe_is_what_table_1_has():
+    agents = {name.removeprefix("agents/") for name in options("experiment") if "agents/" in name}
+    assert agents == set(TABLE_1)
 
 
 @pytest.mark.parametrize("agent", EXPLORATIONS)
@@ -67,7 +103,7 @@ def test_rounds_follow_the_environment_unless_given():
 
 
 @pytest.mark.parametrize("agent", EXPLORATIONS)
-@pytest.mark.parametrize("experiment", options("experiment"))
+@pytest.mark.parametrize("experiment", [name for name in options("experiment") if "/" not in name])
 def test_an_experiment_leaves_the_agent_to_the_command_line(experiment, agent):
     config = compose([f"+experiment={experiment}", f"agent={agent}", "protocol.rounds=7"])
     assert (config.agent.name, config.explore.name) == (agent, EXPLORATIONS[agent][0])
@@ -84,7 +120,6 @@ def own_conf(tmp_path, monkeypatch):
 
 def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkeypatch):
     conf = own_conf(tmp_path, monkeypatch)
-    (conf / "experiment" / "agents").mkdir()
     (conf / "experiment" / "agents" / "warm.yaml").write_text(
         "# @package _global_\n"
         "defaults: [override /agent: dqn, override /explore: boltzmann]\n"
@@ -108,13 +143,13 @@ def test_the_folder_inside_an_installed_package_comes_first(tmp_path, monkeypatc
 
 
 REFUSED = {
-    "agent=nope": "agent must be one of bbqn, dqn, got 'nope'",
+    "agent=nope": "agent must be one of bbqn, bootstrap, dqn, got 'nope'",
     "explore=nope": "explore must be one of",
     "env=nope": "env must be one of domain_ext, full",
     "+experiment=nope": "experiment must be one of",
     "experiment=quick": "experiment is added with a plus: write +experiment=quick",
     "+agent=dqn": "+agent=dqn cannot be read: a group is chosen without a plus",
-    "agent=bbqn,dqn": "agent must be one of bbqn, dqn, got 'bbqn,dqn'; several options need",
+    "agent=bbqn,dqn": "dqn, got 'bbqn,dqn'; several options need --multirun",
     "seed=1,2": "seed=1,2 has several values: add --multirun",
     "seed=range(0,3)": "seed=range(0,3) has several values: add --multirun",
     "agent.name=dqn": "agent.name must be 'bbqn', got 'dqn': choose by agent=dqn",
@@ -123,7 +158,7 @@ REFUSED = {
     "~agent.lr": "~agent.lr cannot be read: no key can be removed",
     "agent.lr": "'agent.lr' cannot be read: write key=value",
     "+agent.nope=1": "agent.nope is not a key; the keys of agent=bbqn are name, hidden, lr",
-    "+nope=1": "nope is not a key; the keys of the configuration are agent, explore, env",
+    "+nope=1": "nope is not a key; the keys of the configuration are agent, explore, intrinsic",
     "agent.priorstd=1": "did you mean agent.prior_std",
     "nope=1": "nope is not a key",
     "seed=abc": "seed must be an integer of at least 0, got 'abc'",
@@ -154,6 +189,18 @@ REFUSED = {
     "spike.drop_above=.5 spike.protect=false": "spike.drop_above cannot be combined",
     "env=domain_ext agent.kl=sampled": "agent.kl must be closed",
     "agent=dqn agent.prior_std=.1": "agent.prior_std is not a key",
+    "agent=dqn agent.noisy=true": "agent.dropout must be 0",
+    "agent=dqn explore=noisy": "agent.noisy must be true",
+    "agent.target_noise=shared": "agent.target_noise must be mean with agent.target=map, got",
+    "agent.target=mc agent.target_noise=mean": "agent.target_noise must be independent or shared",
+    "agent.target_noise=none": "agent.target_noise must be one of mean, independent, shared",
+    "agent=bootstrap agent.heads=0": "agent.heads must be an integer of at least 1, got 0",
+    "agent=bootstrap agent.mask_prob=0": "agent.mask_prob must be a number above 0 and up to 1",
+    "agent=bootstrap agent.trunk_layers=3": "agent.trunk_layers must be at most the 2 layers",
+    "intrinsic=nope": "intrinsic must be one of none, vime, got 'nope'",
+    "intrinsic.eta=1": "intrinsic.eta is not a key; the keys of intrinsic=none are name",
+    "intrinsic=vime intrinsic.eta=-1": "intrinsic.eta must be a number of at least 0, got -1",
+    "intrinsic=vime intrinsic.weights=all": "intrinsic.weights must be one of map, mc, got 'all'",
 }
 
 
@@ -274,12 +321,27 @@ def test_a_run_folder_is_not_used_twice(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["agent=dqn", "env=domain_ext", "seed=3"], ["protocol=quick", "spike=none"]]
+    "command",
+    [
+        [],
+        ["agent=dqn", "env=domain_ext", "seed=3"],
+        ["protocol=quick", "spike=none"],
+        ["agent=bootstrap", "intrinsic=vime"],
+    ],
 )
 def test_a_saved_configuration_is_read_back_as_it_was(tmp_path, command):
     config = compose(command)
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == config
+
+
+def test_a_run_of_a_version_without_intrinsic_rewards_has_none(tmp_path):
+    file = tmp_path / "config.yaml"
+    save_config(compose(["agent=dqn"]), file)
+    saved = yaml.safe_load(file.read_text())
+    del saved["intrinsic"]
+    file.write_text(yaml.safe_dump(saved))
+    assert load_config(file).intrinsic.name == "none"
 
 
 class TestResume:
@@ -344,7 +406,7 @@ class TestResume:
             ("agent: [", "is not a YAML file of a run"),
             ("- 1", "must hold a mapping of groups, got a list"),
             ("seed: 1", "agent must be given"),
-            ("agent:\n  name: nope", "agent must be one of bbqn, dqn, got 'nope'"),
+            ("agent:\n  name: nope", "agent must be one of bbqn, bootstrap, dqn, got 'nope'"),
         ],
     )
     def test_refuses_a_folder_whose_configuration_is_damaged(self, folder, text, message):

@@ -5,7 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bbq_torchrl.modules import MLP, BayesMLP, GaussianPosterior, grow, reset_inactive_
+from bbq_torchrl.modules import (
+    MLP,
+    BayesMLP,
+    GaussianPosterior,
+    grow,
+    kl_divergence,
+    reset_inactive_,
+)
 from bbq_torchrl.modules.functional import FlatLayout
 from bbq_torchrl.modules.growth import grow_flat, growth_index
 
@@ -47,6 +54,24 @@ def test_new_weights_of_a_bayesian_network_start_at_the_prior(stack):
     assert torch.equal(grown.posterior.rho[..., is_new], prior.expand(*stack, -1))
     for name in ("mu", "rho"):
         assert torch.equal(getattr(grown.posterior, name)[..., index], getattr(net.posterior, name))
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("prior_std", [0.3, "fan_in"])
+def test_new_weights_add_no_kl(stack, prior_std):
+    net = BayesMLP(3, 2, (8,), stack=stack, prior_std=prior_std, dtype=torch.double)
+    with torch.no_grad():
+        net.posterior.mu.normal_()
+        net.posterior.rho.uniform_(-3, 0)
+    grown = grow(net, 5, 4, inputs=INPUTS, outputs=OUTPUTS)
+    kl = kl_divergence(grown)
+    torch.testing.assert_close(kl, kl_divergence(net))
+    kl.sum().backward()
+    is_new = torch.ones(grown.layout.numel, dtype=torch.bool)
+    is_new[growth_index(net.layout, grown.layout, INPUTS, OUTPUTS)] = False
+    for parameter in grown.parameters():
+        assert not parameter.grad[..., is_new].any()
+        assert parameter.grad[..., ~is_new].all()
 
 
 def test_new_input_weights_of_a_plain_network_start_at_zero():

@@ -7,10 +7,10 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.modules import MLP, BayesMLP, q_network
-from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
+from bbq_torchrl.modules import MLP, BayesMLP, BootstrapMLP, NoisyMLP, bootstrap_actor, q_network
+from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
-FEATURES, ACTIONS, BATCH = 5, 4, 32
+FEATURES, ACTIONS, BATCH, HEADS = 5, 4, 32, 3
 STACKS = [(), (1,), (3,), (2, 2)]
 
 
@@ -48,17 +48,40 @@ def bayes_loss(stack=(), *, hidden=(8, 8), dtype=torch.float, net=None, **settin
         net.posterior.mu.normal_(0, 0.3)
         net.posterior.rho.uniform_(-3, -1)
     loss = BBQNLoss(q_network(net, Categorical(ACTIONS)), **{"num_data": 100, **settings})
-    update = HardUpdate(loss, value_network_update_interval=0)
-    with torch.no_grad():
-        for parameter in loss.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
-    return loss, update
+    return _away(loss)
 
 
 def plain_loss(stack=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **settings):
     """A DQN loss whose target lies away from the network."""
     net = MLP(FEATURES, ACTIONS, hidden, stack=stack, dropout=dropout, dtype=dtype)
     loss = DropoutDQNLoss(q_network(net, Categorical(ACTIONS)), **settings)
+    return _away(loss)
+
+
+def heads_loss(stack=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0, **settings):
+    """A loss of bootstrap heads whose targets lie away from the network."""
+    net = BootstrapMLP(
+        FEATURES,
+        ACTIONS,
+        hidden,
+        heads=HEADS,
+        stack=stack,
+        trunk_layers=trunk_layers,
+        prior_scale=prior_scale,
+        dtype=settings.pop("dtype", torch.float),
+    )
+    return _away(BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)), **settings))
+
+
+def noisy_loss(stack=(), *, hidden=(), dtype=torch.float, kind=NoisyDQNLoss, **settings):
+    """A NoisyNet loss whose target lies away from the network; one layer unless told."""
+    net = NoisyMLP(FEATURES, ACTIONS, hidden, stack=stack, dtype=dtype)
+    loss = kind(q_network(net, Categorical(ACTIONS)), **settings)
+    return _away(loss)
+
+
+def _away(loss):
+    """The loss, its parameters moved away from its targets, and what freezes those."""
     update = HardUpdate(loss, value_network_update_interval=0)
     with torch.no_grad():
         for parameter in loss.parameters():
@@ -67,7 +90,7 @@ def plain_loss(stack=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **set
 
 
 def flat(loss, name, *, target=False):
-    """The flat tensor of that name (mu, rho, weight, prior_rho) that the loss uses."""
+    """The only tensor of that name (mu, rho, weight, prior_rho) that the loss uses."""
     params = loss.target_value_network_params if target else loss.value_network_params
     found = [v for k, v in params.items(True, True) if (k if isinstance(k, str) else k[-1]) == name]
     assert len(found) == 1

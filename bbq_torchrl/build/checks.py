@@ -1,0 +1,44 @@
+"""What the configuration alone does not tell: device, logger, corpus, scripted policy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.build.worlds import build_domain
+from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.trainers import check_logger
+
+if TYPE_CHECKING:
+    from bbq_torchrl.config.schema import Config
+
+__all__ = ["check", "check_device"]
+
+
+def check(config: Config) -> None:
+    """Checks device, logger, corpus and scripted policy before anything runs.
+
+    Raises:
+        ConfigError: the device is absent, the logger's package is not installed, or the domain has
+            no such scripted policy.
+        ValueError or OSError: the corpus is damaged or not there.
+    """
+    check_device(config.device)
+    try:
+        check_logger(config.logger.name)
+    except ImportError as error:
+        raise ConfigError(str(error)) from error
+    domain = build_domain(config.domain)
+    if config.spike.policy not in domain.policies:
+        raise ConfigError(
+            f"spike.policy must be one of {', '.join(domain.policies)}, got {config.spike.policy!r}"
+        )
+
+
+def check_device(device: str) -> None:
+    """Raises ConfigError if a device is absent."""
+    if device.startswith("cuda"):
+        found = torch.cuda.device_count()
+        if int(device.partition(":")[2] or 0) >= found:
+            raise ConfigError(f"device={device} is absent: {found} CUDA devices found; use cpu")

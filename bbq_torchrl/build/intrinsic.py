@@ -1,0 +1,52 @@
+"""A reward of the agent's own: the loss and the replay transform for each ``intrinsic=``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.config.intrinsic import IntrinsicConfig, VIMEConfig
+from bbq_torchrl.data import VIMEReward
+from bbq_torchrl.modules import DynamicsModel
+from bbq_torchrl.objectives import DynamicsLoss, VIMELoss
+
+if TYPE_CHECKING:
+    from torchrl.envs import Transform
+    from torchrl.objectives import LossModule
+
+    from bbq_torchrl.build.parts import Surroundings
+
+__all__ = ["with_intrinsic_reward"]
+
+
+def with_intrinsic_reward(
+    config: IntrinsicConfig, loss: LossModule, around: Surroundings
+) -> tuple[LossModule, list[Transform]]:
+    """Returns the loss that is learned, and what the replay buffer has to do for it.
+
+    Args:
+        config: an option of ``intrinsic``.
+        loss: the agent's.
+        around: what the dynamics model has to fit.
+    """
+    if not isinstance(config, VIMEConfig):
+        return loss, []
+    dynamics = DynamicsModel(
+        around.inputs,
+        around.spec.n,
+        config.hidden,
+        stack=around.stack,
+        prior_std=config.prior_std,
+        noise_std=config.noise_std,
+        std_floor=config.std_floor,
+        device=around.device,
+    )
+    reward = VIMEReward(
+        dynamics,
+        eta=config.eta,
+        weights=config.weights,  # type: ignore[arg-type]
+        step_size=config.step_size,
+        median_window=config.median_window,
+        clip=config.clip,
+    )
+    joint = VIMELoss(loss, DynamicsLoss(dynamics), dynamics_every=config.dynamics_every)
+    return joint, [reward]

@@ -1,0 +1,80 @@
+"""A trainer from its configuration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.build.agents import Agent, build_agent
+from bbq_torchrl.build.worlds import build_domain, build_env
+from bbq_torchrl.config.protocols import WandbLoggerConfig
+from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.envs import scripted_policy
+from bbq_torchrl.trainers import (
+    ReplicaAdam,
+    RoundSettings,
+    RoundTrainer,
+    SpikeSettings,
+    make_loggers,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.config.schema import Config
+
+__all__ = ["build_trainer"]
+
+
+def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent]:
+    """Makes the trainer of a run, and its agent."""
+    protocol, spike = config.protocol, config.spike
+    env = build_env(
+        config.env,
+        build_domain(config.domain),
+        (config.replicas, protocol.dialogues),
+        seed=config.seed,
+        device=config.device,
+    )
+    agent = build_agent(config, env)
+    logger = config.logger
+    trainer = RoundTrainer(
+        env,
+        agent.policy,
+        agent.loss,
+        ReplicaReplay(
+            protocol.capacity,
+            replicas=config.replicas,
+            transform=agent.transform,
+            device=config.device,
+        ),
+        ReplicaAdam(agent.loss.parameters(), config.replicas, lr=config.agent.lr),
+        HardUpdate(agent.loss, value_network_update_interval=0),
+        RoundSettings(
+            rounds=protocol.rounds,
+            dialogues=protocol.dialogues,
+            batch_size=protocol.batch_size,
+            freezes=protocol.freezes,
+            epochs=protocol.epochs,
+            checkpoint_every=protocol.checkpoint_every,
+            seed=config.seed,
+            max_steps=env.max_agent_turns,
+        ),
+        run_folder,
+        spike_policy=scripted_policy(spike.policy, env),
+        spike=SpikeSettings(
+            dialogues=spike.dialogues,
+            protect=spike.protect,
+            drop_above=spike.drop_above,
+            drop_window=spike.drop_window,
+        ),
+        loggers=make_loggers(
+            [logger.name],  # type: ignore[list-item]
+            run_folder,
+            resume=config.resume is not None,
+            **({"wandb_project": logger.project} if isinstance(logger, WandbLoggerConfig) else {}),
+        ),
+        gauges=agent.gauges,
+    )
+    return trainer, agent

@@ -1,0 +1,98 @@
+"""NoisyNet's DQN loss (Fortunato et al., Noisy Networks for Exploration, ICLR 2018)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.modules.noisy import noisy_layers
+from bbq_torchrl.objectives.q_learning import OneStepQLoss
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from torch import Tensor, nn
+    from torchrl.data import TensorSpec
+    from torchrl.modules import QValueActor
+
+    from bbq_torchrl.objectives.td_error import Distance
+
+__all__ = ["NoisyDQNLoss"]
+
+
+class NoisyDQNLoss(OneStepQLoss):
+    """The DQN loss of a stack of noisy networks, with independent noise in network and target.
+
+    With parameters ζ = (μ, σ), frozen ones ζ⁻ and independent noises ε, ε', ε'', one of each for
+    a batch, each network's loss is the mean over the batch of (y - Q(s, a, ε; ζ))² with
+
+        y = r + γ max_a Q(s', a, ε'; ζ⁻), or in double DQN
+        y = r + γ Q(s', argmax_a Q(s', a, ε''; ζ), ε'; ζ⁻)
+
+    as in NoisyNet-DQN (the double form is the one that the paper gives for NoisyNet-Dueling); y
+    is a constant. :class:`DropoutDQNLoss` on the same network takes μ in the target in place of
+    ε' and ε''.
+
+    Args:
+        value_network: an actor, or a network that maps the observation to values, with noisy
+            layers (:class:`~bbq_torchrl.modules.NoisyMLP`).
+
+    Keyword Args:
+        gamma: discount of the one-step target. Defaults to 0.9.
+        action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
+            has one.
+        delay_value: whether the target is a frozen copy of the network. Defaults to True.
+        double_dqn: whether the online network chooses the target's action. Defaults to False.
+        loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
+
+    Raises:
+        ValueError: for an argument outside of what is listed, or a network without noisy layers.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from torchrl.objectives import HardUpdate
+        >>> from bbq_torchrl.modules import NoisyMLP, q_network
+        >>> from bbq_torchrl.objectives import NoisyDQNLoss
+        >>> actor = q_network(NoisyMLP(3, 4, stack=(5,)), Categorical(4))
+        >>> loss = NoisyDQNLoss(actor, double_dqn=True)
+        >>> freeze = HardUpdate(loss, value_network_update_interval=0)
+        >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())
+        >>> end = dict(reward=torch.ones(5, 32, 1), terminated=torch.ones(5, 32, 1).bool())
+        >>> td = TensorDict(
+        ...     {**state, "action": torch.ones(5, 32).long(), "next": {**state, **end}}, [5, 32]
+        ... )
+        >>> sorted(loss(td).keys()), loss(td)["loss_value"].shape
+        (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
+    """
+
+    def __init__(
+        self,
+        value_network: QValueActor | nn.Module,
+        *,
+        gamma: float = 0.9,
+        action_space: str | TensorSpec | None = None,
+        delay_value: bool = True,
+        double_dqn: bool = False,
+        loss_function: Distance = "l2",
+    ) -> None:
+        super().__init__(
+            value_network,
+            gamma=gamma,
+            action_space=action_space,
+            delay_value=delay_value,
+            double_dqn=double_dqn,
+            loss_function=loss_function,
+        )
+        noisy_layers(self.value_network)
+
+    def _predict(
+        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        return self._function(tensors, inputs, "draw"), {}
+
+    def _target_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
+        return self._function(tensors, inputs, "draw")
+
+    def _choice_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
+        return self._function(tensors, inputs, "draw")

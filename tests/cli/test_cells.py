@@ -1,0 +1,122 @@
+"""Every agent with every exploration, environment and reward: trains, resumes and evaluates."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import product
+from typing import TYPE_CHECKING
+
+import pytest
+import torch
+
+from bbq_torchrl import evaluate
+from bbq_torchrl.build import build_trainer
+from bbq_torchrl.config import EXPLORATIONS, SCHEMAS, EvaluateConfig
+from bbq_torchrl.config.store import compose, options
+from bbq_torchrl.evaluation.results import read_metrics
+from bbq_torchrl.run import run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.config import Config
+
+SHRUNKEN = (
+    "protocol.rounds=2",
+    "protocol.dialogues=4",
+    "protocol.capacity=200",
+    "protocol.eval_dialogues=6",
+    "protocol.eval_batch=6",
+    "protocol.checkpoint_every=1",
+    "spike.dialogues=4",
+    "spike.policy=random",
+    "agent.hidden=[8,8]",
+    "replicas=2",
+)
+EXTENSION = ("env.start=1", "env.every=1")
+NEEDED = {("dqn", "noisy"): ("agent.noisy=true", "agent.dropout=0")}
+CELLS = [
+    (agent, explore, env, intrinsic)
+    for agent, explores in EXPLORATIONS.items()
+    for explore, env, intrinsic in product(explores, SCHEMAS["env"], SCHEMAS["intrinsic"])
+]
+VARIANTS = {
+    "BBQN-MC": ("agent=bbqn", "agent.target=mc"),
+    "shared target noise": ("agent=bbqn", "agent.target=mc", "agent.target_noise=shared"),
+    "Double DQN": ("agent=dqn", "agent.double=true"),
+    "separate networks": ("agent=bootstrap", "agent.trunk_layers=0"),
+    "prior functions": ("agent=bootstrap", "agent.prior_scale=3", "agent.double=true"),
+    "VIME-MC": ("agent=bbqn", "intrinsic=vime", "intrinsic.weights=mc"),
+    "dynamics now and then": ("agent=dqn", "intrinsic=vime", "intrinsic.dynamics_every=3"),
+}
+
+
+@pytest.fixture(autouse=True)
+def without_curves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes as long as training here, and is tested elsewhere."""
+    monkeypatch.setattr("bbq_torchrl.run._draw", lambda *_: None)
+
+
+def command(*choices: str, domain: Path) -> list[str]:
+    extension = EXTENSION if "env=domain_ext" in choices else ()
+    return [*choices, *SHRUNKEN, *extension, "domain=folder", f"domain.path={domain}"]
+
+
+def weights(config: Config, folder: Path) -> list[torch.Tensor]:
+    trainer, _ = build_trainer(dataclasses.replace(config, resume=str(folder)), folder)
+    trainer.begin(resume=True)
+    assert trainer.rounds_done == config.protocol.rounds
+    return list(trainer.loss.state_dict().values())
+
+
+def check_run(overrides: list[str], tmp_path: Path) -> None:
+    """Trains at once and in two parts, which must end bitwise the same, and evaluates the run."""
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    config = compose(overrides)
+    for folder in (whole, parts):
+        folder.mkdir()
+    result = run(config, whole)
+    one_round = dataclasses.replace(config.protocol, rounds=1)
+    run(dataclasses.replace(config, protocol=one_round), parts)
+    resumed = run(dataclasses.replace(config, resume=str(parts)), parts)
+
+    assert len(result.per_replica) == 2
+    assert resumed.success_rate == result.success_rate
+    for one, other in zip(weights(config, whole), weights(config, parts), strict=True):
+        assert torch.equal(one, other)
+    columns = [name for name in read_metrics(whole).columns if not name.startswith("seconds")]
+    for name in columns:
+        assert (read_metrics(whole)[name] == read_metrics(parts)[name]).all(), name
+
+    line = evaluate.evaluation(
+        compose([f"policy={parts}", "dialogues=6", "batch=3"], EvaluateConfig)
+    )
+    assert line["dialogues"] == 12
+    assert 0 <= line["success_rate"] <= 1
+
+
+@pytest.mark.parametrize(("agent", "explore", "env", "intrinsic"), CELLS)
+def test_a_cell_trains_resumes_and_evaluates(
+    agent, explore, env, intrinsic, restaurant_folder, tmp_path
+):
+    choices = (f"agent={agent}", f"explore={explore}", f"env={env}", f"intrinsic={intrinsic}")
+    needed = NEEDED.get((agent, explore), ())
+    check_run(command(*choices, *needed, domain=restaurant_folder), tmp_path)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_variant_trains_resumes_and_evaluates(variant, restaurant_folder, tmp_path):
+    check_run(command(*VARIANTS[variant], "env=domain_ext", domain=restaurant_folder), tmp_path)
+
+
+RECIPES = [name for name in options("experiment") if "/" in name]
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+@pytest.mark.parametrize("env", SCHEMAS["env"])
+def test_a_recipe_of_an_agent_runs_in_either_environment(recipe, env, restaurant_folder, tmp_path):
+    run_folder = tmp_path / "run"
+    run_folder.mkdir()
+    choices = (f"+experiment={recipe}", f"env={env}")
+    result = run(compose(command(*choices, domain=restaurant_folder)), run_folder)
+    assert result.env == env

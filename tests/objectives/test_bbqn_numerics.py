@@ -1,0 +1,49 @@
+"""BBQN's loss stays finite wherever ρ goes, and its parts move between devices."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from q_transitions import bayes_loss, transitions
+
+from bbq_torchrl.modules import BayesMLP
+
+
+@pytest.mark.parametrize("rho", [-20.0, -10.0, -3.0, 0.0, 3.0, 10.0, 20.0])
+@pytest.mark.parametrize("target", ["map", "mc"])
+@pytest.mark.parametrize("kl", ["closed", "sampled"])
+def test_loss_and_gradient_are_finite_for_any_rho(rho, target, kl):
+    loss, update = bayes_loss((2,), hidden=(64, 64), target=target, kl=kl)
+    with torch.no_grad():
+        for name, parameter in loss.named_parameters():
+            if name.endswith("rho"):
+                parameter.fill_(rho)
+    update.step()  # the frozen copy is as wide
+
+    out = loss(transitions((2,)))
+    out["loss"].backward()
+
+    assert all(value.isfinite().all() for value in out.values())
+    for parameter in loss.parameters():
+        assert parameter.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("rho", [-20.0, 0.0, 20.0])
+@pytest.mark.parametrize("mode", ["draw", "local", "mean"])
+@pytest.mark.parametrize("inputs", ["zeros", "ones"])
+def test_a_networks_gradient_is_finite_for_any_rho(rho, mode, inputs):
+    # at zeros the spread of the first layer is the bias' alone, whose square root local
+    # reparameterisation takes
+    net = BayesMLP(5, 3, (64, 64))
+    with torch.no_grad():
+        net.posterior.rho.fill_(rho)
+    x = getattr(torch, inputs)(8, 5).requires_grad_()
+
+    out = net(x, mode)
+    out.square().mean().backward()
+
+    assert out.isfinite().all()
+    assert x.grad.isfinite().all()
+    assert net.posterior.mu.grad.isfinite().all()
+    # the mean network does not depend on ρ
+    assert mode == "mean" or net.posterior.rho.grad.isfinite().all()

@@ -1,0 +1,221 @@
+"""NoisyDQNLoss against its definition in plain torch, and what it learns."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from q_transitions import ACTIONS, FEATURES, STACKS, elements, noisy_loss, slopes, transitions
+from torch import nn
+from torchrl.data import Categorical
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.modules import MLP, NoisyMLP, NoisySampling, StackedNoisyLinear, q_network
+from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
+from bbq_torchrl.trainers import ReplicaAdam
+
+KINDS = ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma")
+
+
+@pytest.fixture
+def noise(monkeypatch):
+    """Records the normal numbers z of calls, in order, by a scaling of their own."""
+    drawn = []
+
+    def scale(self, size):
+        drawn.append(torch.randn(size, dtype=torch.double))
+        return drawn[-1].sign() * drawn[-1].abs().sqrt()
+
+    monkeypatch.setattr(StackedNoisyLinear, "_scale_noise", scale)
+    return drawn
+
+
+def layers_of(params, k):
+    """The four tensors of each layer of element k."""
+    params = params["module", "0", "module", "layers"]
+    stack_ndim = params["0", "bias_mu"].ndim - 1
+    return [
+        [
+            params[str(n), kind].flatten(0, stack_ndim - 1)[k]
+            if stack_ndim
+            else params[str(n), kind]
+            for kind in KINDS
+        ]
+        for n in range(len(params.keys()))
+    ]
+
+
+def network(layers, x, z=None):
+    """One noisy network by its definition; z: the normal numbers in, out of each layer."""
+    for n, (weight, weight_sigma, bias, bias_sigma) in enumerate(layers):
+        if z is not None:
+            e_in, e_out = (v.sign() * v.abs().sqrt() for v in z[2 * n : 2 * n + 2])
+            weight = weight + weight_sigma * e_out[:, None] * e_in[None]
+            bias = bias + bias_sigma * e_out
+        x = (x if n == 0 else x.relu()) @ weight.T + bias
+    return x
+
+
+def definition(loss, td, noises, stack, gamma, double_dqn, with_target_noise=True):
+    """Each element's loss for the noise that was drawn: online, target, choice."""
+    count, depth = torch.Size(stack).numel(), 6
+    losses = []
+    for k, batch in enumerate(elements(td, stack)):
+        z = [v.reshape(count, -1)[k] for v in noises]
+        online, frozen = (
+            layers_of(p, k) for p in (loss.value_network_params, loss.target_value_network_params)
+        )
+        chosen = network(online, batch["observation"], z[:depth])
+        chosen = chosen.gather(-1, batch["action"].unsqueeze(-1)).squeeze(-1)
+        following, illegal = batch["next", "observation"], ~batch["next", "action_mask"]
+        target_z = z[depth : 2 * depth] if with_target_noise else None
+        values = network(frozen, following, target_z).masked_fill(illegal, -torch.inf)
+        best = values.argmax(-1, keepdim=True)
+        if double_dqn:
+            choice_z = z[2 * depth :] if with_target_noise else None
+            choice = network(online, following, choice_z).masked_fill(illegal, -torch.inf)
+            best = choice.argmax(-1, keepdim=True)
+        value = values.gather(-1, best).squeeze(-1)
+        going_on = ~batch["next", "terminated"].squeeze(-1)
+        y = batch["next", "reward"].squeeze(-1) + gamma * going_on * value
+        losses.append((y.detach() - chosen).square().mean())
+    return torch.stack(losses).reshape(stack)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("double_dqn", [False, True])
+@pytest.mark.parametrize("kind", [NoisyDQNLoss, DropoutDQNLoss])
+def test_value_and_gradient_are_those_of_the_definition(noise, stack, double_dqn, kind):
+    loss, _ = noisy_loss(
+        stack, hidden=(8, 6), dtype=torch.double, double_dqn=double_dqn, gamma=0.8, kind=kind
+    )
+    td = transitions(stack, dtype=torch.double)
+    out = loss(td)
+    has_target_noise = kind is NoisyDQNLoss
+    assert len(noise) == 6 * (1 + has_target_noise + (has_target_noise and double_dqn))
+    expected = definition(loss, td, noise, stack, 0.8, double_dqn, has_target_noise)
+    torch.testing.assert_close(out["loss_value"], expected.detach())
+    torch.testing.assert_close(out["loss"], expected.sum())
+    parameters = list(loss.parameters())
+    torch.testing.assert_close(
+        torch.autograd.grad(out["loss"], parameters),
+        torch.autograd.grad(expected.sum(), parameters),
+    )
+
+
+@pytest.mark.parametrize("double_dqn", [False, True])
+def test_gradient_is_the_slope_of_the_loss(double_dqn):
+    # a choice between actions jumps: here the online network's does not depend on the direction
+    loss, _ = noisy_loss((2,), hidden=(6,), dtype=torch.double, double_dqn=double_dqn)
+    td = transitions((2,), (6,), dtype=torch.double)
+    td["next", "action_mask"][..., :1] = td["next", "action_mask"][..., 2:] = False
+    td["valid"] = torch.rand(2, 6) < 0.7
+    torch.testing.assert_close(*slopes(loss, td), rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize("exploration", [None, *ExplorationType])
+def test_noise_is_on_under_every_exploration_type(exploration):
+    # TorchRL runs forward under DETERMINISTIC, where its NoisyLinear is its mean
+    loss, _ = noisy_loss((2,), hidden=(8,))
+    td = transitions((2,))
+    with set_exploration_type(exploration):
+        out = loss(td)
+    out["loss"].backward()
+    for name, parameter in loss.named_parameters():
+        assert parameter.grad.any(), name
+    targets = [loss._td_target(td["next"], *loss._tensors()) for _ in range(2)]
+    going_on = ~td["next", "terminated"]
+    assert (targets[0] != targets[1])[going_on].any()
+    assert torch.equal(targets[0][~going_on], targets[1][~going_on])
+
+
+@pytest.mark.parametrize("double_dqn", [False, True])
+def test_elements_of_the_stack_are_bitwise_independent(double_dqn):
+    def gradients(spoil):
+        torch.manual_seed(0)
+        loss, _ = noisy_loss((3,), hidden=(33,), double_dqn=double_dqn)
+        td = transitions((3,))
+        if spoil:
+            td["observation"][1], td["next", "reward"][1] = float("nan"), 1e3
+        torch.manual_seed(1)
+        out = loss(td)
+        out["loss"].backward()
+        return [out["loss_value"], *(p.grad for p in loss.parameters())]
+
+    for ours, theirs in zip(gradients(False), gradients(True), strict=True):
+        assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
+
+
+def test_updates_freeze_parameters_and_leave_the_network_its_own():
+    loss, update = noisy_loss((2,), hidden=(8,))
+    own = dict(loss.value_network.named_parameters())
+    loss(transitions((2,)))
+    assert all(loss.value_network.get_parameter(name) is p for name, p in own.items())
+    update.step()
+    frozen = loss.target_value_network_params.flatten_keys(".")
+    online = loss.value_network_params.flatten_keys(".")
+    assert set(frozen.keys()) == set(online.keys())
+    assert not [key for key in frozen.keys() if "epsilon" in key]  # noqa: SIM118
+    assert all(torch.equal(frozen[key], online[key]) for key in frozen.keys())  # noqa: SIM118
+
+
+def test_each_replica_has_an_optimiser_of_its_own():
+    loss, _ = noisy_loss((3,), hidden=(8,))
+    optimiser = ReplicaAdam(loss.parameters(), 3, lr=1e-2)
+    before = [p.detach().clone() for p in loss.parameters()]
+    for _ in range(3):
+        optimiser.zero_grad()
+        loss(transitions((3,)))["loss"].backward()
+        optimiser.step(active=(True, False, True))
+    for ours, theirs in zip(loss.parameters(), before, strict=True):
+        assert torch.equal(ours[1], theirs[1])
+        assert not torch.equal(ours[0], theirs[0])
+        assert not torch.equal(ours[2], theirs[2])
+
+
+def test_noisy_layers_with_other_activations_work_too():
+    net = nn.Sequential(StackedNoisyLinear(FEATURES, 8), nn.Tanh(), StackedNoisyLinear(8, ACTIONS))
+    loss = NoisyDQNLoss(q_network(net, Categorical(ACTIONS)))
+    HardUpdate(loss, value_network_update_interval=0)
+    loss(transitions())["loss"].backward()
+    assert all(p.grad.any() for p in net.parameters())
+
+
+def test_a_network_without_noise_is_refused():
+    with pytest.raises(ValueError, match="NoisyNet needs a network with noisy layers"):
+        NoisyDQNLoss(q_network(MLP(5, ACTIONS), Categorical(ACTIONS)))
+    with pytest.raises(ValueError, match=r"gamma must be in \[0, 1\], got 2"):
+        noisy_loss(gamma=2.0)
+
+
+def test_acting_on_the_noise_solves_contextual_bandits():
+    # The best of three arms is the one that the context names; no other exploration than noise.
+    # Ten bandits side by side: of 10 · 300 greedy choices nearly all must be the best.
+    torch.manual_seed(0)
+    stack, rows = (10,), 16
+    actor = q_network(NoisyMLP(3, 3, (16,), stack=stack), Categorical(3), action_mask_key=None)
+    policy = NoisySampling(actor)
+    loss = NoisyDQNLoss(actor, gamma=0.0)
+    update = HardUpdate(loss, value_network_update_interval=0)
+    optimiser = ReplicaAdam(loss.parameters(), 10, lr=1e-2)
+
+    def pull(rows):
+        context = torch.randint(3, (*stack, rows))
+        td = transitions(stack, (rows,)).exclude("action", "action_mask", ("next", "action_mask"))
+        td["observation"] = nn.functional.one_hot(context, 3).float()
+        td["next", "observation"] = td["observation"]
+        td = policy(td)
+        return td, td["action"] == context
+
+    with set_exploration_type(ExplorationType.RANDOM):
+        for _ in range(200):
+            td, is_best = pull(rows)
+            reward = is_best.float() + 0.1 * torch.randn(*stack, rows)
+            td["next", "reward"] = reward.unsqueeze(-1)
+            optimiser.zero_grad()
+            loss(td)["loss"].backward()
+            optimiser.step()
+        update.step()
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        _, is_best = pull(300)
+    assert is_best.float().mean() > 0.9
