@@ -16,6 +16,7 @@ from bbq_torchrl.modules.posterior import GaussianPosterior
 from bbq_torchrl.modules.q_network import q_network
 from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
 from bbq_torchrl.modules.shared_noise import shared_noise
+from bbq_torchrl.modules.vote import VoteModule, bootstrap_actor
 from bbq_torchrl.modules.weight_mode import (
     given_weights,
     resolve_weight_mode,
