@@ -35,7 +35,7 @@ dialogues, turns_per_second.
   log=<file>   writes the first log_dialogues= dialogues as readable acts
   seed=, device=, threads=
 
-Meaning and allowed values of a key: bbq_torchrl/config/schema.py
+Meaning and allowed values of a key: docs/configuration.md
 """
 
 

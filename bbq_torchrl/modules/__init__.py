@@ -7,7 +7,7 @@ from bbq_torchrl.modules.evaluation_policy import EvaluationPolicy
 from bbq_torchrl.modules.exploration import Boltzmann, Greedy, ThompsonSampling
 from bbq_torchrl.modules.functional import FlatLayout
 from bbq_torchrl.modules.growth import grow, reset_inactive_
-from bbq_torchrl.modules.heads import BootstrapSampling, MajorityVote, VoteModule, bootstrap_actor
+from bbq_torchrl.modules.heads import BootstrapSampling, MajorityVote
 from bbq_torchrl.modules.information_gain import information_gain, mlp_information_gain
 from bbq_torchrl.modules.kl import collect_kl, kl_divergence
 from bbq_torchrl.modules.mlp import MLP
@@ -16,6 +16,7 @@ from bbq_torchrl.modules.posterior import GaussianPosterior
 from bbq_torchrl.modules.q_network import q_network
 from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
 from bbq_torchrl.modules.shared_noise import shared_noise
+from bbq_torchrl.modules.vote import VoteModule, bootstrap_actor
 from bbq_torchrl.modules.weight_mode import (
     given_weights,
     resolve_weight_mode,

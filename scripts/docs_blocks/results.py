@@ -26,14 +26,14 @@ RESULTS = ROOT / "results"
 FIGURES = ROOT / "docs" / "figures"
 
 EXPERIMENTS = {
-    "learning_movie": "Full domain, our corpus, small buffer",
+    "learning_movie": "Full domain, our corpus",
     "learning_miulab": "Full domain, the public MiuLab corpus",
-    "extension_movie": "Domain extension, our corpus, small buffer",
-    "no_spike_movie": "Without spiking, our corpus, small buffer",
+    "extension_movie": "Domain extension, our corpus",
+    "no_spike_movie": "Without spiking, our corpus",
 }
 """Folder in results/ -> what was trained on."""
 
-IN_README = ("learning_miulab", "learning_movie")
+IN_README = ("learning_miulab", "learning_movie", "extension_movie")
 
 
 def groups(experiment: str) -> list[Group]:

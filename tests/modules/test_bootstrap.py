@@ -16,9 +16,9 @@ STACKS = [(), (1,), (3,), (2, 2)]
 TRUNKS = [0, 1, 2]
 
 
-def make(stack=(), trunk_layers=None, **settings):
+def make(stack=(), trunk_layers=None, hidden=HIDDEN, **settings):
     settings = {"heads": HEADS, "dtype": torch.double, **settings}
-    return BootstrapMLP(FEATURES, OUT, HIDDEN, stack=stack, trunk_layers=trunk_layers, **settings)
+    return BootstrapMLP(FEATURES, OUT, hidden, stack=stack, trunk_layers=trunk_layers, **settings)
 
 
 def plain(x, layers):
@@ -171,13 +171,14 @@ def test_copies_and_states_hold_the_prior_too(trunk_layers):
 @pytest.mark.parametrize("trunk_layers", TRUNKS)
 @pytest.mark.parametrize("prior_scale", [0.0, 1.0])
 def test_a_feature_that_appears_late_changes_nothing_when_it_does(stack, trunk_layers, prior_scale):
-    net = make(stack, trunk_layers, prior_scale=prior_scale)
+    # wide enough that no layer is dead in all rows
+    net = make(stack, trunk_layers, (32, 32), prior_scale=prior_scale)
     inactive = torch.tensor([False, True, False, False, True])
     reset_inactive_(net, inputs=inactive, outputs=torch.tensor([False, True, False]))
     x = torch.randn(*stack, 8, FEATURES, dtype=torch.double)
     early = x.masked_fill(inactive, 0)
     assert torch.equal(net(x), net(early))
-    optimiser = torch.optim.Adam(net.parameters(), 0.1)
+    optimiser = torch.optim.Adam(net.parameters(), 0.01)
     for _ in range(5):
         optimiser.zero_grad()
         net(early).square().sum().backward()

@@ -9,6 +9,7 @@ from bbq_torchrl.modules import (
     MLP,
     BayesMLP,
     GaussianPosterior,
+    NoisyMLP,
     grow,
     kl_divergence,
     reset_inactive_,
@@ -206,3 +207,68 @@ def test_growth_that_does_not_fit_is_refused():
         growth_index(net.layout, FlatLayout((3, 9, 2)))
     with pytest.raises(ValueError, match=r"inputs must be a bool mask of shape \[3\], got"):
         reset_inactive_(net, inputs=torch.tensor([0, 1, 1]))
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_a_feature_that_appears_in_a_noisy_network_changes_nothing_before_it_is_learned(stack):
+    net = NoisyMLP(5, 4, (8,), stack=stack)
+    inputs = torch.tensor([False, True, False, True, False])
+    outputs = torch.tensor([False, False, True, False])
+    start = {k: v.clone() for k, v in net.state_dict().items()}
+    reset_inactive_(net, inputs=inputs, outputs=outputs)
+    for name, value in net.state_dict().items():
+        if name in ("layers.0.weight_mu", "layers.0.weight_sigma"):
+            assert not value[..., inputs].any()
+            assert torch.equal(value[..., ~inputs], start[name][..., ~inputs])
+        else:  # new outputs keep their start
+            assert torch.equal(value, start[name])
+    x = torch.randn(*stack, 6, 5)
+    for mode in ("mean", "draw", "local"):
+        outs = []
+        for seen in (x, x.masked_fill(inputs, 0.0)):
+            torch.manual_seed(0)
+            outs.append(net(seen, mode))
+        torch.testing.assert_close(*outs)
+
+
+def test_inactive_weights_of_a_noisy_network_are_bitwise_untouched_and_then_learn():
+    net = NoisyMLP(5, 4, (8,), stack=(2,))
+    inputs = torch.tensor([False, True, False, True, False])
+    outputs = torch.tensor([False, False, True, False])
+    reset_inactive_(net, inputs=inputs, outputs=outputs)
+    start = {k: v.clone() for k, v in net.state_dict().items()}
+    optimiser = torch.optim.Adam(net.parameters(), 1e-2)
+
+    def learn(active_inputs, actions):
+        for _ in range(40):
+            x = torch.randn(2, 9, 5) * active_inputs
+            action = actions[torch.randint(len(actions), (2, 9, 1))]
+            optimiser.zero_grad()
+            (net(x, "draw").gather(-1, action) - x.sum(-1, keepdim=True)).square().sum().backward()
+            optimiser.step()
+
+    def is_as_before():
+        first, last = net.layers
+        return [
+            torch.equal(weight[index], start[name][index])
+            for name, weight, index in (
+                ("layers.0.weight_mu", first.weight_mu, (..., inputs)),
+                ("layers.0.weight_sigma", first.weight_sigma, (..., inputs)),
+                ("layers.1.weight_mu", last.weight_mu, (slice(None), outputs)),
+                ("layers.1.weight_sigma", last.weight_sigma, (slice(None), outputs)),
+                ("layers.1.bias_mu", last.bias_mu, (slice(None), outputs)),
+                ("layers.1.bias_sigma", last.bias_sigma, (slice(None), outputs)),
+            )
+        ]
+
+    learn(~inputs, torch.tensor([0, 1, 3]))
+    assert all(is_as_before())
+    learn(torch.ones(5), torch.arange(4))
+    assert not any(is_as_before())
+
+
+def test_growing_a_noisy_network_is_refused():
+    with pytest.raises(ValueError, match="network must be a BayesMLP or MLP to grow, got a Noisy"):
+        grow(NoisyMLP(3, 2), 4, 2)
+    with pytest.raises(ValueError, match=r"outputs must be a bool mask of shape \[2\], got"):
+        reset_inactive_(NoisyMLP(3, 2), outputs=torch.ones(3, dtype=torch.bool))
