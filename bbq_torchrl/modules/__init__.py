@@ -1,10 +1,12 @@
 """Bayesian layers, Q-networks and exploration: TensorDict modules that know no dialogue."""
 
 from bbq_torchrl.modules.bayes_mlp import BayesLinear, BayesMLP
+from bbq_torchrl.modules.bootstrap import BootstrapMLP
 from bbq_torchrl.modules.evaluation_policy import EvaluationPolicy
 from bbq_torchrl.modules.exploration import Boltzmann, Greedy, ThompsonSampling
 from bbq_torchrl.modules.functional import FlatLayout
 from bbq_torchrl.modules.growth import grow, reset_inactive_
+from bbq_torchrl.modules.heads import BootstrapSampling, MajorityVote, VoteModule, bootstrap_actor
 from bbq_torchrl.modules.kl import collect_kl, kl_divergence
 from bbq_torchrl.modules.mlp import MLP
 from bbq_torchrl.modules.posterior import GaussianPosterior
@@ -22,14 +24,19 @@ __all__ = [
     "BayesLinear",
     "BayesMLP",
     "Boltzmann",
+    "BootstrapMLP",
+    "BootstrapSampling",
     "CarefulPolicy",
     "EvaluationPolicy",
     "FlatLayout",
     "GaussianPosterior",
     "Greedy",
+    "MajorityVote",
     "RandomPolicy",
     "SequencePolicy",
     "ThompsonSampling",
+    "VoteModule",
+    "bootstrap_actor",
     "collect_kl",
     "given_weights",
     "grow",

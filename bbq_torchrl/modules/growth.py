@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.modules.bayes_mlp import BayesMLP
+from bbq_torchrl.modules.bootstrap import BootstrapMLP
 from bbq_torchrl.modules.functional import FlatLayout
 
 if TYPE_CHECKING:
@@ -132,7 +133,10 @@ def grow(
 
 @torch.no_grad()
 def reset_inactive_(
-    network: BayesMLP | MLP, *, inputs: Tensor | None = None, outputs: Tensor | None = None
+    network: BayesMLP | BootstrapMLP | MLP,
+    *,
+    inputs: Tensor | None = None,
+    outputs: Tensor | None = None,
 ) -> None:
     """Starts the weights of inactive inputs and outputs where :func:`grow` would put them.
 
@@ -141,11 +145,13 @@ def reset_inactive_(
     weights away from the prior.
 
     Args:
-        network: a BayesMLP or MLP; changed in place.
+        network: a BayesMLP, BootstrapMLP or MLP; changed in place. To be called before a loss
+            copies the network, as a target updater leaves the copy of a prior function alone.
 
     Keyword Args:
         inputs: bool [in_features], True for the inactive ones: their weights become 0, in a
-            Bayesian network the prior's (mean 0, std prior_std).
+            Bayesian network the prior's (mean 0, std prior_std). Those of a prior function
+            become 0 too.
         outputs: bool [out_features], True for the inactive ones: the prior's in a Bayesian
             network; a plain one keeps the start it has.
 
@@ -160,6 +166,14 @@ def reset_inactive_(
         >>> net(torch.tensor([[0.0, 1.0, 0.0]])) - net(torch.zeros(1, 3))
         tensor([[0., 0.]], grad_fn=...)
     """
+    if isinstance(network, BootstrapMLP):
+        if outputs is not None:
+            _mask("outputs", outputs, network.out_features)
+        if inputs is not None:
+            inactive = _mask("inputs", inputs, network.in_features).unsqueeze(-1)
+            for matrix in network.input_matrices():
+                matrix.masked_fill_(inactive.to(matrix.device), 0)
+        return
     layout = network.layout
     affected = torch.zeros(layout.numel, dtype=torch.bool)
     layers = layout.unflatten(affected)

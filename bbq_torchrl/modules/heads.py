@@ -1,0 +1,336 @@
+"""Acting on the heads of a bootstrapped Q-network: on one at a time, or by their vote."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, get_args
+
+import torch
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torchrl.data import Categorical, Composite, OneHot
+from torchrl.modules import QValueActor
+
+from bbq_torchrl.modules.exploration import Per, explores
+from bbq_torchrl.modules.weight_mode import set_weight_mode
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
+    from torch import Tensor, nn
+
+__all__ = ["BootstrapSampling", "MajorityVote", "VoteModule", "bootstrap_actor"]
+
+
+class VoteModule(TensorDictModuleBase):
+    """Turns the values of K heads into an action by majority vote.
+
+    Each head votes for its legal action of greatest value, and the action with the most votes is
+    taken. Among actions with equally many votes the one of greatest mean value over all heads
+    wins, and of equal means the one with the lowest index: the vote draws nothing.
+
+    Args:
+        spec: of one action, without batch dimensions: Categorical or OneHot.
+
+    Keyword Args:
+        head_value_key: values [*batch, K, N], which it reads.
+        action_mask_key: bool [*batch, N], True for actions that may be taken; None for no mask.
+        action_key: where the action goes, an index [*batch] or one-hot [*batch, N] (int64).
+        action_value_key: where the mean of the values over the heads goes, [*batch, N];
+            forbidden actions have the least float there.
+        chosen_action_value_key: where that of the action goes, [*batch, 1].
+
+    Raises:
+        ValueError: for another spec.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.modules import VoteModule
+        >>> vote = VoteModule(Categorical(3), action_mask_key=None)
+        >>> values = torch.tensor([[[9.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 2.0, 1.0]]])
+        >>> td = vote(TensorDict(head_value=values, batch_size=[1]))
+        >>> td["action"], td["action_value"]  # two heads of three are for action 1
+        (tensor([1]), tensor([[3.0000, 1.3333, 0.3333]]))
+    """
+
+    def __init__(
+        self,
+        spec: Categorical | OneHot,
+        *,
+        head_value_key: NestedKey = "head_value",
+        action_mask_key: NestedKey | None = "action_mask",
+        action_key: NestedKey = "action",
+        action_value_key: NestedKey = "action_value",
+        chosen_action_value_key: NestedKey = "chosen_action_value",
+    ) -> None:
+        super().__init__()
+        if type(spec) not in (Categorical, OneHot):  # Binary is a Categorical
+            raise ValueError(f"spec must be a Categorical or a OneHot, got {type(spec).__name__}")
+        # what TorchRL calls the key that a Q-value module reads
+        self.action_value_key = head_value_key
+        self.action_mask_key = action_mask_key
+        self.in_keys = [head_value_key]
+        if action_mask_key is not None:
+            self.in_keys.append(action_mask_key)
+        self.out_keys = [action_key, action_value_key, chosen_action_value_key]
+        self._action_spec = spec
+        self._spec = Composite(dict.fromkeys(self.out_keys))
+        self._spec[action_key] = spec.clone()
+
+    @property
+    def spec(self) -> Composite:
+        """Specs of what it writes."""
+        return self._spec
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that wins the vote, the heads' mean values, and the action's."""
+        return self.vote(tensordict, tensordict.get(self.action_value_key))
+
+    def vote(self, tensordict: TensorDictBase, head_values: Tensor) -> TensorDictBase:
+        """Writes what :meth:`forward` does; head_values has shape [*batch, K, N]."""
+        mask = self._mask(tensordict)
+        ballots = _masked(head_values, None if mask is None else mask.unsqueeze(-2)).argmax(-1)
+        shape = (*head_values.shape[:-2], head_values.shape[-1])
+        votes = ballots.new_zeros(shape).scatter_add_(-1, ballots, torch.ones_like(ballots))
+        mean = head_values.mean(-2)
+        tied = votes == votes.amax(-1, keepdim=True)
+        index = mean.masked_fill(~tied, float("-inf")).argmax(-1, keepdim=True)
+        return self._write(tensordict, _masked(mean, mask), index)
+
+    def act_greedily(self, tensordict: TensorDictBase, values: Tensor) -> TensorDictBase:
+        """Writes the legal action of greatest value; values has shape [*batch, N]."""
+        values = _masked(values, self._mask(tensordict))
+        return self._write(tensordict, values, values.argmax(-1, keepdim=True))
+
+    def _mask(self, tensordict: TensorDictBase) -> Tensor | None:
+        return None if self.action_mask_key is None else tensordict.get(self.action_mask_key)
+
+    def _write(self, tensordict: TensorDictBase, values: Tensor, index: Tensor) -> TensorDictBase:
+        spec = self._action_spec
+        if isinstance(spec, OneHot):
+            action = torch.zeros_like(values, dtype=torch.int64).scatter_(-1, index, 1)
+        else:
+            action = index.reshape((*values.shape[:-1], *spec.shape))
+        written = (action, values, values.gather(-1, index))
+        for key, value in zip(self.out_keys, written, strict=True):
+            tensordict.set(key, value)
+        return tensordict
+
+
+def _masked(values: Tensor, mask: Tensor | None) -> Tensor:
+    if mask is None:
+        return values
+    return torch.where(mask, values, torch.finfo(values.dtype).min)
+
+
+class _BootstrapActor(QValueActor):
+    """A QValueActor with a vote in the place of its argmax."""
+
+    def __init__(self, network: TensorDictModule, vote: VoteModule) -> None:
+        self.action_space = "one_hot" if isinstance(vote._action_spec, OneHot) else "categorical"
+        self.action_value_key = vote.action_value_key
+        super(QValueActor, self).__init__(network, vote)
+
+
+def bootstrap_actor(
+    network: nn.Module,
+    spec: Categorical | OneHot,
+    *,
+    in_keys: Sequence[NestedKey] = ("observation",),
+    action_mask_key: NestedKey | None = "action_mask",
+    action_key: NestedKey = "action",
+    action_value_key: NestedKey = "action_value",
+    head_value_key: NestedKey = "head_value",
+) -> QValueActor:
+    """Returns an actor on a network with heads, which acts by their majority vote.
+
+    Its two parts are those of a :class:`~torchrl.modules.QValueActor`: the network, which writes
+    the values of all heads, and the choice, a :class:`VoteModule`. So
+    :class:`~bbq_torchrl.objectives.BootstrapDQNLoss` learns it, :class:`BootstrapSampling` and
+    :class:`MajorityVote` act on it, and so do :class:`~bbq_torchrl.modules.Greedy` (with an
+    ``EGreedyModule`` behind it) and :class:`~bbq_torchrl.modules.EvaluationPolicy` in its mode
+    "mean": by the vote.
+
+    Args:
+        network: maps the observation [*batch, F] to values [*batch, K, N], such as a
+            :class:`~bbq_torchrl.modules.BootstrapMLP`.
+        spec: of one action, without batch dimensions (``env.action_spec_unbatched``).
+
+    Keyword Args:
+        in_keys: what the network reads. Defaults to ("observation",).
+        action_mask_key: bool [*batch, N], True for actions that may be taken; None for no mask.
+        action_key: where the action goes.
+        action_value_key: where the mean of the heads' values goes.
+        head_value_key: where the values of all heads go.
+
+    Raises:
+        ValueError: for a spec that is neither Categorical nor OneHot.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.modules import BootstrapMLP, bootstrap_actor
+        >>> actor = bootstrap_actor(BootstrapMLP(3, 4, heads=10), Categorical(4))
+        >>> td = TensorDict(observation=torch.ones(2, 3), batch_size=[2])
+        >>> td["action_mask"] = torch.tensor([[False, True, False, False]] * 2)
+        >>> td = actor(td)
+        >>> td["action"], td["action_value"].shape, td["head_value"].shape
+        (tensor([1, 1]), torch.Size([2, 4]), torch.Size([2, 10, 4]))
+    """
+    vote = VoteModule(
+        spec,
+        head_value_key=head_value_key,
+        action_mask_key=action_mask_key,
+        action_key=action_key,
+        action_value_key=action_value_key,
+    )
+    return _BootstrapActor(TensorDictModule(network, list(in_keys), [head_value_key]), vote)
+
+
+class _OnHeads(TensorDictModuleBase):
+    """What acts on the heads of an actor, without writing the values of all of them."""
+
+    def __init__(self, actor: QValueActor) -> None:
+        if not isinstance(actor[-1], VoteModule):
+            raise ValueError(
+                "actor must be one that bootstrap_actor returns, whose last module is a "
+                f"VoteModule, got {type(actor[-1]).__name__}"
+            )
+        super().__init__()
+        self.actor = actor
+        self.in_keys = actor.in_keys
+        self.out_keys = self._choice.out_keys
+
+    @property
+    def _choice(self) -> VoteModule:
+        choice: VoteModule = self.actor[-1]
+        return choice
+
+    @property
+    def spec(self) -> Composite:
+        """Specs of what it writes."""
+        return self._choice.spec
+
+    def _head_values(self, tensordict: TensorDictBase) -> Tensor:
+        """Returns the values of all heads, [*batch, K, N]; dropout is off."""
+        network = self.actor[0]
+        with set_weight_mode("mean"):
+            out = network(tensordict.select(*network.in_keys))
+        values: Tensor = out.get(self._choice.action_value_key)
+        return values
+
+
+class MajorityVote(_OnHeads):
+    """Acts by the majority vote of the heads, whatever the exploration type.
+
+    Each head votes for its legal action of greatest value; of equally many votes the greater mean
+    value over all heads decides, then the lower index (see :class:`VoteModule`). Writes the
+    action and, as ``action_value`` [*batch, N], the mean of the values over the heads.
+
+    Args:
+        actor: what :func:`bootstrap_actor` returns.
+
+    Raises:
+        ValueError: for another actor.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.modules import BootstrapMLP, MajorityVote, bootstrap_actor
+        >>> actor = bootstrap_actor(BootstrapMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> td = MajorityVote(actor)(TensorDict(observation=torch.ones(2, 3), batch_size=[2]))
+        >>> td["action"].shape, td["action_value"].shape
+        (torch.Size([2]), torch.Size([2, 4]))
+    """
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that wins the vote, and the heads' mean values."""
+        return self._choice.vote(tensordict, self._head_values(tensordict))
+
+
+class BootstrapSampling(_OnHeads):
+    """Acts greedily on one head, drawn uniformly for each row (Bootstrapped DQN, Osband 2016).
+
+    Under the exploration types DETERMINISTIC, MEAN and MODE it acts by the majority vote; under
+    RANDOM and outside of any context it explores (as ``EGreedyModule``). Writes the action and,
+    as ``action_value`` [*batch, N], the values of the head acted on (of the vote: the mean over
+    the heads).
+
+    TorchRL's ``TensorDictPrimer(head=Categorical(10), random=True)`` draws a head for each
+    episode too, but as a part of the environment: it would have to know how many heads the agent
+    has, the head would become an entry of every observation and transition, and comparing agents
+    in one environment, or voting in the very same one, would need the transform taken out.
+
+    Args:
+        actor: what :func:`bootstrap_actor` returns.
+
+    Keyword Args:
+        per: how long a head is acted on. "step": one action. "dialogue" (the paper): until the
+            row's next ``init_key``. "round": until :meth:`resample`. Defaults to "dialogue".
+        init_key: bool [*batch, 1] or [*batch], True where a row begins a dialogue (TorchRL's
+            ``InitTracker`` writes it); only read for per="dialogue". Without that entry heads
+            stay until :meth:`resample`. Defaults to "is_init".
+
+    Held heads are drawn anew when the batch shape changes: other rows are other dialogues. The
+    numbers come from torch's global generator, for all rows at each call that may need one, so
+    that what a row draws never depends on when the others begin.
+
+    Raises:
+        ValueError: for another ``per`` or another actor.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.modules import BootstrapMLP, BootstrapSampling, bootstrap_actor
+        >>> actor = bootstrap_actor(BootstrapMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> policy = BootstrapSampling(actor)
+        >>> td = TensorDict(observation=torch.ones(50, 3), batch_size=[50])
+        >>> first, again = policy(td.clone())["action"], policy(td.clone())["action"]
+        >>> torch.equal(first, again), policy.heads.unique().numel() > 1
+        (True, True)
+    """
+
+    def __init__(
+        self, actor: QValueActor, *, per: Per = "dialogue", init_key: NestedKey = "is_init"
+    ) -> None:
+        if per not in get_args(Per):
+            raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
+        super().__init__(actor)
+        self.per = per
+        self.init_key = init_key
+        self._held: Tensor | None = None
+
+    @property
+    def heads(self) -> Tensor | None:
+        """The head that each row acted on last, int64 [*batch]; None before the first action."""
+        return self._held
+
+    def resample(self) -> None:
+        """Forgets the heads: the next call draws new ones."""
+        self._held = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that is greedy on the row's head, and that head's values."""
+        values = self._head_values(tensordict)
+        if not explores():
+            return self._choice.vote(tensordict, values)
+        self._held = self._next_heads(tensordict, values)
+        index = self._held[..., None, None].expand(*self._held.shape, 1, values.shape[-1])
+        return self._choice.act_greedily(tensordict, values.gather(-2, index).squeeze(-2))
+
+    def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
+        rows, held = values.shape[:-2], self._held
+        begins = None
+        if held is not None and held.shape == rows and self.per != "step":
+            begins = tensordict.get(self.init_key, None) if self.per == "dialogue" else None
+            if begins is None:
+                return held
+        drawn = torch.randint(values.shape[-2], rows, device=values.device)
+        if begins is None or held is None:
+            return drawn
+        return torch.where(begins.reshape(rows), drawn, held)
