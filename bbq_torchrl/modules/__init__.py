@@ -12,6 +12,7 @@ from bbq_torchrl.modules.mlp import MLP
 from bbq_torchrl.modules.posterior import GaussianPosterior
 from bbq_torchrl.modules.q_network import q_network
 from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
+from bbq_torchrl.modules.shared_noise import shared_noise
 from bbq_torchrl.modules.weight_mode import (
     given_weights,
     resolve_weight_mode,
@@ -45,5 +46,6 @@ __all__ = [
     "reset_inactive_",
     "resolve_weight_mode",
     "set_weight_mode",
+    "shared_noise",
     "weight_mode",
 ]

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bbq_torchrl.modules.noise import fill_normal_
+from bbq_torchrl.modules.shared_noise import noise_for
 from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind, closed_kl, draw_with_kl
 
 if TYPE_CHECKING:
@@ -129,8 +130,9 @@ class GaussianPosterior(nn.Module):
         Differentiable in mu and rho.
         """
         count = self.mu.shape[-1]
-        noise = self.mu.new_empty((*self.stack, *rows, count))
-        self.fill_noise_(noise)
+        noise, is_filled = noise_for(self, torch.Size((*self.stack, *rows, count)))
+        if not is_filled:
+            self.fill_noise_(noise)
         shape = (*self.stack, *(1 for _ in rows), count)
         return torch.addcmul(self.mu.reshape(shape), self.sigma.reshape(shape), noise)
 
@@ -163,7 +165,9 @@ class GaussianPosterior(nn.Module):
             ValueError: for any other string.
         """
         check_kl_kind(kind)
-        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, self.fill_noise_)
+        noise, is_filled = noise_for(self, self.mu.shape)
+        fill_noise_ = None if is_filled else self.fill_noise_
+        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_)
 
     def kl(self) -> Tensor:
         """Returns the KL from the prior in closed form, [*stack], in nats."""

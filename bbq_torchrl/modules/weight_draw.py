@@ -71,14 +71,16 @@ class _Draw(torch.autograd.Function):
         rho: Tensor,
         prior_std: Tensor,
         kind: KLKind,
-        fill_noise_: Callable[[Tensor], object],
+        noise: Tensor,
+        fill_noise_: Callable[[Tensor], object] | None,
     ) -> tuple[Tensor, Tensor]:
-        weights, noise, ratio = (mu.new_empty(mu.shape) for _ in range(3))
+        weights, ratio = mu.new_empty(mu.shape), mu.new_empty(mu.shape)
         inverse = prior_std.reciprocal()
         kls = []
         scratch = None
         for m, r, w, n, s in _pieces(mu, rho, weights, noise, ratio):
-            fill_noise_(n)
+            if fill_noise_ is not None:
+                fill_noise_(n)
             _softplus(r, 1, 20, out=s)
             torch.addcmul(m, s, n, out=w)
             s.mul_(inverse).clamp_min_(_LEAST_RATIO)
@@ -99,11 +101,11 @@ class _Draw(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(
         ctx: Any, grad_weights: Tensor | None, grad_kl: Tensor | None
-    ) -> tuple[Tensor | None, Tensor | None, None, None, None]:
+    ) -> tuple[Tensor | None, Tensor | None, None, None, None, None]:
         rho, noise, ratio, prior_std, location = ctx.saved_tensors
         if grad_kl is None:
             if grad_weights is None:
-                return None, None, None, None, None
+                return None, None, None, None, None, None
             grad_kl = rho.new_zeros(rho.shape[:-1])
         if grad_weights is None:
             grad_weights = torch.zeros_like(rho)
@@ -124,7 +126,7 @@ class _Draw(torch.autograd.Function):
                 torch.reciprocal(s, out=gr)
                 gr.mul_(factor).neg_().addcmul_(gm, n)
             _softplus_backward(gr, r, 1, 20, grad_input=gr)
-        return grad_mu, grad_rho, None, None, None
+        return grad_mu, grad_rho, None, None, None, None
 
 
 class _ClosedKL(torch.autograd.Function):
@@ -186,7 +188,8 @@ def draw_with_kl(
     rho: Tensor,
     prior_std: Tensor,
     kind: KLKind,
-    fill_noise_: Callable[[Tensor], object],
+    noise: Tensor,
+    fill_noise_: Callable[[Tensor], object] | None,
 ) -> tuple[Tensor, Tensor]:
     """Returns the draw μ + softplus(ρ) noise, [*stack, P], and the KL from N(0, p²), [*stack].
 
@@ -197,9 +200,11 @@ def draw_with_kl(
         rho: shape [*stack, P].
         prior_std: p, shape [1] or [P].
         kind: "closed", the divergence itself, or "sampled", log q(w) - log p(w) at the draw.
-        fill_noise_: fills a tensor [*, P] with standard normal numbers.
+        noise: shape [*stack, P], contiguous.
+        fill_noise_: fills a tensor [*, P] with standard normal numbers, called on ``noise`` (a
+            part at a time); None where ``noise`` holds them already.
     """
-    weights, kl = _Draw.apply(mu, rho, prior_std, kind, fill_noise_)
+    weights, kl = _Draw.apply(mu, rho, prior_std, kind, noise, fill_noise_)
     return weights, kl
 
 

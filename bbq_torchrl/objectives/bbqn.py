@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
@@ -9,6 +10,7 @@ from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.modules.exploration import bayesian_layers
 from bbq_torchrl.modules.kl import collect_kl
+from bbq_torchrl.modules.shared_noise import shared_noise
 from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
@@ -19,9 +21,16 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
-__all__ = ["BBQNLoss", "Target"]
+__all__ = ["BBQNLoss", "Target", "TargetNoise"]
 
 Target = Literal["map", "mc"]
+TargetNoise = Literal["mean", "independent", "shared"]
+
+# What each target may be; the first is its default.
+_TARGET_NOISES: dict[Target, tuple[TargetNoise, ...]] = {
+    "map": ("mean",),
+    "mc": ("independent", "shared"),
+}
 
 
 class BBQNLoss(OneStepQLoss):
@@ -41,6 +50,12 @@ class BBQNLoss(OneStepQLoss):
     Keyword Args:
         target: "map", the frozen posterior's mean network gives the target, or "mc", one weight
             draw of the frozen posterior a batch. Defaults to "map".
+        target_noise: where the target's noise comes from. "mean": there is none (the only
+            choice for "map"). For "mc", "independent": it is drawn (the paper's), or "shared":
+            the target's weights are μ⁻ + σ⁻·ε with the frozen μ⁻, σ⁻ and the very noise ε of
+            the batch's online draw, so that one draw is one value function on both sides of
+            the equation and its uncertainty goes through the target. Defaults to None, "mean"
+            for "map" and "independent" for "mc".
         kl: "closed" or "sampled" (log q(w) - log p(w) at the draw; the paper's). Under Adam the
             sampled one moves weights that no data reach away from the prior. Defaults to
             "closed".
@@ -92,6 +107,7 @@ class BBQNLoss(OneStepQLoss):
         value_network: QValueActor | nn.Module,
         *,
         target: Target = "map",
+        target_noise: TargetNoise | None = None,
         kl: KLKind = "closed",
         noise_std: float = 1.0,
         kl_temperature: float = 1.0,
@@ -102,6 +118,11 @@ class BBQNLoss(OneStepQLoss):
     ) -> None:
         if target not in get_args(Target):
             raise ValueError(f"target must be one of {list(get_args(Target))}, got {target!r}")
+        if target_noise is not None and target_noise not in _TARGET_NOISES[target]:
+            raise ValueError(
+                f"target_noise must be one of {list(_TARGET_NOISES[target])} or None for "
+                f"target={target!r}, got {target_noise!r}"
+            )
         check_kl_kind(kl)
         if not noise_std > 0:
             raise ValueError(f"noise_std must be positive, got {noise_std}")
@@ -112,6 +133,8 @@ class BBQNLoss(OneStepQLoss):
         )
         layers = bayesian_layers(self.value_network)
         self.target = target
+        self.target_noise = target_noise or _TARGET_NOISES[target][0]
+        self._online_noise: shared_noise | None = None
         self.kl = kl
         self.noise_std = noise_std
         self.kl_temperature = kl_temperature
@@ -168,9 +191,14 @@ class BBQNLoss(OneStepQLoss):
                 "num_data is not known: give it to BBQNLoss or call set_num_data(n) with the "
                 "number of transitions in the buffer"
             )
-        with collect_kl(self.kl) as collector:
+        noise = shared_noise() if self.target_noise == "shared" else None
+        with noise or nullcontext(), collect_kl(self.kl) as collector:
             values = self._function(tensors, inputs, "draw")
+        self._online_noise = noise
         return values, {"kl": collector.total()}
 
     def _target_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
-        return self._function(tensors, inputs, "mean" if self.target == "map" else "draw")
+        # Used up: each batch has noise of its own, and none outlives its batch.
+        noise, self._online_noise = self._online_noise, None
+        with noise or nullcontext():
+            return self._function(tensors, inputs, "mean" if self.target == "map" else "draw")

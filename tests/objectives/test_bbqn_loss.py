@@ -38,7 +38,12 @@ def noise(monkeypatch):
     return drawn
 
 
-def definition(loss, td, noises, stack, *, target, kl, noise_std, temperature, gamma, num_data):
+TARGETS = [("map", "mean"), ("mc", "independent"), ("mc", "shared")]
+
+
+def definition(
+    loss, td, noises, stack, *, target_noise, kl, noise_std, temperature, gamma, num_data, **_
+):
     """Returns each element's loss and KL by the formula, for the noise that was drawn."""
     net = loss.value_network[0].module
     layout = net.layout
@@ -53,8 +58,9 @@ def definition(loss, td, noises, stack, *, target, kl, noise_std, temperature, g
         q = Normal(mu[k], torch.nn.functional.softplus(rho[k]))
         weights = q.loc + q.scale * noises[k]
         frozen = frozen_mu[k]
-        if target == "mc":
-            frozen = frozen + torch.nn.functional.softplus(frozen_rho[k]) * noises[count + k]
+        if target_noise != "mean":
+            epsilon = noises[k if target_noise == "shared" else count + k]
+            frozen = frozen + torch.nn.functional.softplus(frozen_rho[k]) * epsilon
         y = target_of(layout, frozen, batch, gamma)
         chosen = network(layout, weights, batch["observation"])
         chosen = chosen.gather(-1, batch["action"].unsqueeze(-1)).squeeze(-1)
@@ -69,11 +75,12 @@ def definition(loss, td, noises, stack, *, target, kl, noise_std, temperature, g
 
 
 @pytest.mark.parametrize("stack", STACKS)
-@pytest.mark.parametrize("target", ["map", "mc"])
+@pytest.mark.parametrize(("target", "target_noise"), TARGETS)
 @pytest.mark.parametrize("kl", ["closed", "sampled"])
-def test_value_and_gradient_are_those_of_the_definition(noise, stack, target, kl):
+def test_value_and_gradient_are_those_of_the_definition(noise, stack, target, target_noise, kl):
     count = torch.Size(stack).numel()
-    settings = {"target": target, "kl": kl, "noise_std": 0.7, "gamma": 0.8}
+    settings = {"target": target, "target_noise": target_noise, "kl": kl}
+    settings.update(noise_std=0.7, gamma=0.8)
     loss, _ = bayes_loss(stack, dtype=torch.double, kl_temperature=0.3, **settings)
     num_data = torch.arange(10.0, 10.0 + count).double()
     loss.set_num_data(num_data.reshape(stack))
@@ -92,10 +99,11 @@ def test_value_and_gradient_are_those_of_the_definition(noise, stack, target, kl
     )
 
 
-@pytest.mark.parametrize("target", ["map", "mc"])
+@pytest.mark.parametrize(("target", "target_noise"), TARGETS)
 @pytest.mark.parametrize("kl", ["closed", "sampled"])
-def test_gradient_is_the_slope_of_the_loss(target, kl):
-    loss, _ = bayes_loss((2,), hidden=(4,), dtype=torch.double, target=target, kl=kl)
+def test_gradient_is_the_slope_of_the_loss(target, target_noise, kl):
+    settings = {"target": target, "target_noise": target_noise, "kl": kl}
+    loss, _ = bayes_loss((2,), hidden=(4,), dtype=torch.double, **settings)
     td = transitions((2,), (6,), dtype=torch.double)
     td["valid"] = torch.rand(2, 6) < 0.7
     torch.testing.assert_close(*slopes(loss, td), rtol=1e-5, atol=0)
@@ -117,6 +125,9 @@ def test_the_map_target_is_the_frozen_mean_and_draws_nothing(noise):
     loss, _ = bayes_loss(target="mc")
     loss(transitions())
     assert len(noise) == 3
+    loss, _ = bayes_loss(target="mc", target_noise="shared")
+    loss(transitions())
+    assert len(noise) == 4  # the online draw again
 
 
 def test_the_target_is_frozen_until_the_update():
@@ -132,11 +143,12 @@ def test_the_target_is_frozen_until_the_update():
     assert torch.equal(flat(loss, "mu", target=True), flat(loss, "mu"))
 
 
+@pytest.mark.parametrize("target_noise", ["independent", "shared"])
 @pytest.mark.parametrize("kl", ["closed", "sampled"])
-def test_a_nan_in_one_element_does_not_reach_the_others(kl):
+def test_a_nan_in_one_element_does_not_reach_the_others(kl, target_noise):
     def gradients(spoil):
         torch.manual_seed(0)
-        loss, _ = bayes_loss((3,), kl=kl, target="mc")
+        loss, _ = bayes_loss((3,), kl=kl, target="mc", target_noise=target_noise)
         td = transitions((3,))
         if spoil == "data":
             td["observation"][0] = 7.0
@@ -211,6 +223,18 @@ def test_num_data_must_be_known_and_fit():
     ("setting", "message"),
     [
         ({"target": "mean"}, r"target must be one of \['map', 'mc'\], got 'mean'"),
+        (
+            {"target": "map", "target_noise": "shared"},
+            r"target_noise must be one of \['mean'\] or None for target='map', got 'shared'",
+        ),
+        (
+            {"target": "map", "target_noise": "independent"},
+            r"target_noise must be one of \['mean'\] or None for target='map', got 'independent'",
+        ),
+        (
+            {"target": "mc", "target_noise": "mean"},
+            r"target_noise must be one of \['independent', 'shared'\] or None for target='mc', got",
+        ),
         ({"kl": "none"}, r"kl must be one of \['closed', 'sampled'\], got 'none'"),
         ({"noise_std": 0.0}, "noise_std must be positive, got 0.0"),
         ({"kl_temperature": -1.0}, "kl_temperature must not be negative, got -1.0"),

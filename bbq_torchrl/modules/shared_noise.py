@@ -1,0 +1,94 @@
+"""Weight draws of several passes with one and the same noise."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    import torch
+    from torch import Tensor
+
+    from bbq_torchrl.modules.posterior import GaussianPosterior
+
+__all__ = ["noise_for", "shared_noise"]
+
+
+class _Active(threading.local):
+    noise: shared_noise | None = None
+
+
+_active = _Active()
+
+
+class shared_noise:
+    """Makes the weight draws inside of each ``with`` block on this object use the same noise.
+
+    The n-th draw of a posterior in a block uses the noise of its n-th draw in the first block
+    that came so far: with other parameters μ', ρ' in place the weights there are μ' + σ'·ε
+    with the very ε of the first ones. The noise is kept, not copied, for as long as the object
+    lives.
+
+    Raises:
+        ValueError: at a draw whose shape is not that of the noise it is to share.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.modules import BayesMLP, shared_noise
+        >>> net, x, noise = BayesMLP(3, 2), torch.ones(3), shared_noise()
+        >>> with noise:
+        ...     first = net(x, "draw")
+        >>> with noise:
+        ...     second = net(x, "draw")
+        >>> torch.equal(first, second), torch.equal(first, net(x, "draw"))
+        (True, False)
+    """
+
+    def __init__(self) -> None:
+        self._drawn: dict[GaussianPosterior, list[Tensor]] = {}
+        self._used: dict[GaussianPosterior, int] = {}
+
+    def next(self, posterior: GaussianPosterior, shape: torch.Size) -> tuple[Tensor, bool]:
+        """Returns the noise of this block's next draw, and whether it holds numbers yet."""
+        drawn = self._drawn.setdefault(posterior, [])
+        number = self._used.get(posterior, 0)
+        self._used[posterior] = number + 1
+        if number == len(drawn):
+            drawn.append(posterior.mu.new_empty(shape))
+            return drawn[number], False
+        if drawn[number].shape != shape:
+            raise ValueError(
+                f"a draw of shape {list(shape)} cannot share noise of shape "
+                f"{list(drawn[number].shape)}"
+            )
+        return drawn[number], True
+
+    def __enter__(self) -> shared_noise:
+        self._outer = _active.noise
+        self._used = {}
+        _active.noise = self
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        _active.noise = self._outer
+
+
+def noise_for(posterior: GaussianPosterior, shape: torch.Size) -> tuple[Tensor, bool]:
+    """Returns a tensor for the noise of a draw, and whether it holds numbers already.
+
+    Outside of :class:`shared_noise` it is always an empty one.
+
+    Args:
+        posterior: what is drawn from.
+        shape: of the draw.
+    """
+    if _active.noise is None:
+        return posterior.mu.new_empty(shape), False
+    return _active.noise.next(posterior, shape)

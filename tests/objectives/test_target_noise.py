@@ -1,0 +1,152 @@
+"""Where the target's noise comes from: the mean, a draw of its own, the online draw."""
+
+from __future__ import annotations
+
+import pickle
+from copy import deepcopy
+
+import pytest
+import torch
+from q_transitions import ACTIONS, FEATURES, STACKS, bayes_loss, flat, transitions
+from torch import nn
+from torchrl.data import Categorical
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.modules import BayesLinear, q_network
+from bbq_torchrl.objectives import BBQNLoss
+
+
+def both_values(loss, td):
+    """The online draw's values and the target's, of the same states."""
+    online, target = loss._tensors()
+    inputs = [td["observation"]]
+    values, _ = loss._predict(online, inputs)
+    return values.detach(), loss._target_values(target, inputs).detach()
+
+
+def several_layers(stack=(), **settings):
+    net = nn.Sequential(
+        BayesLinear(FEATURES, 8, stack=stack, prior_std=0.5),
+        nn.Tanh(),
+        BayesLinear(8, 8, stack=stack, prior_std=0.5),
+        nn.ReLU(),
+        BayesLinear(8, ACTIONS, stack=stack, prior_std=0.5),
+    )
+    loss = BBQNLoss(q_network(net, Categorical(ACTIONS)), num_data=100, target="mc", **settings)
+    return loss, HardUpdate(loss, value_network_update_interval=0)
+
+
+@pytest.mark.parametrize(
+    ("target", "expected"), [("map", "mean"), ("mc", "independent"), (None, "mean")]
+)
+def test_the_target_decides_unless_something_is_said(target, expected):
+    settings = {} if target is None else {"target": target}
+    assert bayes_loss(**settings)[0].target_noise == expected
+    assert bayes_loss(target_noise=expected, **settings)[0].target_noise == expected
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("kl", ["closed", "sampled"])
+@pytest.mark.parametrize("make", [bayes_loss, several_layers])
+def test_with_equal_parameters_the_shared_target_is_the_online_draw(stack, kl, make):
+    loss, update = make(stack, **{"target": "mc"} if make is bayes_loss else {}, kl=kl)
+    for noise in ("shared", "independent"):
+        loss.target_noise = noise
+        update.step()
+        values, target = both_values(loss, transitions(stack))
+        assert torch.equal(values, target) == (noise == "shared")
+        assert noise == "shared" or (values != target).any(-1).all()
+
+
+def test_each_batch_has_noise_of_its_own_and_none_outlives_it():
+    loss, update = bayes_loss(target="mc", target_noise="shared")
+    update.step()
+    td = transitions()
+    first, second = both_values(loss, td), both_values(loss, td)
+    assert (first[0] != second[0]).any(-1).all()
+    assert torch.equal(second[0], second[1])
+    # a target without a prediction before it has no noise to share
+    _, target = loss._tensors()
+    alone = loss._target_values(target, [td["observation"]])
+    assert (alone != second[1]).any(-1).all()
+
+
+def test_independent_noise_is_uncorrelated_with_the_online_draws():
+    # one linear network after another, thousands of them side by side
+    n = 4000
+    correlation = {}
+    for noise in ("independent", "shared"):
+        loss, _ = bayes_loss((n,), hidden=(), target="mc", target_noise=noise)
+        with torch.no_grad():
+            flat(loss, "mu").zero_()
+            flat(loss, "rho").fill_(-1.0)
+            flat(loss, "mu", target=True).zero_()
+            flat(loss, "rho", target=True).fill_(0.5)
+        td = transitions((n,), (1,))
+        td["observation"].fill_(0.7)
+        values, target = both_values(loss, td)
+        pair = torch.stack([values[:, 0, 0], target[:, 0, 0]])
+        correlation[noise] = torch.corrcoef(pair)[0, 1].item()
+    # the correlation of n independent pairs has standard deviation n^-½
+    assert abs(correlation["independent"]) < 5 * n**-0.5
+    assert correlation["shared"] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_network_of_several_layers_shares_layer_by_layer():
+    loss, _ = several_layers((2,), target_noise="shared", gamma=0.8)
+    layers = [m for m in loss.value_network.modules() if isinstance(m, BayesLinear)]
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter.add_(0.3 * torch.randn_like(parameter))
+    td = transitions((2,))
+    noises = []
+
+    def fill(buffer):
+        buffer.normal_()
+        noises.append(buffer.clone())
+
+    for layer in layers:
+        layer.posterior.fill_noise_ = fill
+    loss._predict(loss._tensors()[0], [td["observation"]])
+    got = loss._td_target(td["next"], *loss._tensors())
+    assert len(noises) == 3
+    x = td["next", "observation"]
+    params = loss.target_value_network_params["module", "0", "module"]
+    for name, epsilon, activation in zip(
+        "024", noises, (torch.tanh, torch.relu, torch.clone), strict=True
+    ):
+        mu, rho = params[name, "posterior", "mu"], params[name, "posterior", "rho"]
+        weights = mu + nn.functional.softplus(rho) * epsilon
+        ((matrix, bias),) = layers[int(name) // 2].layout.unflatten(weights)
+        x = activation(x @ matrix + bias.unsqueeze(-2))
+    best = x.masked_fill(~td["next", "action_mask"], -torch.inf).amax(-1, keepdim=True)
+    going_on = ~td["next", "terminated"]
+    torch.testing.assert_close(got, td["next", "reward"] + 0.8 * going_on * best)
+
+
+def test_the_shared_noise_changes_the_gradient_only_through_the_target():
+    # no going on: the target is the reward, whatever its noise
+    gradients = []
+    for noise in ("independent", "shared"):
+        torch.manual_seed(0)
+        loss, _ = bayes_loss((2,), target="mc", target_noise=noise)
+        td = transitions((2,))
+        td["next", "terminated"].fill_(True)
+        torch.manual_seed(1)
+        loss(td)["loss"].backward()
+        gradients.append((flat(loss, "mu").grad, flat(loss, "rho").grad))
+    for ours, theirs in zip(*gradients, strict=True):
+        assert torch.equal(ours, theirs)
+
+
+def test_a_loss_with_shared_noise_can_be_copied_and_stored():
+    loss, _ = bayes_loss((2,), target="mc", target_noise="shared")
+    td = transitions((2,))
+    loss(td)
+    results = []
+    for made in (loss, deepcopy(loss), pickle.loads(pickle.dumps(loss))):
+        torch.manual_seed(0)
+        results.append(made(td.clone())["loss"])
+        assert made.target_noise == "shared"
+    assert torch.equal(results[0], results[1])
+    assert torch.equal(results[0], results[2])
