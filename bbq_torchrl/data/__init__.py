@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.data.bootstrap_mask import BootstrapMask
 from bbq_torchrl.data.replay import TRANSITION_KEYS, Batch, ReplicaReplay
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
@@ -9,6 +10,7 @@ from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 __all__ = [
     "TRANSITION_KEYS",
     "Batch",
+    "BootstrapMask",
     "ProtectedRoundRobinWriter",
     "ReplicaReplay",
     "validate_transitions",

@@ -1,7 +1,8 @@
 """Losses as native TorchRL LossModules."""
 
 from bbq_torchrl.objectives.bbqn import BBQNLoss
+from bbq_torchrl.objectives.bootstrap import BootstrapDQNLoss
 from bbq_torchrl.objectives.dqn import DropoutDQNLoss
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
-__all__ = ["BBQNLoss", "DropoutDQNLoss", "OneStepQLoss"]
+__all__ = ["BBQNLoss", "BootstrapDQNLoss", "DropoutDQNLoss", "OneStepQLoss"]

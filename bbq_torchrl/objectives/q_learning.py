@@ -187,16 +187,22 @@ class OneStepQLoss(DQNLoss):
         keys = self.tensor_keys
         function = self._function
         inputs = [following.get(key) for key in function.in_keys]
-        mask = None if function.action_mask_key is None else following.get(function.action_mask_key)
+        mask = None
+        if function.action_mask_key is not None:
+            mask = self._beside_values(following.get(function.action_mask_key))
         values = _masked(self._target_values(target, inputs), mask)
         if self.double_dqn:
             choice = _masked(function(online, inputs, "mean"), mask)
             value = values.gather(-1, choice.argmax(-1, keepdim=True))
         else:
             value = values.amax(-1, keepdim=True)
-        reward = following.get(keys.reward)
+        reward = self._beside_values(following.get(keys.reward))
         going_on = torch.addcmul(reward, value, self.value_estimator.gamma)
-        return torch.where(following.get(keys.terminated), reward, going_on)
+        return torch.where(self._beside_values(following.get(keys.terminated)), reward, going_on)
+
+    def _beside_values(self, entry: Tensor) -> Tensor:
+        """Returns an entry [*stack, *batch, n] in a shape that broadcasts with the values."""
+        return entry
 
     def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
         """Returns row weights [*stack, *batch, 1] that add up to 1, None if all are the same."""

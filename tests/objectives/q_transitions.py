@@ -7,10 +7,10 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.modules import MLP, BayesMLP, q_network
-from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
+from bbq_torchrl.modules import MLP, BayesMLP, BootstrapMLP, bootstrap_actor, q_network
+from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss
 
-FEATURES, ACTIONS, BATCH = 5, 4, 32
+FEATURES, ACTIONS, BATCH, HEADS = 5, 4, 32, 3
 STACKS = [(), (1,), (3,), (2, 2)]
 
 
@@ -59,6 +59,26 @@ def plain_loss(stack=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **set
     """A DQN loss whose target lies away from the network."""
     net = MLP(FEATURES, ACTIONS, hidden, stack=stack, dropout=dropout, dtype=dtype)
     loss = DropoutDQNLoss(q_network(net, Categorical(ACTIONS)), **settings)
+    update = HardUpdate(loss, value_network_update_interval=0)
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return loss, update
+
+
+def heads_loss(stack=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0, **settings):
+    """A loss of bootstrap heads whose targets lie away from the network."""
+    net = BootstrapMLP(
+        FEATURES,
+        ACTIONS,
+        hidden,
+        heads=HEADS,
+        stack=stack,
+        trunk_layers=trunk_layers,
+        prior_scale=prior_scale,
+        dtype=settings.pop("dtype", torch.float),
+    )
+    loss = BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)), **settings)
     update = HardUpdate(loss, value_network_update_interval=0)
     with torch.no_grad():
         for parameter in loss.parameters():

@@ -1,0 +1,153 @@
+"""Which heads learn from a transition, drawn when it is stored and kept with it."""
+
+from __future__ import annotations
+
+from math import prod
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+from torchrl.envs.transforms import Transform
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
+
+__all__ = ["BootstrapMask"]
+
+
+class BootstrapMask(Transform):
+    """Marks the heads that learn from each transition, as it is stored (Osband et al. 2016).
+
+    A transform for a replay buffer: storing writes the entry ``bootstrap_mask``, bool
+    [*stack, *rows, heads] with independent Bernoulli(prob) numbers, where the transitions have
+    none yet; sampling changes nothing.
+
+    Each element of the stack has a stream of random numbers of its own. The n-th transition that
+    it stores gets the n-th numbers of the stream, however the transitions are cut into calls,
+    whatever the other elements store, and on every device.
+
+    Args:
+        heads: number of heads K.
+        prob: probability with which a head learns from a transition; 1 is no bootstrap, only an
+            ensemble. Defaults to 0.5.
+
+    Keyword Args:
+        stack: leading shape of the transitions that is not rows. Defaults to ().
+        mask_key: where the masks go. Defaults to "bootstrap_mask".
+        valid_key: bool [*stack, *rows], True for the rows that count; optional in what is stored.
+            The others get an empty mask and use up no random numbers. Defaults to "valid".
+
+    Attributes:
+        generator_state: uint8 buffer [*stack, bytes], where each element's stream is: in the
+            state dict. At first drawn from torch's global generator.
+
+    Raises:
+        ValueError: if ``heads`` is not positive or ``prob`` not in (0, 1].
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+        >>> from bbq_torchrl.data import BootstrapMask
+        >>> buffer = TensorDictReplayBuffer(
+        ...     storage=LazyTensorStorage(100), transform=BootstrapMask(10), batch_size=4
+        ... )
+        >>> _ = buffer.extend(TensorDict(observation=torch.ones(8, 3), batch_size=[8]))
+        >>> buffer.sample()["bootstrap_mask"].shape
+        torch.Size([4, 10])
+    """
+
+    generator_state: Tensor
+
+    def __init__(
+        self,
+        heads: int,
+        prob: float = 0.5,
+        *,
+        stack: Sequence[int] = (),
+        mask_key: NestedKey = "bootstrap_mask",
+        valid_key: NestedKey = "valid",
+    ) -> None:
+        if heads < 1:
+            raise ValueError(f"heads must be at least 1, got {heads}")
+        if not 0 < prob <= 1:
+            raise ValueError(f"prob must be in (0, 1], got {prob}")
+        super().__init__(in_keys=[], out_keys=[], in_keys_inv=[], out_keys_inv=[mask_key])
+        self.heads = heads
+        self.prob = prob
+        self.stack = torch.Size(stack)
+        self.valid_key = valid_key
+        # A buffer and no generator: it is saved, copied and pickled with everything else.
+        size = torch.Generator().get_state().shape
+        self.register_buffer("generator_state", torch.empty(*self.stack, *size, dtype=torch.uint8))
+        self.set_seeds(torch.randint(2**63 - 1, (prod(self.stack),)).tolist())
+
+    @property
+    def mask_key(self) -> NestedKey:
+        """Where the masks go."""
+        key: NestedKey = self.out_keys_inv[0]
+        return key
+
+    def set_seeds(self, seeds: Sequence[int]) -> None:
+        """Restarts each element's random numbers from a seed of its own.
+
+        Args:
+            seeds: one for each element of the stack, in order; one for a stack of ().
+
+        Raises:
+            ValueError: for another number of seeds.
+        """
+        if len(seeds) != prod(self.stack):
+            raise ValueError(
+                f"seeds must be {prod(self.stack)}, one for each element of the stack "
+                f"{list(self.stack)}, got {len(seeds)}"
+            )
+        generator = torch.Generator()
+        for state, seed in zip(self._states(), seeds, strict=True):
+            state.copy_(generator.manual_seed(int(seed)).get_state())
+
+    def _states(self) -> Tensor:
+        return self.generator_state.view(prod(self.stack), -1)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Returns what is sampled as it is."""
+        return tensordict
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the masks of transitions that have none."""
+        if tensordict.get(self.mask_key, None) is not None:
+            return tensordict
+        shape, dims = tensordict.batch_size, len(self.stack)
+        if shape[:dims] != self.stack:
+            raise ValueError(
+                f"transitions must have the batch size [{', '.join(map(str, self.stack))}, *rows], "
+                f"got {list(shape)}"
+            )
+        valid = tensordict.get(self.valid_key, None)
+        elements, rows = prod(self.stack), prod(shape[dims:])
+        counts = [rows] * elements
+        if valid is not None:
+            valid = valid.reshape(elements, rows)
+            counts = valid.sum(-1).tolist()
+        mask = self._draw(counts, rows).to(tensordict.device or self.generator_state.device)
+        if valid is not None:
+            # the j-th row that counts gets the j-th draw
+            draw = (valid.cumsum(-1) - 1).clamp_min_(0).unsqueeze(-1).expand_as(mask)
+            mask = mask.to(valid.device).gather(1, draw) & valid.unsqueeze(-1)
+        return tensordict.set(self.mask_key, mask.reshape(*shape, self.heads))
+
+    def _draw(self, counts: Sequence[int], rows: int) -> Tensor:
+        """Returns a draw for each of the first ``counts`` rows, bool [elements, rows, heads]."""
+        mask = torch.zeros(len(counts), rows, self.heads, dtype=torch.bool)
+        # on the CPU for every device: there a longer draw begins like a shorter one
+        generator = torch.Generator()
+        for state, count, out in zip(self._states(), counts, mask, strict=True):
+            # torch crashes on a state that is a part of a larger tensor, hence a copy
+            generator.set_state(state.to("cpu", copy=True))
+            draws = torch.rand(count, self.heads, generator=generator, dtype=torch.float64)
+            torch.lt(draws, self.prob, out=out[:count])
+            state.copy_(generator.get_state())
+        return mask

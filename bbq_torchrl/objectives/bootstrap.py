@@ -1,0 +1,183 @@
+"""The loss of a Q-network with bootstrap heads (Osband et al., Bootstrapped DQN, 2016)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import dispatch
+from torchrl.objectives import DQNLoss
+
+from bbq_torchrl.objectives.q_learning import OneStepQLoss
+from bbq_torchrl.objectives.td_error import td_loss
+
+if TYPE_CHECKING:
+    from tensordict.utils import NestedKey
+    from torch import Tensor
+
+__all__ = ["BootstrapDQNLoss"]
+
+
+class BootstrapDQNLoss(OneStepQLoss):
+    """The DQN loss of K heads, each with its own target and its own share of the data.
+
+    Each head learns r + γ max Q(s', ·) of its own frozen copy, or with ``double_dqn`` the value
+    that its frozen copy gives the action of its own choice. A head's loss is the mean over the
+    rows that it learns from, and the heads' losses add up: a head learns as it would alone.
+    (:class:`~bbq_torchrl.modules.BootstrapMLP` divides the gradient of a shared trunk by K, so
+    that the trunk follows the mean of the heads' losses.)
+
+    Reads what :class:`OneStepQLoss` does and, where the input has it, ``bootstrap_mask`` (bool
+    [*stack, *batch, K], True where the head learns from the row; TorchRL's ``set_keys`` gives it
+    another name), together with "valid". Without it all heads learn from every row. Rows that no
+    head learns from may hold anything, NaN too.
+
+    Args:
+        value_network: an actor as :func:`~bbq_torchrl.modules.bootstrap_actor` makes it, or a
+            network that maps the observation to values [*stack, *batch, K, N].
+
+    Keyword Args:
+        gamma: discount of the one-step target. Defaults to 0.9.
+        action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
+            has one.
+        delay_value: whether the target is a frozen copy of the network. Defaults to True.
+        double_dqn: whether each online head chooses its target's action. Defaults to False.
+        loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
+
+    Raises:
+        ValueError: for an argument outside of what is listed; when called, for values or a mask
+            whose shape does not fit.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from torchrl.objectives import HardUpdate
+        >>> from bbq_torchrl.modules import BootstrapMLP, bootstrap_actor
+        >>> from bbq_torchrl.objectives import BootstrapDQNLoss
+        >>> actor = bootstrap_actor(BootstrapMLP(3, 4, heads=10, stack=(5,)), Categorical(4))
+        >>> loss = BootstrapDQNLoss(actor)
+        >>> freeze = HardUpdate(loss, value_network_update_interval=0)
+        >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())
+        >>> end = dict(reward=torch.ones(5, 32, 1), terminated=torch.ones(5, 32, 1).bool())
+        >>> td = TensorDict(
+        ...     {**state, "action": torch.ones(5, 32).long(), "next": {**state, **end}}, [5, 32]
+        ... )
+        >>> td["bootstrap_mask"] = torch.rand(5, 32, 10) < 0.5
+        >>> out = loss(td)
+        >>> out["loss"].backward()
+        >>> sorted(out.keys()), out["loss_value"].shape
+        (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
+    """
+
+    @dataclass
+    class _AcceptedKeys(DQNLoss._AcceptedKeys):
+        """The entries whose names ``set_keys`` changes.
+
+        Attributes:
+            bootstrap_mask (NestedKey): which heads learn from a row. Defaults to
+                ``"bootstrap_mask"``.
+        """
+
+        bootstrap_mask: NestedKey = "bootstrap_mask"
+
+    tensor_keys: _AcceptedKeys
+    default_keys = _AcceptedKeys
+
+    @dispatch  # type: ignore[untyped-decorator]
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Returns the losses of a batch of transitions.
+
+        Also writes the squared TD error [*stack, *batch, 1], the mean over the heads that learn
+        from the row, into the input under the priority key, for prioritised replay.
+
+        Args:
+            tensordict: a batch [*stack, *batch].
+
+        Returns:
+            a TensorDict with the scalar "loss" to differentiate, the sum over heads and stack,
+            and without a graph "loss_value", "td_error" (mean of |Q - target|) and "q_value"
+            (mean of Q at the actions taken), each [*stack]: means over the heads that learn from
+            any row of the batch, so that their size does not depend on K.
+        """
+        keys = self.tensor_keys
+        function = self._function
+        online, target = self._tensors()
+        inputs = [tensordict.get(key) for key in function.in_keys]
+        reward = tensordict.get(("next", keys.reward))
+        mask = tensordict.get(keys.bootstrap_mask, None)
+        weight = self._head_weights(tensordict, mask, reward)
+        if weight is not None:
+            unused = (weight == 0).all(-1)
+            inputs = [_blank(tensor, unused) for tensor in inputs]
+        values = function(online, inputs, "draw")
+        if values.shape[:-2] != reward.shape[:-1]:
+            raise ValueError(
+                "the network must return values [*batch, heads, actions] with batch "
+                f"{list(reward.shape[:-1])}, got {list(values.shape)}"
+            )
+        if mask is not None and mask.shape != values.shape[:-1]:
+            raise self._wrong_mask(mask, list(values.shape[:-1]))
+        with torch.no_grad():
+            td_target = self._td_target(tensordict.get("next"), online, target)
+            index = self._beside_values(self._action_index(tensordict.get(keys.action), reward))
+            heads = values.shape[:-1]
+            rows = None if weight is None else self._by_head(weight.expand(heads).unsqueeze(-1))
+        loss, td_error, q_value, square = td_loss(
+            self._by_head(values),
+            self._by_head(index.expand(*heads, 1)),
+            self._by_head(td_target),
+            rows,
+            self.loss_function,
+        )
+        learns = torch.ones_like(square) if rows is None else (rows > 0).to(square.dtype)
+        share = learns.sum(-3).clamp_min_(1)
+        tensordict.set(keys.priority, (square.sum(-3) / share).reshape(reward.shape), inplace=True)
+        learns = learns.amax((-2, -1))
+        learns /= learns.sum(-1, keepdim=True).clamp_min_(1)
+        return TensorDict(
+            {
+                "loss": loss.sum(),
+                "loss_value": (loss.detach() * learns).sum(-1),
+                "td_error": (td_error * learns).sum(-1),
+                "q_value": (q_value * learns).sum(-1),
+            }
+        )
+
+    def _by_head(self, tensor: Tensor) -> Tensor:
+        """Returns [*stack, *batch, K, features] as [*stack, K, B, features]."""
+        dims = len(self.stack)
+        tensor = tensor.movedim(-2, dims)
+        return tensor.reshape(*tensor.shape[: dims + 1], -1, tensor.shape[-1])
+
+    def _beside_values(self, entry: Tensor) -> Tensor:
+        """Returns an entry [*stack, *batch, n] with a dimension for the heads."""
+        return entry.unsqueeze(-2)
+
+    def _head_weights(
+        self, tensordict: TensorDictBase, mask: Tensor | None, like: Tensor
+    ) -> Tensor | None:
+        """Returns row weights [*stack, *batch, K or 1] that add up to 1 for each head."""
+        weight = self._row_weights(tensordict, like)
+        if mask is None:
+            return weight
+        if mask.ndim != like.ndim or mask.shape[:-1] != like.shape[:-1]:
+            raise self._wrong_mask(mask, [*like.shape[:-1], "heads"])
+        learns = mask.to(like.dtype)
+        weight = learns if weight is None else learns * weight
+        dims = tuple(range(len(self.stack), like.ndim - 1))
+        # 0 / tiny for a head that learns from no row at all: it has no gradient
+        tiny = torch.finfo(weight.dtype).tiny
+        return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)
+
+    def _wrong_mask(self, mask: Tensor, shape: list[int | str]) -> ValueError:
+        wanted = ", ".join(str(size) for size in shape)
+        key = self.tensor_keys.bootstrap_mask
+        return ValueError(f"{key!r} must have shape [{wanted}], got {list(mask.shape)}")
+
+
+def _blank(tensor: Tensor, rows: Tensor) -> Tensor:
+    """Returns [*batch, *features] with 0 in these rows, bool [*batch]: NaN · 0 would be NaN."""
+    return tensor.masked_fill(rows.reshape(rows.shape + (1,) * (tensor.ndim - rows.ndim)), 0)

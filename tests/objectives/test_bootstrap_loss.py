@@ -1,0 +1,342 @@
+"""BootstrapDQNLoss against a loop over heads in plain torch."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from q_transitions import (
+    ACTIONS,
+    FEATURES,
+    HEADS,
+    STACKS,
+    elements,
+    flat,
+    heads_loss,
+    slopes,
+    transitions,
+)
+from torch import nn
+from torchrl.data import Categorical, LazyTensorStorage, OneHot, TensorDictReplayBuffer
+from torchrl.objectives import HardUpdate, SoftUpdate
+
+from bbq_torchrl.data import BootstrapMask
+from bbq_torchrl.modules import MLP, BootstrapMLP, bootstrap_actor, q_network
+from bbq_torchrl.objectives import BootstrapDQNLoss, DropoutDQNLoss
+
+DISTANCES = {"l2": nn.MSELoss, "l1": nn.L1Loss, "smooth_l1": nn.SmoothL1Loss}
+
+
+def network_of(loss):
+    return loss.value_network[0].module
+
+
+def weights(loss, *, target=False):
+    """Names and tensors of the network's weights, the prior's too."""
+    names = [*network_of(loss).state_dict()]
+    return {name: flat(loss, name, target=target) for name in names}
+
+
+def q_values(net, tensors, element, head, x):
+    """Q of one head by its definition, with the trunk scaled in no way."""
+
+    def run(prefix):
+        layers = []
+        if net.trunk_layout is not None:
+            trunk = tensors[prefix + "trunk"].reshape(-1, net.trunk_layout.numel)
+            layers += net.trunk_layout.unflatten(trunk[element])
+        heads = tensors[prefix + "heads"].reshape(-1, HEADS, net.head_layout.numel)
+        layers += net.head_layout.unflatten(heads[element, head])
+        out = x
+        for k, (matrix, bias) in enumerate(layers):
+            out = (out if k == 0 else out.relu()) @ matrix + bias
+        return out
+
+    out = run("")
+    return out + net.prior_scale * run("prior_") if net.prior_scale else out
+
+
+def head_loss(loss, td, element, head, gamma=0.9, double=False, distance="l2"):
+    """One head's loss, mean |TD error|, mean Q and squared errors, all rows one by one."""
+    net = network_of(loss)
+    own, frozen = weights(loss), weights(loss, target=True)
+    counts = td.get("valid", torch.ones(len(td), dtype=torch.bool))
+    if td.get("bootstrap_mask", None) is not None:
+        counts = counts & td["bootstrap_mask"][:, head]
+    batch = td[counts]
+    following = batch["next", "observation"]
+    forbidden = ~batch["next", "action_mask"]
+    q = q_values(net, frozen, element, head, following)
+    choice = q_values(net, own, element, head, following) if double else q
+    best = choice.masked_fill(forbidden, -torch.inf).argmax(-1, keepdim=True)
+    y = batch["next", "reward"] + gamma * q.gather(-1, best) * ~batch["next", "terminated"]
+    chosen = q_values(net, own, element, head, batch["observation"])
+    chosen = chosen.gather(-1, batch["action"].unsqueeze(-1))
+    y, squares = y.detach(), torch.zeros(len(td), dtype=chosen.dtype)
+    squares[counts] = (chosen - y).detach().square().squeeze(-1)
+    return (
+        DISTANCES[distance]()(chosen, y),
+        (chosen - y).abs().mean().detach(),
+        chosen.mean().detach(),
+        squares,
+    )
+
+
+def masked(td, share=0.5):
+    """The batch with masks in which every head learns from the first row."""
+    mask = torch.rand(*td.shape, HEADS) < share
+    mask.flatten(0, -2)[:: td.shape[-1]] = True
+    return td.set("bootstrap_mask", mask)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("trunk_layers", [0, 1, 2])
+@pytest.mark.parametrize("double_dqn", [False, True])
+@pytest.mark.parametrize("with_masks", [False, True])
+def test_it_is_a_loop_over_heads(stack, trunk_layers, double_dqn, with_masks):
+    loss, _ = heads_loss(
+        stack,
+        trunk_layers=trunk_layers,
+        prior_scale=0.5,
+        double_dqn=double_dqn,
+        gamma=0.8,
+        dtype=torch.double,
+    )
+    td = transitions(stack, dtype=torch.double)
+    if with_masks:
+        masked(td)
+    out = loss(td)
+    results = [
+        [head_loss(loss, batch, e, k, 0.8, double_dqn) for k in range(HEADS)]
+        for e, batch in enumerate(elements(td, stack))
+    ]
+
+    def means(which):
+        return torch.stack([torch.stack([r[which] for r in row]).mean() for row in results])
+
+    total = torch.stack([r[0] for row in results for r in row]).sum()
+    torch.testing.assert_close(out["loss"], total)
+    for which, key in enumerate(["loss_value", "td_error", "q_value"]):
+        torch.testing.assert_close(out[key], means(which).detach().reshape(stack))
+    squares = torch.stack([torch.stack([r[3] for r in row]).sum(0) for row in results])
+    learning = td["bootstrap_mask"].sum(-1) if with_masks else torch.tensor(HEADS)
+    expected = squares.reshape(td.shape) / learning.clamp_min(1)
+    torch.testing.assert_close(td["td_error"].squeeze(-1), expected)
+
+    names = [name for name, _ in network_of(loss).named_parameters()]
+    ours = torch.autograd.grad(out["loss"], [flat(loss, name) for name in names])
+    theirs = torch.autograd.grad(total, [flat(loss, name) for name in names])
+    for name, mine, expected in zip(names, ours, theirs, strict=True):
+        torch.testing.assert_close(mine, expected / (HEADS if name == "trunk" else 1))
+
+
+@pytest.mark.parametrize("distance", list(DISTANCES))
+def test_every_distance_is_torchs(distance):
+    loss, _ = heads_loss(loss_function=distance, dtype=torch.double)
+    td = masked(transitions(dtype=torch.double))
+    expected = sum(head_loss(loss, td, 0, k, distance=distance)[0] for k in range(HEADS))
+    torch.testing.assert_close(loss(td)["loss"], expected)
+
+
+def test_one_head_without_masks_is_the_dqn_loss():
+    td = transitions((2,), dtype=torch.double)
+    net = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=1, stack=(2,), dtype=torch.double)
+    single = MLP(FEATURES, ACTIONS, (8,), stack=(2,), dtype=torch.double)
+    with torch.no_grad():
+        single.weight.copy_(torch.cat([net.trunk, net.heads.squeeze(1)], -1))
+    ours = BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)))
+    theirs = DropoutDQNLoss(q_network(single, Categorical(ACTIONS)))
+    for loss in (ours, theirs):
+        HardUpdate(loss, value_network_update_interval=0)
+    other = td.clone()
+    out, expected = ours(td), theirs(other)
+    for key in expected.keys():  # noqa: SIM118 - a TensorDict
+        torch.testing.assert_close(out[key], expected[key])
+    torch.testing.assert_close(td["td_error"], other["td_error"])
+
+
+def test_the_gradient_is_the_losss_slope_without_a_trunk():
+    loss, _ = heads_loss(trunk_layers=0, dtype=torch.double)
+    td = masked(transitions(dtype=torch.double))
+    torch.testing.assert_close(*slopes(loss, td), rtol=1e-5, atol=0)
+
+
+def test_a_head_learns_from_its_rows_only():
+    loss, _ = heads_loss(dtype=torch.double)
+    td = transitions(batch=(8,), dtype=torch.double)
+    td["bootstrap_mask"] = torch.zeros(8, HEADS, dtype=torch.bool)
+    td["bootstrap_mask"][:4, 0] = td["bootstrap_mask"][4:, 1] = True
+    gradient = torch.autograd.grad(loss(td)["loss"], flat(loss, "heads"))[0]
+    alone = [
+        torch.autograd.grad(loss(td[rows].exclude("bootstrap_mask"))["loss"], flat(loss, "heads"))[
+            0
+        ][k]
+        for k, rows in enumerate([slice(0, 4), slice(4, 8)])
+    ]
+    torch.testing.assert_close(gradient[:2], torch.stack(alone))
+    assert not gradient[2].any()
+    out = loss(td)
+    # the head without rows is left out of the means
+    expected = torch.stack([head_loss(loss, td, 0, k)[2] for k in range(2)]).mean()
+    torch.testing.assert_close(out["q_value"], expected)
+
+
+@pytest.mark.parametrize("entry", ["observation", "reward", ("next", "observation")])
+def test_rows_that_do_not_count_may_hold_anything(entry):
+    loss, _ = heads_loss((2,), dtype=torch.double, double_dqn=True)
+    td = masked(transitions((2,), (6,), dtype=torch.double))
+    td["valid"] = torch.tensor([[True] * 4 + [False] * 2, [True] * 6])
+    td["bootstrap_mask"][1, 5] = False  # no head learns from it
+    spoilt = td.clone()
+    for row in ((0, slice(4, 6)), (1, 5)):
+        spoilt[("next", "reward") if entry == "reward" else entry][row] = float("nan")
+    found = []
+    for batch in (td, spoilt):
+        out = loss(batch)
+        gradients = torch.autograd.grad(out["loss"], list(loss.parameters()))
+        found.append((out.detach().to_dict(), batch["td_error"], gradients))
+    torch.testing.assert_close(*found, rtol=0, atol=0)
+    for element in range(2):
+        rows = td[element, : 4 + 2 * element]
+        expected = torch.stack([head_loss(loss, rows, element, k)[2] for k in range(HEADS)])
+        torch.testing.assert_close(found[0][0]["q_value"][element], expected.mean())
+
+
+@pytest.mark.parametrize("where", ["next", "root"])
+@pytest.mark.parametrize("trunk_layers", [0, 2])
+def test_what_one_element_sees_leaves_the_others_gradient_bits_alone(where, trunk_layers):
+    def gradients(spoil):
+        torch.manual_seed(0)
+        loss, _ = heads_loss((3,), hidden=(33, 17), trunk_layers=trunk_layers, prior_scale=1.0)
+        td = masked(transitions((3,)))
+        if spoil:
+            (td if where == "root" else td["next"])["observation"][1] = float("nan")
+            td["bootstrap_mask"][1, 20:] = False
+        return torch.autograd.grad(loss(td)["loss"], list(loss.parameters()))
+
+    for plain, spoilt in zip(gradients(False), gradients(True), strict=True):
+        assert torch.equal(plain[[0, 2]], spoilt[[0, 2]])
+        assert spoilt[1].isnan().any()
+
+
+def test_an_element_without_rows_has_no_loss_and_no_gradient():
+    loss, _ = heads_loss((2,))
+    td = masked(transitions((2,)))
+    td["valid"] = torch.tensor([[False] * 32, [True] * 32])
+    out = loss(td)
+    out["loss"].backward()
+    for key in ("loss_value", "td_error", "q_value"):
+        assert out[key][0] == 0
+        assert out[key][1] != 0
+    for parameter in loss.parameters():
+        assert not parameter.grad[0].any()
+        assert parameter.grad[1].any()
+
+
+def test_every_head_has_a_frozen_copy_with_the_same_prior():
+    loss, update = heads_loss((2,), prior_scale=1.0)
+    net = network_of(loss)
+    for name in ("prior_trunk", "prior_heads"):
+        assert torch.equal(flat(loss, name), flat(loss, name, target=True))
+        assert flat(loss, name).data_ptr() == getattr(net, name).data_ptr()
+    priors = {name: flat(loss, name).clone() for name in ("prior_trunk", "prior_heads")}
+    soft = SoftUpdate(loss, tau=0.5)
+    optimiser = torch.optim.SGD(loss.parameters(), 0.1, weight_decay=0.1)
+    for _ in range(3):
+        optimiser.zero_grad()
+        loss(masked(transitions((2,))))["loss"].backward()
+        optimiser.step()
+        soft.step()
+        update.step()
+    loss.reset_parameters_recursive()
+    for name, prior in priors.items():
+        for target in (False, True):
+            assert torch.equal(flat(loss, name, target=target), prior)
+    assert not any("prior" in name for name, _ in loss.named_parameters())
+
+
+def test_states_hold_the_priors_and_loading_moves_both_copies():
+    loss, other = (heads_loss((2,), prior_scale=1.0)[0] for _ in range(2))
+    td = masked(transitions((2,)))
+    assert not torch.equal(other(td)["loss"], loss(td)["loss"])
+    other.load_state_dict(loss.state_dict())
+    assert torch.equal(other(td)["loss"], loss(td)["loss"])
+
+
+def test_prioritised_replay_weights_count():
+    loss, _ = heads_loss(dtype=torch.double)
+    td = masked(transitions(batch=(8,), dtype=torch.double))
+    td["priority_weight"] = torch.tensor([1.0, 0, 1, 0, 1, 1, 0, 1], dtype=torch.double)
+    expected = loss(td[td["priority_weight"] > 0].exclude("priority_weight"))["loss"]
+    torch.testing.assert_close(loss(td)["loss"], expected)
+
+
+def test_batches_may_have_more_dimensions():
+    loss, _ = heads_loss((2,), dtype=torch.double)
+    td = masked(transitions((2,), (4, 8), dtype=torch.double))
+    expected = td.reshape(2, 32)
+    torch.testing.assert_close(loss(td)["loss"], loss(expected)["loss"])
+    torch.testing.assert_close(td["td_error"].reshape(2, 32, 1), expected["td_error"])
+
+
+def test_the_mask_may_have_another_name():
+    loss, _ = heads_loss()
+    td = masked(transitions())
+    expected = loss(td)["loss"]
+    assert loss.tensor_keys.bootstrap_mask == "bootstrap_mask"
+    td["my", "mask"] = td.pop("bootstrap_mask")
+    assert not torch.equal(loss(td)["loss"], expected)
+    loss.set_keys(bootstrap_mask=("my", "mask"))
+    assert torch.equal(loss(td)["loss"], expected)
+    loss.set_keys(bootstrap_mask=None)
+    assert loss.tensor_keys.bootstrap_mask == "bootstrap_mask"
+
+
+def test_one_hot_actions_are_understood():
+    loss, _ = heads_loss()
+    actor = bootstrap_actor(network_of(loss), OneHot(ACTIONS))
+    other = BootstrapDQNLoss(actor)
+    HardUpdate(other, value_network_update_interval=0)
+    for name in ("trunk", "heads"):
+        flat(other, name, target=True).copy_(flat(loss, name, target=True))
+    td = masked(transitions())
+    expected = loss(td)["loss"]
+    td["action"] = nn.functional.one_hot(td["action"], ACTIONS)
+    torch.testing.assert_close(other(td)["loss"], expected)
+
+
+def test_any_network_with_heads_and_any_buffer_will_do():
+    """TorchRL's replay buffer with the transform, and a network without this package's parts."""
+    net = nn.Sequential(nn.Linear(FEATURES, HEADS * ACTIONS), nn.Unflatten(-1, (HEADS, ACTIONS)))
+    loss = BootstrapDQNLoss(net, action_space="categorical")
+    HardUpdate(loss, value_network_update_interval=0)
+    buffer = TensorDictReplayBuffer(
+        storage=LazyTensorStorage(64), transform=BootstrapMask(HEADS), batch_size=16
+    )
+    buffer.extend(transitions(batch=(64,)))
+    batch = buffer.sample()
+    out = loss(batch)
+    out["loss"].backward()
+    assert net[0].weight.grad.any()
+    assert not torch.equal(loss(batch.exclude("bootstrap_mask"))["loss"], out["loss"])
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    loss, _ = heads_loss((2,))
+    td = transitions((2,))
+    for shape, allowed in [
+        ((2, 32, HEADS + 1), r"\[2, 32, 3\]"),
+        ((2, 32, 1), r"\[2, 32, 3\]"),
+        ((2, 32), r"\[2, 32, heads\]"),
+        ((2, 31, HEADS), r"\[2, 32, heads\]"),
+    ]:
+        td = transitions((2,))
+        td.auto_batch_size_(1)
+        td["bootstrap_mask"] = torch.ones(shape, dtype=torch.bool)
+        with pytest.raises(ValueError, match=f"'bootstrap_mask' must have shape {allowed}, got"):
+            loss(td)
+    single = BootstrapDQNLoss(q_network(MLP(FEATURES, ACTIONS), Categorical(ACTIONS)))
+    HardUpdate(single, value_network_update_interval=0)
+    with pytest.raises(ValueError, match=r"must return values \[\*batch, heads, actions\] with"):
+        single(transitions())
+    with pytest.raises(ValueError, match="loss_function must be one of"):
+        heads_loss(loss_function="huber")
