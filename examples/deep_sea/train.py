@@ -1,0 +1,57 @@
+"""Trains agents side by side on DeepSea and says how many episodes each took to solve it.
+
+    python examples/deep_sea/train.py --agent bootstrap_prior --size 10 --replicas 5
+
+Solved: the greedy policy reaches the treasure, and at least a tenth of all episodes so far have.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import torch
+from deep_sea_agents import AGENTS, Settings
+from deep_sea_training import train
+
+
+def main() -> None:
+    """Trains as the command line says, and writes a line for each replica."""
+    defaults = Settings()
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--agent", choices=AGENTS, required=True)
+    parser.add_argument("--size", type=int, default=10, help="N, the sea has N x N cells")
+    parser.add_argument("--replicas", type=int, default=5, help="independent seeds side by side")
+    parser.add_argument("--episodes", type=int, default=300, help="the most that are dived")
+    parser.add_argument("--seed", type=int, default=0, help="of the first replica")
+    parser.add_argument("--prior-std", type=float, default=defaults.prior_std, help="of BBQN")
+    parser.add_argument("--noise-std", type=float, default=defaults.noise_std, help="of BBQN")
+    parser.add_argument("--prior-scale", type=float, default=defaults.prior_scale)
+    parser.add_argument("--lr", type=float, default=defaults.lr)
+    options = parser.parse_args()
+    torch.set_num_threads(1)  # the networks are too small for more
+    results = train(
+        options.agent,
+        options.size,
+        replicas=options.replicas,
+        episodes=options.episodes,
+        seed=options.seed,
+        settings=Settings(
+            prior_std=options.prior_std,
+            noise_std=options.noise_std,
+            prior_scale=options.prior_scale,
+            lr=options.lr,
+        ),
+    )
+    for result in results:
+        solved = result.episodes_to_solve
+        end = "not solved" if solved is None else f"solved after {solved} episodes"
+        sys.stdout.write(
+            f"seed {result.seed}: {end}; treasure in {result.treasures} of {result.episodes}\n"
+        )
+
+
+if __name__ == "__main__":
+    main()
