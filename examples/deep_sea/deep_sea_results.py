@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["RESULTS", "Line", "append", "read", "table", "typical"]
+__all__ = ["AGENT_NAMES", "RESULTS", "Line", "append", "read", "table", "typical"]
+
+AGENT_NAMES = {
+    "epsilon_greedy": "ε-greedy",
+    "bootstrap": "bootstrap",
+    "bootstrap_prior": "bootstrap with priors",
+    "bbqn_mean": "BBQN, mean target (MAP)",
+    "bbqn_independent": "BBQN, target of its own noise (MC)",
+    "bbqn_shared": "BBQN, target of the same noise",
+}
+"""What the agents are called in the table and the figure."""
 
 RESULTS = Path(__file__).resolve().parents[2] / "results" / "deep_sea.csv"
 
@@ -82,6 +92,8 @@ def typical(lines: Sequence[Line]) -> float | None:
 
 def table(lines: Sequence[Line], agents: Sequence[str]) -> str:
     """Returns a Markdown table: for each agent and size the median and how many seeds solved.
+
+    A cell of which no seed, or no more than half of them, solved the sea tells the limit.
 
     Example:
         >>> lines = [Line("a", 4, s, n, 90, 9) for s, n in enumerate((30, None, 10))]

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deep_sea_results import RESULTS, Line, read, typical
+from deep_sea_results import AGENT_NAMES, RESULTS, Line, read, typical
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -20,12 +20,12 @@ PICTURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "deep_sea.p
 
 # Okabe and Ito's colours, told apart by colour-blind readers too.
 LOOKS = {
-    "epsilon_greedy": ("ε-greedy", "#000000", "s"),
-    "bootstrap": ("bootstrap", "#E69F00", "v"),
-    "bootstrap_prior": ("bootstrap with priors", "#009E73", "^"),
-    "bbqn_mean": ("BBQN, mean target (MAP)", "#0072B2", "o"),
-    "bbqn_independent": ("BBQN, target of its own noise (MC)", "#56B4E9", "D"),
-    "bbqn_shared": ("BBQN, target of the same noise", "#D55E00", "P"),
+    "epsilon_greedy": ("#000000", "s"),
+    "bootstrap": ("#E69F00", "v"),
+    "bootstrap_prior": ("#009E73", "^"),
+    "bbqn_mean": ("#0072B2", "o"),
+    "bbqn_independent": ("#56B4E9", "D"),
+    "bbqn_shared": ("#D55E00", "P"),
 }
 
 
@@ -41,7 +41,7 @@ def draw(lines: Sequence[Line], file: Path) -> None:
     axes = figure.add_subplot()
     sizes = sorted({line.size for line in lines})
     unsolved_at = 1.6 * max(line.episodes for line in lines)
-    for number, (agent, (label, colour, marker)) in enumerate(LOOKS.items()):
+    for number, (agent, (colour, marker)) in enumerate(LOOKS.items()):
         shift = 0.11 * (number - (len(LOOKS) - 1) / 2)
         of_agent = [line for line in lines if line.agent == agent]
         solved = [line for line in of_agent if line.episodes_to_solve is not None]
@@ -64,7 +64,7 @@ def draw(lines: Sequence[Line], file: Path) -> None:
             color=colour,
             lw=1.8,
             ms=7,
-            label=label,
+            label=AGENT_NAMES[agent],
         )
         for n, of_one in of_size.items():
             unsolved = sum(line.episodes_to_solve is None for line in of_one)

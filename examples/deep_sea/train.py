@@ -9,10 +9,15 @@ from __future__ import annotations
 
 import argparse
 import sys
+from typing import Literal
 
 import torch
 from deep_sea_agents import AGENTS, Settings
 from deep_sea_training import train
+
+
+def _prior_std(text: str) -> float | Literal["fan_in"]:
+    return "fan_in" if text == "fan_in" else float(text)
 
 
 def main() -> None:
@@ -26,10 +31,15 @@ def main() -> None:
     parser.add_argument("--replicas", type=int, default=5, help="independent seeds side by side")
     parser.add_argument("--episodes", type=int, default=300, help="the most that are dived")
     parser.add_argument("--seed", type=int, default=0, help="of the first replica")
-    parser.add_argument("--prior-std", type=float, default=defaults.prior_std, help="of BBQN")
+    parser.add_argument(
+        "--prior-std", type=_prior_std, default=defaults.prior_std, help="of BBQN, or fan_in"
+    )
     parser.add_argument("--noise-std", type=float, default=defaults.noise_std, help="of BBQN")
-    parser.add_argument("--prior-scale", type=float, default=defaults.prior_scale)
+    parser.add_argument(
+        "--prior-scale", type=float, default=defaults.prior_scale, help="of bootstrap_prior"
+    )
     parser.add_argument("--lr", type=float, default=defaults.lr)
+    parser.add_argument("--updates-per-step", type=float, default=defaults.updates_per_step)
     options = parser.parse_args()
     torch.set_num_threads(1)  # the networks are too small for more
     results = train(
@@ -43,6 +53,7 @@ def main() -> None:
             noise_std=options.noise_std,
             prior_scale=options.prior_scale,
             lr=options.lr,
+            updates_per_step=options.updates_per_step,
         ),
     )
     for result in results:

@@ -8,7 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import figure
 import pytest
+import sweep
 import torch
 from deep_sea_agents import AGENTS, Settings, make_agent
 from deep_sea_env import DeepSeaEnv
@@ -20,38 +22,42 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "deep_sea"
 SMALL = Settings(hidden=(8,), heads=3, batch_size=4, capacity=20, updates_per_step=0.5)
 
 
-def run(script, *arguments):
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(EXAMPLE.parents[1])}
+def test_driver_says_how_each_seed_did():
+    arguments = ["--agent", "epsilon_greedy", "--size", "2", "--episodes", "6", "--seed", "3"]
     process = subprocess.run(
-        [sys.executable, str(EXAMPLE / script), *arguments],
-        env=environment,
+        [sys.executable, str(EXAMPLE / "train.py"), *arguments],
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(EXAMPLE.parents[1])},
         capture_output=True,
         text=True,
         timeout=300,
         check=False,
     )
     assert process.returncode == 0, process.stdout + process.stderr
-    return process.stdout
-
-
-def test_driver_says_how_each_seed_did():
-    out = run("train.py", "--agent", "epsilon_greedy", "--size", "2", "--episodes", "6", "--seed=3")
     pattern = r"seed (\d+): (?:not solved|solved after \d+ episodes); treasure in \d of \d"
-    assert re.findall(pattern, out) == ["3", "4", "5", "6", "7"]
+    assert re.findall(pattern, process.stdout) == ["3", "4", "5", "6", "7"]
 
 
-def test_sweep_goes_on_where_it_was_stopped_and_the_figure_shows_it(tmp_path):
-    file, picture = tmp_path / "deep_sea.csv", tmp_path / "deep_sea.png"
+def test_sweep_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "deep_sea.csv"
     append([Line("bootstrap", 2, seed, None, 9, 0) for seed in range(2)], file)
-    common = ["--sizes", "2", "--seeds", "2", "--episodes", "4", "--file", str(file)]
-    out = run("sweep.py", *common, "--agents", "bootstrap", "bbqn_shared")
-    assert "bbqn_shared, N = 2" in out
-    assert "bootstrap" not in out
-    assert [(line.agent, line.seed) for line in read(file)] == [
-        (agent, seed) for agent in ("bootstrap", "bbqn_shared") for seed in (0, 1)
+    arguments = ["--agents", "bootstrap", "bbqn_shared", "--sizes", "2"]
+    arguments += ["--seeds", "2", "--episodes", "3", "--file", str(file)]
+    monkeypatch.setattr(sys, "argv", ["sweep.py", *arguments])
+    sweep.main()
+    assert [(line.agent, line.seed, line.episodes) for line in read(file)] == [
+        ("bootstrap", 0, 9),
+        ("bootstrap", 1, 9),
+        ("bbqn_shared", 0, 3),
+        ("bbqn_shared", 1, 3),
     ]
-    run("figure.py", "--results", str(file), "--picture", str(picture))
-    assert picture.stat().st_size > 10_000
+    assert capsys.readouterr().out.startswith("bbqn_shared, N = 2: episodes to solve [")
+
+
+def test_figure_is_drawn_from_what_there_is(tmp_path):
+    solved = [Line("bbqn_mean", 4, seed, 30 + seed, 90, 9) for seed in range(3)]
+    unsolved = [Line("bootstrap", 6, seed, None, 300, 0) for seed in range(3)]
+    figure.draw([*solved, *unsolved], tmp_path / "deep_sea.png")
+    assert (tmp_path / "deep_sea.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("name", AGENTS)
@@ -93,7 +99,7 @@ def test_one_look_at_the_diagonal_tells_who_reaches_the_treasure():
     wrong = torch.rand(best.shape, generator=generator) < 0.1
     policy = Follows(torch.where(wrong, 1 - best, best))
     told = reaches_treasure(policy, env)
-    dive = env.rollout(5, lambda td: policy.greedy(td.squeeze(1)).unsqueeze(1))
+    dive = env.rollout(5, policy.greedy)
     assert told.tolist() == dive["next", "treasure"][:, 0, -1, 0].tolist()
     assert 5 < int(told.sum()) < 60
 
