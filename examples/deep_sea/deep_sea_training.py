@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
-from deep_sea_agents import Agent, AgentName, Settings, make_agent
+from deep_sea_agents import Agent, AgentName, Settings, default_settings, make_agent
 from deep_sea_env import DeepSeaEnv
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -142,9 +142,9 @@ def train(
             numbers that learning draws come from one generator for all).
         episodes: the most episodes of each replica.
         seed: of the first replica.
-        settings: of agent and training. Defaults to ``Settings()``.
+        settings: of agent and training. Defaults to the agent's ``default_settings``.
     """
-    settings = settings or Settings()
+    settings = settings or default_settings(name)
     keep_freed_memory()
     torch.manual_seed(derive_seed(seed, name, size))
     env = DeepSeaEnv(size, (replicas, 1), mapping_seed=range(seed, seed + replicas))

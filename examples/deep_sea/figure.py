@@ -6,6 +6,7 @@ python examples/deep_sea/figure.py
 from __future__ import annotations
 
 import argparse
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,11 +56,11 @@ def draw(lines: Sequence[Line], file: Path) -> None:
             mew=0,
         )
         of_size = {n: [line for line in of_agent if line.size == n] for n in sizes}
-        medians = {n: typical(of_one) for n, of_one in of_size.items() if of_one}
-        known = {n: value for n, value in medians.items() if value is not None}
+        # Not a number where there is no median: the line is broken there.
+        medians = [(typical(of_one) if of_one else None) or nan for of_one in of_size.values()]
         axes.plot(
-            [n + shift for n in known],
-            list(known.values()),
+            [n + shift for n in sizes],
+            medians,
             marker + "-",
             color=colour,
             lw=1.8,
@@ -91,7 +92,7 @@ def draw(lines: Sequence[Line], file: Path) -> None:
         xticks=sizes,
         xlim=(sizes[0] - 1, sizes[-1] + 1),
         ylim=(bottom, top),
-        title="DeepSea: small markers are seeds, large ones medians",
+        title="DeepSea: seeds (small) and medians (large); above, how many did not solve",
     )
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from typing import Literal
 
 import torch
-from deep_sea_agents import AGENTS, Settings
+from deep_sea_agents import AGENTS, default_settings
 from deep_sea_training import train
 
 
@@ -22,7 +23,6 @@ def _prior_std(text: str) -> float | Literal["fan_in"]:
 
 def main() -> None:
     """Trains as the command line says, and writes a line for each replica."""
-    defaults = Settings()
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -31,16 +31,15 @@ def main() -> None:
     parser.add_argument("--replicas", type=int, default=5, help="independent seeds side by side")
     parser.add_argument("--episodes", type=int, default=300, help="the most that are dived")
     parser.add_argument("--seed", type=int, default=0, help="of the first replica")
-    parser.add_argument(
-        "--prior-std", type=_prior_std, default=defaults.prior_std, help="of BBQN, or fan_in"
-    )
-    parser.add_argument("--noise-std", type=float, default=defaults.noise_std, help="of BBQN")
-    parser.add_argument(
-        "--prior-scale", type=float, default=defaults.prior_scale, help="of bootstrap_prior"
-    )
-    parser.add_argument("--lr", type=float, default=defaults.lr)
-    parser.add_argument("--updates-per-step", type=float, default=defaults.updates_per_step)
+    parser.add_argument("--prior-std", type=_prior_std, help="of BBQN, or fan_in")
+    parser.add_argument("--noise-std", type=float, help="of BBQN, in units of Q")
+    parser.add_argument("--prior-scale", type=float, help="of bootstrap_prior")
+    parser.add_argument("--lr", type=float, help="learning rate")
+    parser.add_argument("--updates-per-step", type=float, help="mini-batches for each step")
     options = parser.parse_args()
+    settings = ("prior_std", "noise_std", "prior_scale", "lr", "updates_per_step")
+    given = {key: value for key, value in vars(options).items() if key in settings}
+    given = {key: value for key, value in given.items() if value is not None}
     torch.set_num_threads(1)  # the networks are too small for more
     results = train(
         options.agent,
@@ -48,13 +47,7 @@ def main() -> None:
         replicas=options.replicas,
         episodes=options.episodes,
         seed=options.seed,
-        settings=Settings(
-            prior_std=options.prior_std,
-            noise_std=options.noise_std,
-            prior_scale=options.prior_scale,
-            lr=options.lr,
-            updates_per_step=options.updates_per_step,
-        ),
+        settings=replace(default_settings(options.agent), **given),
     )
     for result in results:
         solved = result.episodes_to_solve
