@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from scripts.docs_blocks.config import config_blocks
+from scripts.docs_blocks.deep_sea import deep_sea_blocks
 from scripts.docs_blocks.dialogues import dialogues_blocks
 from scripts.docs_blocks.domain import domain_blocks
 from scripts.docs_blocks.policies import policies_blocks
@@ -11,6 +12,7 @@ from scripts.docs_blocks.speed import speed_blocks
 
 BLOCKS = (
     config_blocks,
+    deep_sea_blocks,
     dialogues_blocks,
     domain_blocks,
     policies_blocks,

@@ -1,0 +1,206 @@
+"""The agents that dive: a network, a way to explore with it and a loss, put together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch import nn
+from torchrl.data import Categorical
+from torchrl.modules import EGreedyModule
+
+from bbq_torchrl.data import BootstrapMask
+from bbq_torchrl.modules import (
+    MLP,
+    BayesMLP,
+    BootstrapMLP,
+    BootstrapSampling,
+    Greedy,
+    MajorityVote,
+    ThompsonSampling,
+    bootstrap_actor,
+    q_network,
+)
+from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, OneStepQLoss
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from torch import Tensor
+    from torchrl.envs.transforms import Transform
+
+__all__ = ["AGENTS", "Agent", "AgentName", "Settings", "default_settings", "make_agent"]
+
+AgentName = Literal[
+    "epsilon_greedy",
+    "bootstrap",
+    "bootstrap_prior",
+    "bbqn_mean",
+    "bbqn_independent",
+    "bbqn_shared",
+]
+AGENTS: tuple[AgentName, ...] = get_args(AgentName)
+
+ACTION = Categorical(2)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What an agent and its training can be told; each agent reads what concerns it.
+
+    Attributes:
+        hidden: sizes of the hidden layers.
+        gamma: discount.
+        lr: learning rate of Adam.
+        batch_size: transitions of a mini-batch.
+        updates_per_step: mini-batches learned from for each step of a dive.
+        freeze_every: mini-batches after which the target network is copied anew.
+        capacity: transitions that a replica keeps, the newest ones.
+        eps_end: ε, the probability of a random action, once it has fallen from 1.
+        eps_episodes: episodes that ε falls for.
+        prior_std: standard deviation of the prior of BBQN's weights, or "fan_in".
+        noise_std: standard deviation of BBQN's observation noise, in units of Q.
+        heads: number of bootstrap heads, each a network of its own.
+        mask_prob: probability with which a head learns from a transition.
+        prior_scale: factor of the bootstrap's prior functions.
+    """
+
+    hidden: tuple[int, ...] = (50, 50)
+    gamma: float = 0.99
+    lr: float = 3e-3
+    batch_size: int = 64
+    updates_per_step: float = 1.0
+    freeze_every: int = 4
+    capacity: int = 10_000
+    eps_end: float = 0.05
+    eps_episodes: int = 100
+    prior_std: float | Literal["fan_in"] = 0.1
+    noise_std: float = 0.03
+    heads: int = 10
+    mask_prob: float = 0.5
+    prior_scale: float = 3.0
+
+
+def default_settings(name: AgentName) -> Settings:
+    """Returns an agent's settings in the sweep: BBQN learns from more mini-batches.
+
+    Its posterior narrows slowly; from as few as the other agents' it would stay near its prior.
+    """
+    return Settings(updates_per_step=4.0) if name.startswith("bbqn_") else Settings()
+
+
+@dataclass(frozen=True)
+class Agent:
+    """An agent of R replicas, each of which acts and learns by itself.
+
+    Attributes:
+        explore: acts in training.
+        greedy: acts as well as the agent knows.
+        loss: of a batch of transitions [R, batch].
+        begin_dive: to be called before each dive.
+        when_stored: what is done to transitions [R, steps] as they are stored, if anything.
+    """
+
+    explore: TensorDictModuleBase
+    greedy: TensorDictModuleBase
+    loss: OneStepQLoss
+    begin_dive: Callable[[], Any]
+    when_stored: Transform | None = None
+
+
+def make_agent(name: AgentName, size: int, replicas: int, settings: Settings) -> Agent:
+    """Returns an agent for a sea of N x N cells.
+
+    Args:
+        name: one of :data:`AGENTS`.
+        size: N.
+        replicas: R, how many agents are trained side by side.
+        settings: of the agent.
+
+    Raises:
+        ValueError: for another name.
+    """
+    if name == "epsilon_greedy":
+        return _epsilon_greedy(size, replicas, settings)
+    if name in ("bootstrap", "bootstrap_prior"):
+        prior_scale = settings.prior_scale if name == "bootstrap_prior" else 0.0
+        return _bootstrap(prior_scale, size, replicas, settings)
+    if name.startswith("bbqn_"):
+        return _bbqn(name.removeprefix("bbqn_"), size, replicas, settings)
+    raise ValueError(f"agent must be one of {list(AGENTS)}, got {name!r}")
+
+
+class Scale(nn.Module):
+    """Multiplies what a network reads.
+
+    A one-hot row of N² cells times N has features of unit mean square. Without it the initial
+    weights of an MLP (uniform in ±1/√inputs) tell cells hardly apart beside its biases, and so
+    do a bootstrap's prior functions.
+    """
+
+    def __init__(self, factor: float) -> None:
+        super().__init__()
+        self.factor = factor
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Returns the input times the factor."""
+        return x * self.factor
+
+
+def _scaled(size: int, network: nn.Module) -> nn.Module:
+    return nn.Sequential(Scale(size), network)
+
+
+def _epsilon_greedy(size: int, replicas: int, settings: Settings) -> Agent:
+    network = _scaled(size, MLP(size**2, 2, settings.hidden, stack=(replicas,)))
+    actor = q_network(network, ACTION, action_mask_key=None)
+    dither = EGreedyModule(
+        ACTION, eps_init=1.0, eps_end=settings.eps_end, annealing_num_steps=settings.eps_episodes
+    )
+    return Agent(
+        explore=TensorDictSequential(Greedy(actor), dither),
+        greedy=Greedy(actor),
+        loss=DropoutDQNLoss(actor, gamma=settings.gamma),
+        begin_dive=dither.step,
+    )
+
+
+def _bootstrap(prior_scale: float, size: int, replicas: int, settings: Settings) -> Agent:
+    network = BootstrapMLP(
+        size**2,
+        2,
+        settings.hidden,
+        heads=settings.heads,
+        stack=(replicas,),
+        trunk_layers=0,
+        prior_scale=prior_scale,
+    )
+    actor = bootstrap_actor(_scaled(size, network), ACTION, action_mask_key=None)
+    explore = BootstrapSampling(actor)
+    return Agent(
+        explore=explore,
+        greedy=MajorityVote(actor),
+        loss=BootstrapDQNLoss(actor, gamma=settings.gamma),
+        begin_dive=explore.resample,
+        when_stored=BootstrapMask(settings.heads, settings.mask_prob, stack=(replicas,)),
+    )
+
+
+def _bbqn(target_noise: str, size: int, replicas: int, settings: Settings) -> Agent:
+    network = BayesMLP(size**2, 2, settings.hidden, stack=(replicas,), prior_std=settings.prior_std)
+    actor = q_network(_scaled(size, network), ACTION, action_mask_key=None)
+    # One draw a dive: of all ways to sample from this posterior the one that can dive deepest.
+    explore = ThompsonSampling(actor, per="dialogue")
+    return Agent(
+        explore=explore,
+        greedy=Greedy(actor),
+        loss=BBQNLoss(
+            actor,
+            gamma=settings.gamma,
+            noise_std=settings.noise_std,
+            target="map" if target_noise == "mean" else "mc",
+            target_noise=target_noise,
+        ),
+        begin_dive=explore.resample,
+    )

@@ -1,0 +1,188 @@
+"""Dives, learns, and notes in which episode each replica has solved the sea."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from deep_sea_agents import Agent, AgentName, Settings, default_settings, make_agent
+from deep_sea_env import DeepSeaEnv
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.objectives import BBQNLoss
+from bbq_torchrl.trainers import ReplicaAdam, derive_seed, keep_freed_memory
+
+if TYPE_CHECKING:
+    from tensordict import NestedKey
+    from torch import Tensor
+
+__all__ = ["DiveMemory", "Result", "reaches_treasure", "train"]
+
+SOLVED_SHARE = 0.1
+"""Share of all episodes so far that must have found the treasure."""
+
+
+class Result(NamedTuple):
+    """How one replica did.
+
+    Attributes:
+        seed: its seed.
+        episodes_to_solve: episodes until the sea was solved, None if it never was.
+        episodes: episodes that were dived.
+        treasures: in how many of them the treasure was found.
+    """
+
+    seed: int
+    episodes_to_solve: int | None
+    episodes: int
+    treasures: int
+
+
+class DiveMemory:
+    """The newest transitions of each replica, in one memory since all dives have N steps.
+
+    Args:
+        capacity: transitions that each replica keeps.
+
+    Example:
+        >>> memory = DiveMemory(6)
+        >>> memory.extend(TensorDict({"observation": torch.eye(4).expand(2, 4, 4)}, [2, 4]))
+        >>> memory.extend(TensorDict({"observation": torch.eye(4).expand(2, 4, 4)}, [2, 4]))
+        >>> len(memory), memory.sample(32)["observation"].shape
+        (6, torch.Size([2, 32, 4]))
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self._rows: TensorDictBase | None = None
+        self._written = 0
+
+    def __len__(self) -> int:
+        return min(self._written, self.capacity)
+
+    def extend(self, rows: TensorDictBase) -> None:
+        """Stores transitions [replicas, steps] in the place of the oldest ones."""
+        replicas, steps = rows.shape
+        rows = rows.named_apply(_pack, nested_keys=True)
+        if self._rows is None:
+            self._rows = rows[:, :1].expand(replicas, self.capacity).clone()
+        place = torch.arange(self._written, self._written + steps) % self.capacity
+        self._rows[:, place] = rows
+        self._written += steps
+
+    def sample(self, batch_size: int) -> TensorDictBase:
+        """Returns transitions [replicas, batch_size], each replica's drawn with replacement."""
+        assert self._rows is not None
+        replica = torch.arange(self._rows.shape[0])[:, None]
+        index = torch.randint(len(self), (self._rows.shape[0], batch_size))
+        return self._rows[replica, index].named_apply(_unpack, nested_keys=True)
+
+
+def _pack(name: NestedKey, value: Tensor) -> Tensor:
+    # A one-hot row takes a byte a cell instead of four.
+    return value.to(torch.uint8) if name in OBSERVATIONS else value
+
+
+def _unpack(name: NestedKey, value: Tensor) -> Tensor:
+    return value.float() if name in OBSERVATIONS else value
+
+
+KEYS = (
+    "observation",
+    "action",
+    ("next", "observation"),
+    ("next", "reward"),
+    ("next", "done"),
+    ("next", "terminated"),
+)
+"""What is kept of a transition."""
+
+OBSERVATIONS = ("observation", ("next", "observation"))
+
+
+@torch.no_grad()
+def reaches_treasure(agent: Agent, env: DeepSeaEnv) -> Tensor:
+    """Returns whether each replica's greedy policy finds the treasure, bool, shape [replicas].
+
+    The only way to the treasure turns right in every cell of the diagonal, so one look at what
+    the policy does in these N cells replaces a dive.
+
+    Args:
+        agent: of R replicas.
+        env: of batch size [R, 1].
+    """
+    size = env.size
+    diagonal = torch.eye(size**2)[:: size + 1].expand(env.batch_size[0], size, -1)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = agent.greedy(TensorDict({"observation": diagonal}, diagonal.shape[:-1]))
+    best = env.right_action[:, 0].diagonal(dim1=-2, dim2=-1)
+    return (td["action"] == best).all(-1)
+
+
+def train(
+    name: AgentName,
+    size: int,
+    *,
+    replicas: int,
+    episodes: int,
+    seed: int = 0,
+    settings: Settings | None = None,
+) -> list[Result]:
+    """Trains replicas side by side, until all have solved the sea; returns how each one did.
+
+    A replica has solved the sea in the first episode after which (1) its greedy policy reaches
+    the treasure and (2) at least a tenth of all its episodes so far have found it.
+
+    Args:
+        name: which agent.
+        size: N.
+        replicas: how many; replica r has the seed ``seed + r`` (of its mapping of actions; the
+            numbers that learning draws come from one generator for all).
+        episodes: the most episodes of each replica.
+        seed: of the first replica.
+        settings: of agent and training. Defaults to the agent's ``default_settings``.
+    """
+    settings = settings or default_settings(name)
+    keep_freed_memory()
+    torch.manual_seed(derive_seed(seed, name, size))
+    env = DeepSeaEnv(size, (replicas, 1), mapping_seed=range(seed, seed + replicas))
+    agent = make_agent(name, size, replicas, settings)
+    optimiser = ReplicaAdam(agent.loss.parameters(), replicas, lr=settings.lr)
+    freeze = HardUpdate(agent.loss, value_network_update_interval=0)
+    memory = DiveMemory(settings.capacity)
+    treasures = torch.zeros(replicas, dtype=torch.int64)
+    solved = torch.zeros(replicas, dtype=torch.int64)
+    episode, updates, due = 0, 0, 0.0
+    while episode < episodes and not bool(solved.all()):
+        episode += 1
+        agent.begin_dive()
+        dive = _dive(env, agent)
+        kept = dive.select(*KEYS)
+        memory.extend(kept if agent.when_stored is None else agent.when_stored.inv(kept))
+        treasures += dive["next", "treasure"].any(1).squeeze(-1)
+        if isinstance(agent.loss, BBQNLoss):
+            agent.loss.set_num_data(len(memory))
+        due += settings.updates_per_step * size
+        while updates < due:
+            optimiser.zero_grad()
+            agent.loss(memory.sample(settings.batch_size))["loss"].backward()
+            optimiser.step()
+            updates += 1
+            if updates % settings.freeze_every == 0:
+                freeze.step()
+        is_solved = reaches_treasure(agent, env) & (treasures >= SOLVED_SHARE * episode)
+        solved[is_solved & (solved == 0)] = episode
+    return [
+        Result(seed + r, first or None, episode, count)
+        for r, (first, count) in enumerate(zip(solved.tolist(), treasures.tolist(), strict=True))
+    ]
+
+
+@torch.no_grad()
+def _dive(env: DeepSeaEnv, agent: Agent) -> TensorDictBase:
+    """Returns one dive of each replica, batch size [replicas, N]."""
+    with set_exploration_type(ExplorationType.RANDOM):
+        rollout = env.rollout(env.size, agent.explore, trust_policy=True)
+    return rollout.squeeze(1)

@@ -1,0 +1,119 @@
+"""Draws docs/figures/deep_sea.png from results/deep_sea.csv.
+
+python examples/deep_sea/figure.py
+"""
+
+from __future__ import annotations
+
+import argparse
+from math import nan
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deep_sea_results import AGENT_NAMES, RESULTS, Line, read, typical
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+PICTURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "deep_sea.png"
+
+# Okabe and Ito's colours, told apart by colour-blind readers too.
+LOOKS = {
+    "epsilon_greedy": ("#000000", "s"),
+    "bootstrap": ("#E69F00", "v"),
+    "bootstrap_prior": ("#009E73", "^"),
+    "bbqn_mean": ("#0072B2", "o"),
+    "bbqn_independent": ("#56B4E9", "D"),
+    "bbqn_shared": ("#D55E00", "P"),
+}
+
+
+def draw(lines: Sequence[Line], file: Path) -> None:
+    """Draws the episodes to solve against N, a marker for each seed.
+
+    Args:
+        lines: of the table.
+        file: a PNG or SVG file.
+    """
+    figure = Figure(figsize=(8, 4.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    sizes = sorted({line.size for line in lines})
+    unsolved_at = 1.6 * max(line.episodes for line in lines)
+    for number, (agent, (colour, marker)) in enumerate(LOOKS.items()):
+        shift = 0.11 * (number - (len(LOOKS) - 1) / 2)
+        of_agent = [line for line in lines if line.agent == agent]
+        solved = [line for line in of_agent if line.episodes_to_solve is not None]
+        axes.plot(
+            [line.size + shift for line in solved],
+            [line.episodes_to_solve for line in solved],
+            marker,
+            color=colour,
+            ms=4.5,
+            alpha=0.55,
+            mew=0,
+        )
+        of_size = {n: [line for line in of_agent if line.size == n] for n in sizes}
+        # Not a number where there is no median: the line is broken there.
+        medians = [(typical(of_one) if of_one else None) or nan for of_one in of_size.values()]
+        axes.plot(
+            [n + shift for n in sizes],
+            medians,
+            marker + "-",
+            color=colour,
+            lw=1.8,
+            ms=7,
+            label=AGENT_NAMES[agent],
+        )
+        for n, of_one in of_size.items():
+            unsolved = sum(line.episodes_to_solve is None for line in of_one)
+            if unsolved:
+                height = unsolved_at * 1.3**number
+                axes.plot([n], [height], marker, color=colour, ms=5, mfc="white")
+                axes.annotate(
+                    f"{unsolved}/{len(of_one)}",
+                    (n, height),
+                    (5, -3),
+                    textcoords="offset points",
+                    fontsize=7,
+                    color=colour,
+                )
+    bottom, top = 1.0, unsolved_at * 1.3 ** len(LOOKS)
+    axes.axhspan(unsolved_at / 1.15, top, color="0.93", zorder=0)
+    axes.text(sizes[0] - 0.9, unsolved_at, "not\nsolved", fontsize=8, va="bottom", color="0.3")
+    chance = [n for n in range(sizes[0], sizes[-1] + 1) if 2**n < unsolved_at / 1.15]
+    axes.plot(chance, [2**n for n in chance], ":", color="0.5", lw=1.2, label="2^N")
+    axes.set(
+        xlabel="N",
+        ylabel="episodes until solved",
+        yscale="log",
+        xticks=sizes,
+        xlim=(sizes[0] - 1, sizes[-1] + 1),
+        ylim=(bottom, top),
+        title="DeepSea: seeds (small) and medians (large); above, how many did not solve",
+    )
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=150)
+
+
+def main() -> None:
+    """Draws the file that the command line names."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--picture", type=Path, default=PICTURE)
+    options = parser.parse_args()
+    lines = read(options.results)
+    if not lines:
+        parser.error(f"{options.results} has no results: python examples/deep_sea/sweep.py")
+    draw(lines, options.picture)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,207 @@
+"""DeepSea beside a diver written in plain Python, one at a time."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from deep_sea_env import DeepSeaEnv
+from torchrl.envs import RewardSum, SerialEnv, StepCounter, TransformedEnv, check_env_specs
+
+
+class Diver:
+    """The rules as Osband et al. state them, without a tensor."""
+
+    def __init__(self, size, right_action):
+        self.size, self.right_action = size, right_action
+        self.reset()
+
+    def reset(self):
+        self.row, self.column, self.treasure = 0, 0, False
+
+    def step(self, action):
+        """Moves by one row; returns the reward. A diver at the bottom stays where it is."""
+        if self.row == self.size:
+            return 0.0
+        reward = 0.0
+        if action == self.right_action[self.row][self.column]:
+            reward -= 0.01 / self.size
+            if self.column == self.size - 1:
+                reward += 1.0
+                self.treasure = True
+            else:
+                self.column += 1
+        elif self.column > 0:
+            self.column -= 1
+        self.row += 1
+        return reward
+
+    def observation(self):
+        seen = [0.0] * self.size**2
+        if self.row < self.size:
+            seen[self.row * self.size + self.column] = 1.0
+        return seen
+
+
+def divers_of(env):
+    mapping = env.right_action.reshape(-1, env.size, env.size).tolist()
+    return [Diver(env.size, right_action) for right_action in mapping]
+
+
+def assert_agree(td, divers):
+    """The entries of a TensorDict are what the divers see."""
+    assert td["observation"].reshape(len(divers), -1).tolist() == [d.observation() for d in divers]
+    is_done = [d.row == d.size for d in divers]
+    for key, expected in {
+        "done": is_done,
+        "terminated": is_done,
+        "truncated": [False] * len(divers),
+        "treasure": [d.treasure for d in divers],
+    }.items():
+        assert td[key].flatten().tolist() == expected, key
+
+
+BATCHES = [(), (4,), (3, 1)]
+
+
+@pytest.mark.parametrize("batch_size", BATCHES, ids=str)
+@pytest.mark.parametrize("size", [1, 2, 7])
+def test_specs_describe_what_the_environment_gives(size, batch_size):
+    check_env_specs(DeepSeaEnv(size, batch_size))
+
+
+@pytest.mark.parametrize("batch_size", [*BATCHES, (2, 3)], ids=str)
+@pytest.mark.parametrize("size", [1, 2, 3, 6])
+def test_divers_move_and_earn_as_plain_ones(size, batch_size):
+    seeds = range(batch_size[0]) if batch_size else 3
+    env = DeepSeaEnv(size, batch_size, mapping_seed=seeds)
+    divers = divers_of(env)
+    env.reset()
+    generator = torch.Generator().manual_seed(size)
+    for _ in range(30):
+        for diver in divers:
+            diver.reset()
+        td = env.reset()
+        assert_agree(td, divers)
+        for _ in range(size):
+            # Mostly right, so that divers come to every column.
+            chance = torch.rand(batch_size, generator=generator)
+            cell = td["observation"].argmax(-1, keepdim=True)
+            right = env.right_action.flatten(-2).gather(-1, cell)[..., 0]
+            action = torch.where(chance < 0.8, right, 1 - right)
+            td = env.step(td.set("action", action))["next"]
+            earned = [d.step(a) for d, a in zip(divers, action.flatten().tolist(), strict=True)]
+            torch.testing.assert_close(td["reward"].flatten(), torch.tensor(earned))
+            assert_agree(td, divers)
+
+
+def test_resets_concern_the_divers_named_and_no_other():
+    env = DeepSeaEnv(4, (3, 2), mapping_seed=range(3))
+    divers = divers_of(env)
+    generator = torch.Generator().manual_seed(0)
+    td = env.reset()
+    for _ in range(60):
+        action = torch.randint(2, (3, 2), generator=generator)
+        td = env.step(td.set("action", action))["next"]
+        for diver, a in zip(divers, action.flatten().tolist(), strict=True):
+            diver.step(a)
+        assert_agree(td, divers)
+        which = torch.rand(3, 2, 1, generator=generator) < 0.3
+        td = env.reset(td.exclude("reward").set("_reset", which))
+        for diver, begins in zip(divers, which.flatten().tolist(), strict=True):
+            if begins:
+                diver.reset()
+        assert_agree(td, divers)
+
+
+def test_a_rollout_that_goes_on_resets_each_diver_at_the_bottom():
+    env = DeepSeaEnv(5, (4,))
+    env.reset()
+    # Two divers are two rows ahead of the other ones from here on.
+    ahead = torch.tensor([True, True, False, False])
+    td = env.reset()
+    for _ in range(2):
+        td = env.rand_step(td)["next"]
+    td = env.reset(td.exclude("reward").set("_reset", ~ahead[:, None]))
+    rollout = env.rollout(20, auto_reset=False, tensordict=td, break_when_any_done=False)
+    step = torch.arange(20)
+    done = rollout["next", "done"].squeeze(-1)
+    assert torch.equal(done[ahead], ((step + 2) % 5 == 4).expand(2, -1))
+    assert torch.equal(done[~ahead], (step % 5 == 4).expand(2, -1))
+    assert rollout["observation"][:, 1:, 0][done[:, :-1]].bool().all()
+
+
+@pytest.mark.parametrize("size", [1, 2, 10, 50])
+def test_only_the_way_along_the_diagonal_ends_with_the_treasure(size):
+    ways = min(size + 1, 6)
+    env = DeepSeaEnv(size, (ways,), mapping_seed=9)
+    best = env.right_action.diagonal(dim1=-2, dim2=-1)
+    rewards = []
+    td = env.reset()
+    # Way number 0 turns right in all rows; way w goes left in row w - 1 alone.
+    for row in range(size):
+        cell = td["observation"].argmax(-1, keepdim=True)
+        action = env.right_action.flatten(-2).gather(-1, cell)[:, 0]
+        action[row + 1 : row + 2] = 1 - action[row + 1 : row + 2]
+        td = env.step(td.set("action", action))["next"]
+        rewards.append(td["reward"].squeeze(-1))
+        if row == 0:
+            assert action[0] == best[0, 0]
+    total = torch.stack(rewards, -1).sum(-1)
+    assert td["treasure"].flatten().tolist() == [True] + [False] * (ways - 1)
+    torch.testing.assert_close(total[0], torch.tensor(0.99))
+    assert (total[1:] <= 0).all()
+
+
+def test_mapping_depends_on_the_seed_alone():
+    one, same, other = (DeepSeaEnv(8, mapping_seed=seed).right_action for seed in (3, 3, 4))
+    assert torch.equal(one, same)
+    assert not torch.equal(one, other)
+    several = DeepSeaEnv(8, (2, 5), mapping_seed=(4, 3)).right_action
+    assert torch.equal(several[0], other.expand(5, 8, 8))
+    assert torch.equal(several[1], one.expand(5, 8, 8))
+    assert DeepSeaEnv(8, mapping_seed=None).right_action.bool().all()
+
+
+def test_seeding_changes_nothing():
+    env = DeepSeaEnv(4, (2,), mapping_seed=1)
+    before = env.right_action.clone()
+    env.set_seed(5)
+    assert torch.equal(env.right_action, before)
+
+
+def test_state_is_saved_and_restored():
+    env, other = DeepSeaEnv(6, (4,)), DeepSeaEnv(6, (4,))
+    td = env.reset()
+    other.reset()
+    for _ in range(3):
+        td = env.rand_step(td)["next"]
+    other.load_state_dict(env.state_dict())
+    action = torch.tensor([0, 1, 0, 1])
+    ours, theirs = (e.step(td.clone().set("action", action))["next"] for e in (env, other))
+    assert torch.equal(ours["observation"], theirs["observation"])
+    with pytest.raises(ValueError, match=r"batch size \[4\], the environment has \[3\]"):
+        DeepSeaEnv(6, (3,)).load_state_dict(env.state_dict())
+
+
+def test_torchrl_s_transforms_and_vectorised_environments_take_it():
+    env = TransformedEnv(DeepSeaEnv(4, (3,)), StepCounter()).append_transform(RewardSum())
+    check_env_specs(env)
+    rollout = env.rollout(4)
+    assert torch.equal(rollout["step_count"].squeeze(-1), torch.arange(4).expand(3, -1))
+    serial = SerialEnv(2, lambda: DeepSeaEnv(4, (3,)))
+    assert serial.rollout(12, break_when_any_done=False).shape == (2, 3, 12)
+    serial.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"size": 0}, "size must be at least 1, got 0"),
+        ({"move_cost": 1.0}, r"move_cost must be in \[0, 1\), got 1.0"),
+        ({"mapping_seed": (1, 2)}, r"got 2 seeds for the batch size \[\]"),
+        ({"mapping_seed": (1, 2), "batch_size": (3,)}, r"got 2 seeds for the batch size \[3\]"),
+    ],
+)
+def test_bad_settings_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        DeepSeaEnv(**{"size": 4, **arguments})

@@ -1,0 +1,153 @@
+"""DeepSea's scripts as a person types them, and what they make of results."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import figure
+import pytest
+import sweep
+import torch
+from deep_sea_agents import AGENTS, Settings, make_agent
+from deep_sea_env import DeepSeaEnv
+from deep_sea_results import Line, append, read, table
+from deep_sea_training import DiveMemory, reaches_treasure, train
+from tensordict import TensorDict
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "deep_sea"
+SMALL = Settings(hidden=(8,), heads=3, batch_size=4, capacity=20, updates_per_step=0.5)
+
+
+def test_driver_says_how_each_seed_did():
+    arguments = ["--agent", "epsilon_greedy", "--size", "2", "--episodes", "6", "--seed", "3"]
+    process = subprocess.run(
+        [sys.executable, str(EXAMPLE / "train.py"), *arguments],
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(EXAMPLE.parents[1])},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
+    pattern = r"seed (\d+): (?:not solved|solved after \d+ episodes); treasure in \d of \d"
+    assert re.findall(pattern, process.stdout) == ["3", "4", "5", "6", "7"]
+
+
+def test_sweep_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "deep_sea.csv"
+    append([Line("bootstrap", 2, seed, None, 9, 0) for seed in range(2)], file)
+    arguments = ["--agents", "bootstrap", "bbqn_shared", "--sizes", "2"]
+    arguments += ["--seeds", "2", "--episodes", "3", "--file", str(file)]
+    monkeypatch.setattr(sys, "argv", ["sweep.py", *arguments])
+    sweep.main()
+    assert [(line.agent, line.seed, line.episodes) for line in read(file)] == [
+        ("bootstrap", 0, 9),
+        ("bootstrap", 1, 9),
+        ("bbqn_shared", 0, 3),
+        ("bbqn_shared", 1, 3),
+    ]
+    assert capsys.readouterr().out.startswith("bbqn_shared, N = 2: episodes to solve [")
+
+
+def test_figure_is_drawn_from_what_there_is(tmp_path):
+    solved = [Line("bbqn_mean", 4, seed, 30 + seed, 90, 9) for seed in range(3)]
+    unsolved = [Line("bootstrap", 6, seed, None, 300, 0) for seed in range(3)]
+    figure.draw([*solved, *unsolved], tmp_path / "deep_sea.png")
+    assert (tmp_path / "deep_sea.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_every_agent_trains_replicas_side_by_side(name):
+    results = train(name, 3, replicas=2, episodes=8, seed=5, settings=SMALL)
+    assert [result.seed for result in results] == [5, 6]
+    for result in results:
+        assert 0 <= result.treasures <= result.episodes <= 8
+        assert result.episodes_to_solve is None or 1 <= result.episodes_to_solve <= 8
+
+
+def test_the_same_seed_gives_the_same_results():
+    first, again = (
+        train("epsilon_greedy", 3, replicas=3, episodes=12, seed=1, settings=SMALL)
+        for _ in range(2)
+    )
+    assert first == again
+
+
+def test_unknown_agent_is_refused():
+    with pytest.raises(ValueError, match=r"agent must be one of \['epsilon_greedy', .*got 'dqn'"):
+        make_agent("dqn", 3, 1, SMALL)
+
+
+class Follows:
+    """Acts by a table of actions for each replica, [replicas, N·N]."""
+
+    def __init__(self, actions):
+        self.actions = actions
+
+    def greedy(self, td):
+        return td.set("action", self.actions.gather(-1, td["observation"].argmax(-1)))
+
+
+def test_one_look_at_the_diagonal_tells_who_reaches_the_treasure():
+    env = DeepSeaEnv(5, (64, 1), mapping_seed=range(64))
+    generator = torch.Generator().manual_seed(0)
+    best = env.right_action.flatten(-2)[:, 0]
+    wrong = torch.rand(best.shape, generator=generator) < 0.1
+    policy = Follows(torch.where(wrong, 1 - best, best))
+    told = reaches_treasure(policy, env)
+    dive = env.rollout(5, policy.greedy)
+    assert told.tolist() == dive["next", "treasure"][:, 0, -1, 0].tolist()
+    assert 5 < int(told.sum()) < 60
+
+
+def test_solved_takes_the_greedy_policy_and_a_tenth_of_all_episodes(monkeypatch):
+    greedy = iter([False, True, True, True])
+    monkeypatch.setattr(
+        "deep_sea_training.reaches_treasure", lambda *_: torch.tensor([next(greedy), False])
+    )
+    # In a sea of one cell one of two actions is the treasure's.
+    solved, other = train("epsilon_greedy", 1, replicas=2, episodes=4, settings=SMALL)
+    assert other.episodes_to_solve is None
+    assert solved.episodes_to_solve is None or solved.episodes_to_solve >= 2
+    assert solved.episodes == other.episodes == 4
+
+
+def rows(first, steps):
+    values = torch.arange(first, first + steps, dtype=torch.float32)
+    reward = torch.stack([values, -values])[..., None]
+    one_hot = torch.eye(9)[torch.arange(first, first + steps) % 9].expand(2, steps, 9)
+    return TensorDict(
+        {"observation": one_hot, "next": {"observation": one_hot.flip(-1), "reward": reward}},
+        [2, steps],
+    )
+
+
+def test_memory_keeps_the_newest_and_gives_each_replica_its_own():
+    memory = DiveMemory(10)
+    for first in range(0, 28, 4):
+        memory.extend(rows(first, 4))
+    assert len(memory) == 10
+    sample = memory.sample(2000)
+    reward = sample["next", "reward"].squeeze(-1)
+    # Each of 10 rows is missing among 2000 with probability .9^2000.
+    assert reward[0].unique().tolist() == list(range(18, 28))
+    assert (-reward[1]).unique().tolist() == list(range(18, 28))
+    assert not torch.equal(reward[0], -reward[1])
+    assert sample["observation"].dtype == torch.float32
+    assert torch.equal(sample["observation"][0].argmax(-1), reward[0].long() % 9)
+    assert torch.equal(sample["next", "observation"], sample["observation"].flip(-1))
+
+
+def test_table_counts_an_unsolved_sea_as_never():
+    solved = [Line("a", 4, seed, n, 90, 9) for seed, n in enumerate((30, None, 10))]
+    unsolved = [Line("b", 6, seed, None, 500, 0) for seed in range(2)]
+    assert table([*solved, *unsolved], ["a", "b"]).splitlines() == [
+        "| agent | N = 4 | N = 6 |",
+        "| --- | ---: | ---: |",
+        "| `a` | 30 (2 of 3) |  |",
+        "| `b` |  | > 500 (0 of 2) |",
+    ]
