@@ -20,16 +20,16 @@ S, A = 4, 3
 BONUS, REWARD = ("next", "intrinsic_reward"), ("next", "reward")
 
 
-def transitions(*batch, one_hot=False, end=0.2):
+def transitions(*batch, size=S, end=0.2):
     """Random transitions of something like CartPole."""
     action = torch.randint(A, batch)
     terminated = torch.rand(*batch, 1) < end
     return TensorDict(
         {
-            "observation": torch.randn(*batch, S),
-            "action": torch.nn.functional.one_hot(action, A) if one_hot else action,
+            "observation": torch.randn(*batch, size),
+            "action": action,
             "next": {
-                "observation": torch.randn(*batch, S),
+                "observation": torch.randn(*batch, size),
                 "reward": torch.randn(*batch, 1),
                 "done": terminated.clone(),
                 "terminated": terminated,
@@ -39,10 +39,10 @@ def transitions(*batch, one_hot=False, end=0.2):
     )
 
 
-def transform(stack=(), **settings):
+def transform(stack=(), size=S, **settings):
     """A transform whose model starts from the same weights each time."""
     torch.manual_seed(1)
-    dynamics = DynamicsModel(S, A, (16,), stack=stack)
+    dynamics = DynamicsModel(size, A, (16,), stack=stack)
     torch.seed()
     return VIMEReward(dynamics, **settings)
 
@@ -181,27 +181,31 @@ def test_one_hot_actions_single_rows_and_batches_of_any_shape():
 
 
 @pytest.mark.parametrize("weights", ["map", "mc"])
-def test_elements_do_not_depend_on_one_another_nor_on_padding(weights):
+@pytest.mark.parametrize(
+    ("lengths", "others"), [((90, 70, 10), (270, 70, 530)), ((1, 1, 1), (300, 1, 530))]
+)
+def test_elements_do_not_depend_on_one_another_nor_on_padding(weights, lengths, others):
     # element 1 is the same in both; the others' rows, and so the padding, are not
-    lengths, others = (90, 70, 10), (270, 70, 530)
-    td, other = transitions(3, max(lengths)), transitions(3, max(others))
-    other[1, :70] = td[1, :70]
+    own = lengths[1]
+    td, other = (transitions(3, max(n), size=268) for n in (lengths, others))
+    other[1, :own] = td[1, :own]
     stored = []
     for rows, counts in ((td, lengths), (other, others)):
         rows["valid"] = torch.arange(rows.shape[1]) < torch.tensor(counts).unsqueeze(-1)
         for key in ("observation", ("next", "observation")):
             rows[key][~rows["valid"]] = torch.nan
         rows["action"][~rows["valid"]] = -1
-        vime = transform((3,), weights=weights)
+        vime = transform((3,), 268, weights=weights)
         vime.set_seeds([7, 8, 9] if rows is td else [1, 8, 2])
         first = vime.inv(rows)
         again = vime.inv(rows)
         stored.append((first, again, vime))
     for one, two in zip(stored[0][:2], stored[1][:2], strict=True):
-        assert torch.equal(one[BONUS][1, :70], two[BONUS][1, :70])
-        assert not torch.equal(one[BONUS][0, :10], two[BONUS][0, :10])
+        assert torch.equal(one[BONUS][1, :own], two[BONUS][1, :own])
         assert not one[BONUS][~one["valid"]].any()
-    for name, value in stored[0][2].state_dict().items():
+    state = stored[0][2].state_dict()
+    assert not torch.equal(state["dynamics.mean"][0], stored[1][2].dynamics.mean[0])
+    for name, value in state.items():
         if "prior" not in name:
             assert torch.equal(value[1], stored[1][2].state_dict()[name][1])
 
