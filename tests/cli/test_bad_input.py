@@ -153,7 +153,7 @@ def test_an_agent_without_a_posterior_has_no_modes():
     env = build.build_env(config.env, build.build_domain(config.domain), (1, 2))
     agent = build.build_agent(config, env)
     with pytest.raises(ValueError, match="mode must be null for agent=dqn, got 'mean'"):
-        build.evaluation_policy(config, agent.actor, "mean")
+        agent.evaluation("mean")
 
 
 def test_an_evaluation_prints_one_line_of_json(capsys, restaurant_folder, tmp_path):

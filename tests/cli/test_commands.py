@@ -234,7 +234,7 @@ def test_what_cannot_run_is_refused_in_a_line_and_leaves_nothing_behind(tmp_path
 
 def test_help_shows_groups_and_pairs_without_importing_torch(tmp_path):
     out, imported = call("-X", "importtime", str(ROOT / "train.py"), "--help", cwd=tmp_path)
-    assert "agent=dqn   explore=epsilon_greedy (default)" in out
+    assert "agent=dqn        explore=epsilon_greedy (default)" in out
     assert "experiment=" in out
     assert "hydra" in imported
     assert "torch" not in imported.replace("bbq_torchrl", "")
