@@ -1,0 +1,83 @@
+"""Exploration schedules go on after a resume where they were."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict.nn import TensorDictSequential
+from torchrl.data import Categorical
+from torchrl.modules import EGreedyModule
+from torchrl.objectives import HardUpdate
+from trainer_parts import ACTIONS, FEATURES, GuessEnv
+
+from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.modules import MLP, Boltzmann, Greedy, q_network
+from bbq_torchrl.objectives import DropoutDQNLoss
+from bbq_torchrl.trainers import CheckpointFolder, ReplicaAdam, RoundSettings, RoundTrainer
+
+START, END, STEPS = 0.9, 0.1, 5
+# the value at the start of each round: falls evenly, then stays
+SCHEDULE = [0.9, 0.74, 0.58, 0.42, 0.26, 0.1, 0.1]
+
+
+def explorer(kind):
+    """Returns an exploration module and what reads its present value."""
+    if kind == "epsilon":
+        module = EGreedyModule(
+            Categorical(ACTIONS),
+            START,
+            END,
+            annealing_num_steps=STEPS,
+            action_mask_key="action_mask",
+        )
+        return module, lambda: float(module.eps)
+    module = Boltzmann(START, END, STEPS)
+    return module, lambda: float(module.temperature)
+
+
+def make_trainer(kind, folder, rounds):
+    replicas = 2
+    env = GuessEnv(replicas, 4)
+    actor = q_network(MLP(FEATURES, ACTIONS, (8,), stack=(replicas,)), Categorical(ACTIONS))
+    explore, value = explorer(kind)
+    loss = DropoutDQNLoss(actor)
+    return RoundTrainer(
+        env,
+        TensorDictSequential(Greedy(actor), explore),
+        loss,
+        ReplicaReplay(100, replicas=replicas),
+        ReplicaAdam(loss.parameters(), replicas),
+        HardUpdate(loss, value_network_update_interval=0),
+        RoundSettings(rounds=rounds, dialogues=4, batch_size=32, epochs=1, checkpoint_every=1),
+        folder,
+        gauges={"exploration": value},
+        progress=False,
+    )
+
+
+@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
+@pytest.mark.parametrize("stops", [(3,), (1, 6)], ids=["halfway", "twice"])
+def test_a_resumed_training_goes_on_with_its_schedule(tmp_path, kind, stops):
+    for rounds in stops:
+        make_trainer(kind, tmp_path, rounds).train(resume=rounds != stops[0])
+
+    rows = make_trainer(kind, tmp_path, len(SCHEDULE)).train(resume=True)
+
+    seen = [row["exploration"] for row in rows if row["replica"] == 0]
+    assert seen == pytest.approx(SCHEDULE)
+
+
+@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
+def test_a_policys_checkpoint_holds_its_place_in_the_schedule(tmp_path, kind):
+    saved, _ = explorer(kind)
+    saved.step(2)
+    path = CheckpointFolder(tmp_path, policy=torch.nn.Sequential(saved)).save(2, {})
+
+    restored, value = explorer(kind)
+    CheckpointFolder(tmp_path, policy=torch.nn.Sequential(restored)).load(path)
+
+    seen = []
+    for _ in range(5):
+        seen.append(value())
+        restored.step()
+    assert seen == pytest.approx(SCHEDULE[2:])
