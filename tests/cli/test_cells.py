@@ -109,6 +109,24 @@ def test_a_variant_trains_resumes_and_evaluates(variant, restaurant_folder, tmp_
     check_run(command(*VARIANTS[variant], "env=domain_ext", domain=restaurant_folder), tmp_path)
 
 
+def test_an_intrinsic_reward_is_learned_from_and_never_reported(restaurant_folder, tmp_path):
+    """Before anything is learned the two play alike, so whatever differs would be the bonus."""
+    rounds = {}
+    for name in ("none", "vime"):
+        choices = ["agent=dqn", f"intrinsic={name}", "protocol.rounds=1"]
+        if name == "vime":
+            choices.append("intrinsic.eta=1000")
+        config = compose([*command(domain=restaurant_folder), *choices])
+        (tmp_path / name).mkdir()
+        result = run(config, tmp_path / name)
+        rounds[name] = read_metrics(tmp_path / name)
+        assert result.reward <= config.env.success_reward
+
+    for column in ("reward", "success_rate", "turns"):
+        assert (rounds["none"][column] == rounds["vime"][column]).all()
+    assert (rounds["vime"]["td_error"] > 10 * rounds["none"]["td_error"]).all()
+
+
 RECIPES = [name for name in options("experiment") if "/" in name]
 
 
