@@ -94,8 +94,9 @@ class QuickProtocolConfig(ProtocolConfig):
     """Under two minutes on one core: fewer rounds and a smaller buffer; it still learns visibly."""
 
     name: str = option("quick")
-    rounds: int = setting(40, COUNT, "rounds of training")
-    capacity: int = setting(3_000, COUNT, "transitions a replica's buffer holds")
+    rounds: int = setting(25, COUNT, "rounds of training")
+    epochs: int = setting(3, COUNT, "passes over the buffer after each freeze")
+    capacity: int = setting(5_000, COUNT, "transitions a replica's buffer holds")
     eval_dialogues: int = setting(2_000, COUNT, "dialogues of the final evaluation of a replica")
     eval_batch: int = setting(2_000, COUNT, "evaluation dialogues that run side by side")
 
