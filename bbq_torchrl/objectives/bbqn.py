@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
-import torch
 from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.modules.exploration import bayesian_layers
 from bbq_torchrl.modules.kl import collect_kl
 from bbq_torchrl.modules.shared_noise import shared_noise
 from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind
+from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from torch import Tensor, nn
     from torchrl.data import TensorSpec
@@ -33,7 +33,7 @@ _TARGET_NOISES: dict[Target, tuple[TargetNoise, ...]] = {
 }
 
 
-class BBQNLoss(OneStepQLoss):
+class BBQNLoss(NumData, OneStepQLoss):
     """Expected squared TD error under the posterior, plus its KL from the prior.
 
     For N transitions in the buffer each network's loss is
@@ -100,8 +100,6 @@ class BBQNLoss(OneStepQLoss):
     deterministic_sampling_mode = ExplorationType.RANDOM
     out_keys = ["loss", "loss_value", "td_error", "q_value", "kl"]  # noqa: RUF012
 
-    num_data: Tensor
-
     def __init__(
         self,
         value_network: QValueActor | nn.Module,
@@ -131,49 +129,14 @@ class BBQNLoss(OneStepQLoss):
         super().__init__(
             value_network, gamma=gamma, action_space=action_space, delay_value=delay_value
         )
-        layers = bayesian_layers(self.value_network)
+        layers = bayesian_layers(self.value_network)  # type: ignore[arg-type]
         self.target = target
         self.target_noise = target_noise or _TARGET_NOISES[target][0]
         self._online_noise: shared_noise | None = None
         self.kl = kl
         self.noise_std = noise_std
         self.kl_temperature = kl_temperature
-        # 0 stands for "not known yet"
-        self.register_buffer("num_data", layers[0].posterior.mu.new_zeros(self.stack))
-        self._num_data_known = False
-        if num_data is not None:
-            self.set_num_data(num_data)
-
-    def set_num_data(self, num_data: int | Tensor) -> None:
-        """Sets N, the number of transitions that the KL is spread over.
-
-        Args:
-            num_data: a number, or one for each element of the stack, [*stack]; positive (tensors
-                are not checked, so that no device has to be waited for).
-
-        Raises:
-            ValueError: if a number is not positive or a tensor's shape does not fit.
-        """
-        if isinstance(num_data, torch.Tensor):
-            if num_data.shape not in (self.stack, torch.Size(())):
-                raise ValueError(
-                    f"num_data must be a number or have shape {list(self.stack)}, got "
-                    f"{list(num_data.shape)}"
-                )
-            self.num_data.copy_(num_data)
-        else:
-            if not num_data > 0:
-                raise ValueError(f"num_data must be positive, got {num_data}")
-            self.num_data.fill_(num_data)
-        self._num_data_known = True
-
-    def load_state_dict(
-        self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False
-    ) -> Any:
-        """Loads parameters, targets and buffers, as ``nn.Module`` has it."""
-        out = super().load_state_dict(state_dict, strict, assign)
-        self._num_data_known = bool((self.num_data > 0).all())
-        return out
+        self._register_num_data(num_data, layers[0].posterior.mu)
 
     @property
     def _scale(self) -> float:  # type: ignore[override]
@@ -186,11 +149,7 @@ class BBQNLoss(OneStepQLoss):
     def _predict(
         self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        if not self._num_data_known:
-            raise RuntimeError(
-                "num_data is not known: give it to BBQNLoss or call set_num_data(n) with the "
-                "number of transitions in the buffer"
-            )
+        self._check_num_data()
         noise = shared_noise() if self.target_noise == "shared" else None
         with noise or nullcontext(), collect_kl(self.kl) as collector:
             values = self._function(tensors, inputs, "draw")
