@@ -1,6 +1,6 @@
 """Uncertainty of a Bayes-by-Backprop network in regression (Blundell et al. 2015, section 5.2).
 
-    python examples/regression.py                     # half a minute, writes docs/figures/regression.png
+    python examples/regression.py                     # half a minute, writes the figure in docs/
     python examples/regression.py --steps 200 --out quick.png
 
 A curve is learned from noisy points in [0, 0.5] by :class:`~bbq_torchrl.modules.BayesMLP`, trained
