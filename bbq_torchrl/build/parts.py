@@ -109,6 +109,7 @@ def _bbqn(config: BBQNConfig, around: Surroundings) -> AgentParts:
         noise_std=config.noise_std,
         kl_temperature=config.kl_temperature,
         gamma=config.gamma,
+        hold=True,
     )
 
     def evaluation(mode: str | None) -> Evaluation:

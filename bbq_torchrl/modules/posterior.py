@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from bbq_torchrl.modules.held_std import std_of
 from bbq_torchrl.modules.noise import fill_normal_
 from bbq_torchrl.modules.shared_noise import noise_for
 from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind, closed_kl, draw_with_kl
@@ -134,7 +135,7 @@ class GaussianPosterior(nn.Module):
         if not is_filled:
             self.fill_noise_(noise)
         shape = (*self.stack, *(1 for _ in rows), count)
-        return torch.addcmul(self.mu.reshape(shape), self.sigma.reshape(shape), noise)
+        return torch.addcmul(self.mu.reshape(shape), std_of(self).reshape(shape), noise)
 
     @torch.no_grad()
     def redraw_(self, draws: Tensor, where: Tensor) -> None:
@@ -154,20 +155,26 @@ class GaussianPosterior(nn.Module):
         self.fill_noise_(noise)
         flat[which] = torch.addcmul(mu[element], F.softplus(rho[element]), noise)
 
-    def sample_with_kl(self, kind: KLKind = "closed") -> tuple[Tensor, Tensor]:
+    def sample_with_kl(
+        self, kind: KLKind = "closed", known_kl: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Returns a draw [*stack, P] and the KL from the prior [*stack], sharing σ.
 
         Args:
             kind: "closed", Σ log(p/σ) + (σ² + μ²)/(2p²) - ½, or "sampled", log q(w) - log p(w)
                 at the draw, as the paper has it.
+            known_kl: an earlier value of the closed KL, [*stack], to be returned in the place of
+                today's; its gradient is today's all the same. Defaults to None.
 
         Raises:
-            ValueError: for any other string.
+            ValueError: for any other string, or a known KL of another kind than "closed".
         """
         check_kl_kind(kind)
+        if known_kl is not None and kind != "closed":
+            raise ValueError(f"known_kl needs kl='closed', got {kind!r}")
         noise, is_filled = noise_for(self, self.mu.shape)
         fill_noise_ = None if is_filled else self.fill_noise_
-        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_)
+        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_, known_kl)
 
     def kl(self) -> Tensor:
         """Returns the KL from the prior in closed form, [*stack], in nats."""

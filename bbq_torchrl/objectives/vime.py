@@ -102,6 +102,8 @@ class VIMELoss(LossModule):
         decides which batches of the next the others' dynamics learn on.
         """
         self._batches = 0
+        if hasattr(self.q_loss, "begin_epoch"):
+            self.q_loss.begin_epoch()
 
     def get_extra_state(self) -> Tensor:
         """Returns the number of batches since the schedule began, int64, shape []."""

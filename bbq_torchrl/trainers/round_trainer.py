@@ -64,8 +64,8 @@ class RoundTrainer:
     Optional hooks, used where an object has them: ``env.set_round(round)`` (domain extension),
     ``loss.set_num_data(tensor)`` (the weight of a KL), ``loss.begin_epoch()`` (what does not happen
     at every update), ``loss.has_fixed_targets`` with ``loss.frozen_values(transitions)`` (targets
-    that are computed once a freeze), and for the modules of the policy ``module.resample()`` before (weight draws)
-    and ``module.step(1)`` after (schedules) each round.
+    that are computed once a freeze), and for the modules of the policy ``module.resample()`` before
+    (weight draws) and ``module.step(1)`` after (schedules) each round.
 
     Args:
         env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
@@ -312,9 +312,9 @@ class RoundTrainer:
 
     def _compute_targets(self) -> None:
         """Has the frozen network's values computed for the whole buffer, where a loss allows it."""
-        if getattr(self.loss, "has_fixed_targets", False):
-            key = ("next", self.loss.tensor_keys.frozen_value)
-            self.replay.compute(key, self.loss.frozen_values)
+        loss: Any = self.loss
+        if getattr(loss, "has_fixed_targets", False):
+            self.replay.compute(("next", loss.tensor_keys.frozen_value), loss.frozen_values)
 
     def _step_schedules(self) -> None:
         """Moves the policy's schedules (epsilon, temperature) on by one round."""
