@@ -77,7 +77,9 @@ class BBQNLoss(NumData, OneStepQLoss):
             frozen posterior's σ for an "mc" target, and the value of the closed KL, which is
             reported in ``kl`` and in the losses until then (its gradient is every batch's own).
             That saves a quarter of an update on a CPU, and needs the call at least after each
-            update of the target network. Defaults to False.
+            update of the target network. On other devices nothing is held: there it would save
+            little, and a CUDA graph would go on reading what it was captured with. Defaults to
+            False.
 
     Raises:
         ValueError: for an argument outside of what is listed, or a network without Bayesian
@@ -173,6 +175,9 @@ class BBQNLoss(NumData, OneStepQLoss):
         self._held_kl.clear()
         self._held_std.clear()
 
+    def _holds(self) -> bool:
+        return self.hold and self.num_data.device.type == "cpu"
+
     def __getstate__(self) -> dict[str, Any]:
         empty = {"_pool": noise_pool(), "_held_kl": {}, "_held_std": held_std()}
         return {**super().__getstate__(), **empty}
@@ -182,8 +187,9 @@ class BBQNLoss(NumData, OneStepQLoss):
     ) -> tuple[Tensor, dict[str, Tensor]]:
         self._check_num_data()
         noise = shared_noise() if self.target_noise == "shared" else None
-        held = self._held_kl if self.hold and self.kl == "closed" else None
-        pool = self._pool if self.hold else nullcontext()
+        holds = self._holds()
+        held = self._held_kl if holds and self.kl == "closed" else None
+        pool = self._pool if holds else nullcontext()
         with pool, noise or nullcontext(), collect_kl(self.kl, held) as collector:
             values = self._function(tensors, inputs, "draw")
         self._online_noise = noise
@@ -194,7 +200,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         noise, self._online_noise = self._online_noise, None
         if self.target == "map":
             return self._function(tensors, inputs, "mean")
-        if not self.hold:
+        if not self._holds():
             with noise or nullcontext():
                 return self._function(tensors, inputs, "draw")
         with self._pool, noise or nullcontext(), self._held_std:
