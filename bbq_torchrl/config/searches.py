@@ -49,7 +49,7 @@ class SearchConfig:
     """The keys ``search.<key>``."""
 
     folder: str | None = setting(
-        None, optional(ANY_TEXT, "runs/search_<name>"), "where the search is kept and goes on"
+        None, optional(ANY_TEXT, "runs/search_ and its name"), "where the search is kept and goes on"
     )
     trials: int = setting(50, COUNT, "trials in all, of all processes together")
     objective: str = setting(
@@ -65,7 +65,7 @@ class SearchConfig:
     startup_trials: int = setting(
         10, COUNT, "trials at random before the sampler and the pruner go by results"
     )
-    prune_after: float = setting(0.25, BELOW_ONE, "share of the rounds that no trial is spared")
+    prune_after: float = setting(0.25, BELOW_ONE, "share of its rounds that every trial is given")
     seed: int = setting(0, NON_NEGATIVE_INTEGER, "seed of the sampler")
     storage: str | None = setting(
         None, optional(ANY_TEXT, "SQLite in the folder"), "URL of another database of Optuna's"
