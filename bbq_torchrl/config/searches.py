@@ -49,7 +49,9 @@ class SearchConfig:
     """The keys ``search.<key>``."""
 
     folder: str | None = setting(
-        None, optional(ANY_TEXT, "runs/search_ and its name"), "where the search is kept and goes on"
+        None,
+        optional(ANY_TEXT, "runs/search_ and its name"),
+        "where the search is kept",
     )
     trials: int = setting(50, COUNT, "trials in all, of all processes together")
     objective: str = setting(
