@@ -17,7 +17,7 @@ import pytest
 from bbq_torchrl.config import ConfigError
 from bbq_torchrl.config.command import prepare
 from bbq_torchrl.config.resume import restarted_config, what_is_unfinished
-from bbq_torchrl.config.store import compose, options, save_config
+from bbq_torchrl.config.store import compose, compose_raw, options, save_config, session
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = (
@@ -120,6 +120,14 @@ def test_a_search_that_was_killed_goes_on_and_its_best_can_be_trained_again(tmp_
         for folder in ("best", best["folder"])
     ]
     assert results[0] == results[1]
+
+
+def test_a_sweep_runs_on_all_cores_with_a_thread_a_job_by_default():
+    with session():
+        composed = compose_raw([], with_hydra=True)
+    assert composed.hydra.launcher._target_.endswith(".JoblibLauncher")
+    assert composed.hydra.launcher.n_jobs == -1
+    assert composed.threads == 1
 
 
 def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_path):
