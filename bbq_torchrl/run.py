@@ -30,23 +30,26 @@ from bbq_torchrl.evaluation.results import (
 from bbq_torchrl.trainers import keep_freed_memory
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from bbq_torchrl.build import Agent
     from bbq_torchrl.config import Config
     from bbq_torchrl.envs import DialogueEnv
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 __all__ = ["run"]
 
 _LOG = logging.getLogger(__name__)
 
 
-def run(config: Config, folder: Path) -> RunResult:
+def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -> RunResult:
     """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
 
     Args:
         config: what to run; with ``resume``, the run in the folder goes on.
         folder: the run folder.
+        callbacks: called after every round; what one raises ends the run.
 
     Raises:
         NonFiniteLossError: a loss is NaN or infinite.
@@ -56,7 +59,7 @@ def run(config: Config, folder: Path) -> RunResult:
     keep_freed_memory()
     _quieten_torchrl()
     save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
-    trainer, agent = build_trainer(config, folder)
+    trainer, agent = build_trainer(config, folder, callbacks)
     rows = trainer.train(resume=config.resume is not None)
     trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
     started = time.perf_counter()

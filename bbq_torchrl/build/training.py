@@ -20,15 +20,19 @@ from bbq_torchrl.trainers import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from bbq_torchrl.config.schema import Config
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 __all__ = ["build_trainer"]
 
 
-def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent]:
-    """Makes the trainer of a run, and its agent."""
+def build_trainer(
+    config: Config, run_folder: Path, callbacks: Sequence[RoundCallback] = ()
+) -> tuple[RoundTrainer, Agent]:
+    """Makes the trainer of a run, and its agent; callbacks are called after every round."""
     protocol, spike = config.protocol, config.spike
     env = build_env(
         config.env,
@@ -75,6 +79,7 @@ def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent
             resume=config.resume is not None,
             **({"wandb_project": logger.project} if isinstance(logger, WandbLoggerConfig) else {}),
         ),
+        callbacks=callbacks,
         gauges=agent.gauges,
     )
     return trainer, agent

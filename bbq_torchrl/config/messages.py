@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
 
+from bbq_torchrl.config.launchers import LAUNCHER, LAUNCHER_EXTRAS
 from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
 
 if TYPE_CHECKING:
@@ -55,8 +56,17 @@ def _first_line(error: BaseException) -> str:
 
 
 def _missing_option(error: MissingConfigException, options: Callable[[str], list[str]]) -> str:
-    group, _, option = str(error.missing_cfg_file or "").partition("/")
-    if group in (*SCHEMAS, EXPERIMENT):
+    missing = str(error.missing_cfg_file or "")
+    group, _, option = missing.partition("/")
+    if missing.startswith(f"{LAUNCHER}/"):
+        group, option = LAUNCHER, missing.removeprefix(f"{LAUNCHER}/")
+        if option in LAUNCHER_EXTRAS:
+            extra = LAUNCHER_EXTRAS[option]
+            return (
+                f"{group}={option} needs a package that is missing: "
+                f"pip install 'bbq-torchrl[{extra}]'"
+            )
+    if group in (*SCHEMAS, EXPERIMENT, LAUNCHER):
         return f"{group} must be one of {', '.join(options(group))}, got {option!r}"
     return _first_line(error)
 

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from bbq_torchrl.config.pairs import EXPLORATIONS
 from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.searches import SEARCH, SearchConfig
 from bbq_torchrl.config.store import compose_raw, options, session
 from scripts.docs_blocks.markdown import code, table
 
@@ -27,6 +28,7 @@ def config_blocks() -> dict[str, Callable[[], str]]:
     blocks: dict[str, Callable[[], str]] = {
         "config.root": partial(_root, Config, "config", ["agent=bbqn"]),
         "config.evaluate": partial(_root, EvaluateConfig, "evaluate", []),
+        "config.search": _search,
         "config.pairs": _pairs,
         "config.groups": _groups,
     }
@@ -38,6 +40,12 @@ def _root(schema: type, name: str, overrides: list[str]) -> str:
         composed = compose_raw(overrides, name)
     leaves = [item for item in fields(schema) if item.name not in SCHEMAS]
     return table(_HEAD, _rows(leaves, composed))
+
+
+def _search() -> str:
+    defaults = OmegaConf.structured(SearchConfig)
+    rows = _rows(fields(SearchConfig), defaults)
+    return table(_HEAD, [(code(f"{SEARCH}.{key.strip('`')}"), *rest) for key, *rest in rows])
 
 
 def _group(group: str) -> str:
