@@ -71,9 +71,9 @@ class RoundTrainer:
     ``loss.set_num_data(tensor)`` (the weight of a KL), ``loss.begin_epoch()`` (what does not happen
     at every update), ``loss.has_fixed_targets`` with ``loss.frozen_values(transitions)`` (targets
     that are computed once a freeze), for the modules of the policy ``module.resample()`` before
-    (weight draws) and ``module.step(1)`` after (schedules) each round, and for those of the replay's
-    transform ``module.pop_metrics()`` after playing (metrics by name, [replicas], of what was
-    stored).
+    (weight draws) and ``module.step(1)`` after (schedules) each round, and for those of the
+    replay's transform ``module.pop_metrics()`` after playing (metrics by name, [replicas], of what
+    was stored).
 
     Args:
         env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
