@@ -50,4 +50,4 @@ class VIMEConfig(IntrinsicConfig):
     step_size: float = setting(0.01, POSITIVE, "size of the second-order step that gains")
     clip: float = setting(10.0, POSITIVE, "greatest normalised information gain")
     median_window: int = setting(10, COUNT, "rounds that the normalising median is taken over")
-    dynamics_every: int = setting(1, COUNT, "updates of Q for one of the dynamics")
+    dynamics_every: int = setting(8, COUNT, "updates of Q for one of the dynamics")
