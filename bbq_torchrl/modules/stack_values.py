@@ -14,7 +14,12 @@ __all__ = ["stack_values"]
 
 
 def stack_values(
-    name: str, values: Tensor, stack: Sequence[int], *, minimum: float | None = None
+    name: str,
+    values: Tensor,
+    stack: Sequence[int],
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
 ) -> Tensor:
     """Returns a hyper-parameter's checked values, float64 [*stack].
 
@@ -27,6 +32,7 @@ def stack_values(
 
     Keyword Args:
         minimum: the least value that is allowed. Defaults to None: any above 0.
+        maximum: the greatest. Defaults to None: any finite one.
 
     Raises:
         ValueError: for another shape, or a value that is not allowed.
@@ -42,7 +48,9 @@ def stack_values(
         )
     values = values.detach().double()
     fits = values > 0 if minimum is None else values >= minimum
-    if not bool((fits & values.isfinite()).all()):
+    fits &= values.isfinite() if maximum is None else values <= maximum
+    if not bool(fits.all()):
         allowed = "positive" if minimum is None else f"at least {minimum:g}"
-        raise ValueError(f"{name} must be {allowed} and finite, got {values.tolist()}")
+        allowed += " and finite" if maximum is None else f" and at most {maximum:g}"
+        raise ValueError(f"{name} must be {allowed}, got {values.tolist()}")
     return values

@@ -141,3 +141,5 @@ def test_the_least_value_may_be_given():
     assert stack_values("kl_temperature", torch.zeros(2), (2,), minimum=0).tolist() == [0, 0]
     with pytest.raises(ValueError, match=r"kl_temperature must be at least 0 and finite"):
         stack_values("kl_temperature", torch.tensor([-1.0, 0]), (2,), minimum=0)
+    with pytest.raises(ValueError, match=r"gamma must be at least 0 and at most 1, got \[0\.5, 2"):
+        stack_values("gamma", torch.tensor([0.5, 2.0]), (2,), minimum=0, maximum=1)
