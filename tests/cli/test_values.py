@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 
 SHRUNKEN = (
-    "protocol.rounds=3",
+    "protocol.rounds=2",
     "protocol.dialogues=4",
     "protocol.capacity=200",
     "protocol.batch_size=16",
