@@ -33,7 +33,6 @@ SHRUNKEN = (
     "protocol.eval_batch=6",
     "protocol.checkpoint_every=1",
     "spike.dialogues=4",
-    "spike.policy=random",
     "agent.hidden=[8,8]",
 )
 MC = ("agent=bbqn", "agent.target=mc")
