@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.build.values import over_replicas
 from bbq_torchrl.config.intrinsic import IntrinsicConfig, VIMEConfig
 from bbq_torchrl.data import VIMEReward
 from bbq_torchrl.modules import DynamicsModel
@@ -42,7 +43,7 @@ def with_intrinsic_reward(
     )
     reward = VIMEReward(
         dynamics,
-        eta=config.eta,
+        eta=over_replicas(config.eta, around.replicas),
         weights=config.weights,  # type: ignore[arg-type]
         step_size=config.step_size,
         median_window=config.median_window,

@@ -57,6 +57,10 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, list[float]]]] = {
     ),
     "lr": (("agent=dqn",), {"agent.lr": [1e-3, 0.03]}),
     "lr, vime": (("agent=bbqn", "intrinsic=vime"), {"agent.lr": [1e-3, 0.03]}),
+    "eta": (
+        ("agent=dqn", "intrinsic=vime", "intrinsic.weights=mc"),
+        {"intrinsic.eta": [0.0, 3.0]},
+    ),
     "epsilon": (
         ("agent=dqn", "explore.anneal_rounds=2"),
         {"explore.eps_init": [0.9, 0.3], "explore.eps_end": [0.2, 0.3]},

@@ -210,7 +210,7 @@ REFUSED = {
     "agent=dqn replicas=2 explore.eps_end=[.1,.2]": "explore.eps_init must be at least explore.eps",
     "intrinsic=nope": "intrinsic must be one of none, vime, got 'nope'",
     "intrinsic.eta=1": "intrinsic.eta is not a key; the keys of intrinsic=none are name",
-    "intrinsic=vime intrinsic.eta=-1": "intrinsic.eta must be a number of at least 0, got -1",
+    "intrinsic=vime intrinsic.eta=-1": "intrinsic.eta must be a number of at least 0 (or a list",
     "intrinsic=vime intrinsic.weights=all": "intrinsic.weights must be one of map, mc, got 'all'",
 }
 
@@ -268,6 +268,7 @@ def test_lists_are_for_these_keys():
         "explore.eps_end",
         "explore.temperature_init",
         "explore.temperature_end",
+        "intrinsic.eta",
     ]
 
 
