@@ -199,6 +199,7 @@ REFUSED = {
     "agent=bootstrap agent.mask_prob=0": "agent.mask_prob must be a number above 0 and up to 1",
     "agent=bootstrap agent.trunk_layers=3": "agent.trunk_layers must be at most the 2 layers",
     "agent.prior_std=[.1,.2]": "agent.prior_std must be one value or a list of 1 (one for each of",
+    "agent.lr=.1,.2": "add --multirun to run them all, or put them in brackets for the replicas",
     "replicas=4 agent.lr=[.1,.2,.3]": "or of a number that divides 4, got 3: [0.1, 0.2, 0.3]",
     "replicas=2 agent.lr=[.1,-1]": "agent.lr must be a positive number (or a list, one for each",
     "agent.lr=[]": "agent.lr must be a positive number (or a list, one for each replica), got []",
