@@ -17,6 +17,7 @@ import bbq_torchrl
 from bbq_torchrl.build import build_env, build_trainer
 from bbq_torchrl.config.resume import RUN_CONFIG
 from bbq_torchrl.config.store import save_config
+from bbq_torchrl.config.values import replica_values
 from bbq_torchrl.evaluation.figures import Curves, draw_run
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.play import evaluate
@@ -97,6 +98,7 @@ def _evaluated(
     name, policy = agent.evaluation(None)
     played = evaluate(env, policy, protocol.eval_dialogues, seed=config.seed)
     training_success = read_metrics(folder).training_success
+    values = replica_values(config)
     per_replica = [
         replica_result(
             replica,
@@ -104,6 +106,7 @@ def _evaluated(
             played.reward[replica].tolist(),
             played.turns[replica].tolist(),
             float(training_success[replica]),
+            values[replica],
         )
         for replica in range(config.replicas)
     ]
@@ -124,13 +127,16 @@ def _evaluated(
 
 def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> None:
     spike = config.spike
+    name = f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}"
+    success = read_metrics(folder)["success_rate"]
+    final = np.array([item.success_rate for item in result.per_replica])
+    together: dict[str, list[int]] = {}
+    for replica, values in enumerate(replica_values(config)):
+        label = ", ".join([name, *(f"{key}={value:g}" for key, value in values.items())])
+        together.setdefault(label, []).append(replica)
     draw_run(
         folder / "curve.png",
-        Curves(
-            f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}",
-            read_metrics(folder)["success_rate"],
-            np.array([item.success_rate for item in result.per_replica]),
-        ),
+        [Curves(label, success[:, same], final[same]) for label, same in together.items()],
         title=f"Training success: env={config.env.name}, domain={config.domain.name}",
         spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
         if spike.dialogues

@@ -12,6 +12,7 @@ from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseExceptio
 
 from bbq_torchrl.config.launchers import LAUNCHER, LAUNCHER_EXTRAS
 from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.values import keys_with_lists
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -108,7 +109,10 @@ def _several_values(error: Exception) -> str | None:
     match = re.match(r"(?:Ambiguous value for argument|Sweep parameters) '([^']+)'", str(error))
     if match is None:
         return None
-    return f"{match[1]} has several values: add --multirun to run them all"
+    given = match[1]
+    takes_a_list = given.partition("=")[0] in keys_with_lists(SCHEMAS)
+    or_list = ", or put them in brackets for the replicas of one run" if takes_a_list else ""
+    return f"{given} has several values: add --multirun to run them all{or_list}"
 
 
 def _removed(overrides: Sequence[str]) -> str | None:

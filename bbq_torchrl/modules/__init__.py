@@ -1,10 +1,11 @@
 """Bayesian layers, Q-networks and exploration: TensorDict modules that know no dialogue."""
 
+from bbq_torchrl.modules.annealed import BatchedEGreedy, Boltzmann
 from bbq_torchrl.modules.bayes_mlp import BayesLinear, BayesMLP
 from bbq_torchrl.modules.bootstrap import BootstrapMLP
 from bbq_torchrl.modules.dynamics import DynamicsModel
 from bbq_torchrl.modules.evaluation_policy import EvaluationPolicy
-from bbq_torchrl.modules.exploration import Boltzmann, Greedy, ThompsonSampling
+from bbq_torchrl.modules.exploration import Greedy, ThompsonSampling
 from bbq_torchrl.modules.functional import FlatLayout
 from bbq_torchrl.modules.growth import grow, reset_inactive_
 from bbq_torchrl.modules.heads import BootstrapSampling, MajorityVote
@@ -28,6 +29,7 @@ from bbq_torchrl.modules.weight_mode import (
 
 __all__ = [
     "MLP",
+    "BatchedEGreedy",
     "BayesLinear",
     "BayesMLP",
     "Boltzmann",

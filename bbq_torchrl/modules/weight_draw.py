@@ -48,7 +48,8 @@ def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:
     """Yields tensors [*stack, *] a cache-sized part of the stack at a time (on a CPU).
 
     The first tensor has all weights, [*stack, P]; where it is small (or not on a CPU) the
-    tensors come as they are, else with the stack as one dimension.
+    tensors come as they are, else with the stack as one dimension. What has no stack, such as a
+    prior that all elements share, [1] or [P], comes whole with every part.
     """
     numel = tensors[0].shape[-1]
     count = tensors[0].numel() // numel
@@ -56,9 +57,9 @@ def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:
     if count <= size or tensors[0].device.type != "cpu":
         yield tensors
         return
-    flat = [t.reshape(count, -1) for t in tensors]
+    flat = [t.reshape(count, -1) if t.ndim > 1 else t for t in tensors]
     for start in range(0, count, size):
-        yield [t[start : start + size] for t in flat]
+        yield [t[start : start + size] if t.ndim > 1 else t for t in flat]
 
 
 class _Draw(torch.autograd.Function):
@@ -79,12 +80,12 @@ class _Draw(torch.autograd.Function):
         inverse = prior_std.reciprocal()
         kls = []
         scratch = None
-        for m, r, w, n, s in _pieces(mu, rho, weights, noise, ratio):
+        for m, r, w, n, s, p in _pieces(mu, rho, weights, noise, ratio, inverse):
             if fill_noise_ is not None:
                 fill_noise_(n)
             _softplus(r, 1, 20, out=s)
             torch.addcmul(m, s, n, out=w)
-            s.mul_(inverse).clamp_min_(_LEAST_RATIO)
+            s.mul_(p).clamp_min_(_LEAST_RATIO)
             if known_kl is not None:
                 continue
             if scratch is None:
@@ -92,9 +93,9 @@ class _Draw(torch.autograd.Function):
             elif scratch.shape != s.shape:
                 scratch = scratch[: s.shape[0]]
             if kind == "closed":
-                kls.append(_closed_kl_value(m, s, inverse, scratch))
+                kls.append(_closed_kl_value(m, s, p, scratch))
             else:
-                kls.append(_sampled_kl_value(w, n, s, inverse, scratch))
+                kls.append(_sampled_kl_value(w, n, s, p, scratch))
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(rho, noise, ratio, prior_std, mu if kind == "closed" else weights)
         ctx.kind = kind
@@ -181,11 +182,11 @@ def _sum_log(ratio: Tensor, scratch: Tensor) -> Tensor:
 
 
 def _sum_square(x: Tensor, factor: Tensor | None, scratch: Tensor) -> Tensor:
-    """Returns Σ (factor x)² over the last dimension."""
-    if factor is not None and factor.numel() > 1:
+    """Returns Σ (factor x)² over the last dimension; factor [1], [P], [*lead, 1] or [*lead, P]."""
+    if factor is not None and factor.shape[-1] > 1:
         x, factor = torch.mul(x, factor, out=scratch), None
     norm = torch.linalg.vector_norm(x, dim=-1)
-    return (norm if factor is None else norm * factor.reshape(())).square()
+    return (norm if factor is None else norm * factor.squeeze(-1)).square()
 
 
 def draw_with_kl(
@@ -204,7 +205,8 @@ def draw_with_kl(
     Args:
         mu: shape [*stack, P].
         rho: shape [*stack, P].
-        prior_std: p, shape [1] or [P].
+        prior_std: p, shape [1] or [P] where the whole stack has the same, else [*stack, 1] or
+            [*stack, P].
         kind: "closed", the divergence itself, or "sampled", log q(w) - log p(w) at the draw.
         noise: shape [*stack, P], contiguous if it is to be filled.
         fill_noise_: fills a tensor [*, P] with standard normal numbers, called on ``noise`` (a

@@ -13,6 +13,7 @@ from bbq_torchrl.config.pairs import EXPLORATIONS
 from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
 from bbq_torchrl.config.searches import SEARCH, SearchConfig
 from bbq_torchrl.config.store import compose_raw, options, session
+from bbq_torchrl.config.values import keys_with_lists
 from scripts.docs_blocks.markdown import code, table
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ def config_blocks() -> dict[str, Callable[[], str]]:
         "config.search": _search,
         "config.pairs": _pairs,
         "config.groups": _groups,
+        "config.lists": _lists,
     }
     return blocks | {f"config.{group}": partial(_group, group) for group in SCHEMAS}
 
@@ -102,6 +104,16 @@ def _pairs() -> str:
         for name in strategies
     ]
     return table(("explore", *(code(f"agent={agent}") for agent in EXPLORATIONS)), rows)
+
+
+def _lists() -> str:
+    rows = []
+    for key, names in keys_with_lists(SCHEMAS).items():
+        group, _, name = key.partition(".")
+        items = [item for item in fields(SCHEMAS[group][names[0]]) if item.name == name]
+        options_with_it = ", ".join(code(f"{group}={option}") for option in names)
+        rows.append((code(key), options_with_it, items[0].metadata["meaning"]))
+    return table(("key", "of", "meaning"), rows)
 
 
 def _groups() -> str:
