@@ -17,7 +17,7 @@ from benchmarks.parts.accounts import RoundAccounts
 from benchmarks.parts.dialogues import PUBLIC_RANDOM, PUBLIC_RULE, play_simulator
 from benchmarks.parts.learning import AGENTS, Learner, full_trainer
 from benchmarks.parts.rows import Row
-from benchmarks.parts.timing import compared, interleaved
+from benchmarks.parts.timing import interleaved
 from benchmarks.parts.yardstick import bare_block
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from benchmarks.parts.timing import Timer
     from bbq_torchrl.trainers import RoundTrainer
+    from benchmarks.parts.timing import Timer
 
 AGENTS: dict[str, tuple[str, ...]] = {
     "dqn": ("+experiment=agents/dqn",),
@@ -32,6 +32,10 @@ AGENTS: dict[str, tuple[str, ...]] = {
     "bbqn-vime-mc": ("+experiment=agents/bbqn_vime_mc",),
 }
 """Name -> its overrides. DQN with Boltzmann exploration learns as DQN does."""
+
+TINY_CAPACITY = 64
+TINY_OVERRIDES = ("protocol.dialogues=6",)
+"""A buffer and a round so small that they only test the benchmarks."""
 
 
 def full_trainer(

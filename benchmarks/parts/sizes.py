@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from benchmarks.parts.learning import TINY_CAPACITY, TINY_OVERRIDES
+
 
 @dataclass(frozen=True)
 class Sizes:
@@ -52,9 +54,9 @@ TINY = Sizes(
     dialogues=(2, 3, 4),
     public_dialogues=3,
     plays=1,
-    capacity=64,
+    capacity=TINY_CAPACITY,
     many=2,
-    many_capacity=64,
+    many_capacity=TINY_CAPACITY,
     repeats=1,
     bare_updates=3,
     rounds=1,
@@ -63,6 +65,6 @@ TINY = Sizes(
     spike=2,
     eval_dialogues=8,
     imports=False,
-    overrides=("protocol.dialogues=6",),
+    overrides=TINY_OVERRIDES,
 )
 """Runs every line in seconds; its figures mean nothing."""
