@@ -64,7 +64,7 @@ def rates(timer: Timer, seconds: float = 0.02) -> dict[str, dict[str, float]]:
 
 
 def _shapes() -> dict[str, tuple[int, int, int]]:
-    """Returns rows, inner dimension and columns of the products of an update, and of a large one."""
+    """Returns rows, inner dimension and columns of an update's products and of a large one."""
     shapes = {}
     for inputs, outputs in LAYERS:
         shapes[f"forward {BATCH}x{inputs} by {inputs}x{outputs}"] = (BATCH, inputs, outputs)
