@@ -79,6 +79,7 @@ def _adam(vectors: int) -> Work:
 
 
 UPDATES: dict[str, tuple[Work, ...]] = {
+    "bare dqn": (_ONLINE, _TARGET, _BACKWARD, _adam(1)),
     "dqn": (_GATHER, _ONLINE, _FIXED_TARGET, _BACKWARD, _adam(1)),
     "bbqn-map": (
         _GATHER,
@@ -100,7 +101,10 @@ UPDATES: dict[str, tuple[Work, ...]] = {
         _adam(2),
     ),
 }
-"""Agent -> the steps of an update of one network with a batch of 32."""
+"""Agent -> the steps of an update of one network with a batch of 32.
+
+The bare update has its batch ready, and runs the target's network every time.
+"""
 
 
 def turn(env: DialogueEnv) -> tuple[Work, ...]:
