@@ -12,7 +12,7 @@ from benchmarks.parts.timing import Stopwatch
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bbq_torchrl.trainers import RoundTrainer
+    from bbq_torchrl.trainers import MetricRow, RoundTrainer
 
 
 class RoundAccounts:
@@ -31,6 +31,7 @@ class RoundAccounts:
     def __init__(self, trainer: RoundTrainer, now: Callable[[], float] = time.perf_counter) -> None:
         self.trainer = trainer
         self._now = now
+        self._train_round = trainer.train_round
         self._watch = watch = Stopwatch(now)
         watch.watch(trainer.env, "rollout", "playing")
         watch.watch(round_trainer, "learn_epoch", "epochs")
@@ -44,15 +45,15 @@ class RoundAccounts:
         """Lets the trainer work unwatched again."""
         self._watch.restore()
 
-    def round(self) -> dict[str, float]:
-        """Trains one round. Returns the seconds spent on each kind of work."""
+    def train_round(self) -> tuple[list[MetricRow], dict[str, float]]:
+        """Trains one round. Returns its rows, and the seconds spent on each kind of work."""
         seconds = self._watch.seconds
         seconds.clear()
         started = self._now()
-        self.trainer.train_round()
+        rows = self._train_round()
         total = self._now() - started
         updates = seconds["epochs"] - seconds["batches"] - seconds["sums"] + seconds["targets"]
-        return {
+        return rows, {
             "round": total,
             "playing": seconds["playing"],
             "updates": updates,
@@ -60,3 +61,7 @@ class RoundAccounts:
             "storing": seconds["storing"],
             "bookkeeping": total - seconds["playing"] - updates,
         }
+
+    def round(self) -> dict[str, float]:
+        """Trains one round. Returns the seconds spent on each kind of work."""
+        return self.train_round()[1]
