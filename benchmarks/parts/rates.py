@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from statistics import median
 from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.modules.noise import fill_normal_
 from benchmarks.parts.work import BATCH, LAYERS, PARAMETERS
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ LARGE = 1024
 
 
 def rates(timer: Timer, seconds: float = 0.02) -> dict[str, dict[str, float]]:
-    """Measures the machine on one thread, each figure the median of short blocks.
+    """Measures the machine on one thread, each figure the best of short blocks.
 
     Args:
         timer: the clock.
@@ -35,7 +35,7 @@ def rates(timer: Timer, seconds: float = 0.02) -> dict[str, dict[str, float]]:
     def best(work: Callable[[], object]) -> float:
         work()
         repeats = max(1, int(seconds / max(timer.time(work), 1e-7)))
-        return median(
+        return min(
             timer.time(lambda: [work() for _ in range(repeats)]) / repeats for _ in range(BLOCKS)
         )
 
@@ -51,9 +51,11 @@ def rates(timer: Timer, seconds: float = 0.02) -> dict[str, dict[str, float]]:
         copies[name] = 2.0 * size / best(lambda s=source, t=target: t.copy_(s))
     vector, other = torch.rand(PARAMETERS), torch.empty(PARAMETERS)
     numbers = {
-        "normals": best(vector.normal_),
+        "normals": best(lambda: fill_normal_(vector)),
+        "normals, by torch": best(vector.normal_),
         "uniforms": best(vector.uniform_),
         "exponentials": best(lambda: torch.exp(vector, out=other)),
+        "softplus": best(lambda: torch.ops.aten.softplus.out(vector, 1, 20, out=other)),
         "fused Adam": best(_adam()),
     }
     return {

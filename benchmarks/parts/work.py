@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 FLOAT = 4
 EPOCHS = 2
 """Epochs over the buffer after a freeze: how often a target is used that is computed once."""
+UPDATES_PER_EPOCH = 313
+"""Of a buffer of 10,000 transitions."""
+POOL = 8
+"""Weight draws whose normal numbers an epoch's draws are windows of."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +68,18 @@ _BACKWARD = Work(
     operations=_FORWARD + 2.0 * BATCH * _BEHIND_FIRST,
     bytes=FLOAT * _BEHIND_FIRST + _vectors(1),
 )
-# reads μ and ρ; writes the weights, and keeps noise and σ
-_DRAW = Work("draw and KL", bytes=_vectors(5), normals=PARAMETERS, functions=3.0 * PARAMETERS)
+# reads μ, ρ and noise; writes the weights, and σ for the gradient: softplus is an exponential and
+# a logarithm. Pool and value of the KL are an epoch's
+_DRAW = Work(
+    "draw",
+    bytes=_vectors(5),
+    normals=POOL * PARAMETERS / UPDATES_PER_EPOCH,
+    functions=(2.0 + 1.0 / UPDATES_PER_EPOCH) * PARAMETERS,
+)
 # reads the weights' gradient, noise, σ and μ; writes the gradients of μ and ρ
 _DRAW_BACKWARD = Work("backward of draw and KL", bytes=_vectors(6), functions=1.0 * PARAMETERS)
-# reads the frozen μ and σ, which is computed once a freeze; writes weights
-_TARGET_DRAW = Work("draw of the target", bytes=_vectors(3), normals=PARAMETERS)
+# reads the frozen μ, its σ, which is an epoch's, and noise; writes weights
+_TARGET_DRAW = Work("draw of the target", bytes=_vectors(4))
 _TARGET = Work("target", operations=_FORWARD, bytes=_vectors(1))
 
 
