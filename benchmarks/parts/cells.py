@@ -29,7 +29,13 @@ LOCKSTEP = 250
 
 def rounds(size: int, timer: Timer) -> float:
     """Trains DQN for so many rounds of hardly any work; the training is what counts."""
-    small = ("protocol.dialogues=2", "protocol.capacity=32", "spike=none", "agent.hidden=[8]")
+    small = (
+        "protocol.dialogues=2",
+        "protocol.capacity=32",
+        "spike=none",
+        "agent.hidden=[8]",
+        "env.max_turn=2",  # or rounds would be longer or shorter with what is learned
+    )
     with tempfile.TemporaryDirectory() as folder:
         config = compose([*DQN, *small, f"protocol.rounds={size}"])
         trainer, _ = build_trainer(config, Path(folder) / "run")
@@ -122,7 +128,7 @@ GROWTH: dict[str, tuple[Cell, tuple[int, ...], str]] = {
     "dialogues": (dialogues, (10, 30, 100, 300, 1_000, 3_000), "dialogues of a round"),
     "records": (records, (100, 1_000, 10_000, 100_000), "records, a batch of dialogues"),
     "records_build": (records_build, (100, 1_000, 10_000, 100_000), "records, building"),
-    "new_values": (new_values, (100, 1_000, 10_000, 100_000), "records, every tenth a new value"),
+    "new_values": (new_values, (100, 1_000, 10_000, 30_000), "records, every tenth a new value"),
 }
 """Name -> what is done, how much of it, and what the size counts."""
 
