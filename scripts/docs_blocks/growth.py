@@ -12,6 +12,7 @@ import numpy as np
 from bbq_torchrl.evaluation.figures import COLOURS
 from benchmarks.parts.cells import GROWTH
 from scripts.docs_blocks.markdown import table
+from scripts.docs_blocks.speed import number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -95,7 +96,7 @@ def _growth() -> str:
 
 def _columns(sizes: list[int], values: list[float], unit: str) -> tuple[str, str, str]:
     return (
-        f"{values[0]:.3g} to {values[-1]:.3g} {unit}",
+        f"{number(values[0])} to {number(values[-1])} {unit}",
         f"{slope(sizes, values):.2f}",
         f"{slope(sizes[-2:], values[-2:]):.2f}",
     )
