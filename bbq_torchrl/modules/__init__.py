@@ -2,6 +2,7 @@
 
 from bbq_torchrl.modules.bayes_mlp import BayesLinear, BayesMLP
 from bbq_torchrl.modules.bootstrap import BootstrapMLP
+from bbq_torchrl.modules.cuda_graph import CudaGraph
 from bbq_torchrl.modules.dynamics import DynamicsModel
 from bbq_torchrl.modules.evaluation_policy import EvaluationPolicy
 from bbq_torchrl.modules.exploration import Boltzmann, Greedy, ThompsonSampling
@@ -32,6 +33,7 @@ __all__ = [
     "BootstrapMLP",
     "BootstrapSampling",
     "CarefulPolicy",
+    "CudaGraph",
     "DynamicsModel",
     "EvaluationPolicy",
     "FlatLayout",
