@@ -11,11 +11,12 @@ from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDic
 from torchrl.envs import Compose
 
 from bbq_torchrl.data.padding import pad_rows, unpad_rows
+from bbq_torchrl.data.stored_rows import map_stored_rows
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from torchrl.envs import Transform
 
@@ -120,6 +121,7 @@ class ReplicaReplay:
             for _ in range(replicas)
         ]
         self.seed(range(replicas))
+        self._computed: dict[NestedKey, Tensor] = {}
         self._epoch_rows: TensorDict | None = None
         self._epochs_begun = 0
 
@@ -179,6 +181,7 @@ class ReplicaReplay:
         if self.transform is not None:
             stacked = self.transform.inv(pad_rows(selected)).select(*self.stored_keys)
             selected = unpad_rows(stacked, [len(td) for td in selected])
+        self._computed.clear()
         for buffer, td in zip(self._buffers, selected, strict=True):
             td = td[-buffer.writer.unprotected_capacity :]
             if len(td):
@@ -205,12 +208,30 @@ class ReplicaReplay:
         buffer = self._buffers[replica]
         dropped = buffer.writer.protected
         if dropped:
+            self._computed.clear()
             index = buffer.writer.oldest_first().to(self._device)
             rest = buffer.storage.get(index).select(*self.stored_keys)
             buffer.empty(empty_write_count=False)
             if len(rest):
                 buffer.extend(rest)
         return int(dropped)
+
+    def compute(self, key: NestedKey, function: Callable[[TensorDictBase], Tensor]) -> None:
+        """Computes an entry for every stored transition; epochs hand it out with the others.
+
+        It stays until it is computed again, or until transitions are stored or dropped. So what is
+        the same for every batch, such as the values of a frozen network, is computed once, and by
+        few large matrix products in the place of many small ones.
+
+        Args:
+            key: of the entry; if it is a stored one, epochs hand out the computed values.
+            function: maps transitions [replicas, rows] to values [replicas, rows, *], row by row.
+
+        Raises:
+            ValueError: if a replica has no transition.
+        """
+        self._check_not_empty()
+        self._computed[key] = map_stored_rows(self._buffers, function)
 
     def epoch(self, batch_size: int) -> Iterator[Batch]:
         """Yields each replica's transitions once, in an order of its own, in shared batches.
@@ -226,11 +247,13 @@ class ReplicaReplay:
         """
         if batch_size < 1:
             raise ValueError(f"batch_size must be at least 1, got {batch_size}")
-        lengths = self.lengths
-        if min(lengths) == 0:
-            raise ValueError(f"every replica needs a transition to learn from, got {lengths}")
+        self._check_not_empty()
         self._epochs_begun += 1
-        return self._batches(lengths, batch_size, self._epochs_begun)
+        return self._batches(self.lengths, batch_size, self._epochs_begun)
+
+    def _check_not_empty(self) -> None:
+        if min(self.lengths) == 0:
+            raise ValueError(f"every replica needs a transition to learn from, got {self.lengths}")
 
     def _batches(
         self, lengths: tuple[int, ...], batch_size: int, epoch_number: int
@@ -255,7 +278,10 @@ class ReplicaReplay:
             stored = buffer.storage.get(slice(0, length))
             target = memory[replica, :padded]
             for key in self.stored_keys:
-                torch.index_select(stored.get(key), 0, index, out=target.get(key))
+                if key not in self._computed:
+                    torch.index_select(stored.get(key), 0, index, out=target.get(key))
+            for key, values in self._computed.items():
+                torch.index_select(values[replica], 0, index, out=target.get(key))
         rows = memory[:, :padded]
         # Filled in, not compared with the lengths: a tensor of them would have to be copied to the
         # device, and the host would wait for it.
@@ -279,7 +305,12 @@ class ReplicaReplay:
             memory = row.expand(self.replicas, rows).apply(torch.empty_like)
             assert isinstance(memory, TensorDict)
             self._epoch_rows = memory
-        return memory
+        kept = [*self.stored_keys, *self._computed]
+        for key, values in self._computed.items():
+            there = memory.get(key, None)
+            if there is None or there.shape[2:] != values.shape[2:]:
+                memory.set(key, values.new_empty((self.replicas, rows, *values.shape[2:])))
+        return memory.select(*kept)
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the transitions, the writers' positions and the transform's state.
@@ -308,6 +339,7 @@ class ReplicaReplay:
             raise ValueError(f"the state must be of {self.replicas} replicas, got {replicas}")
         if ("transform" in state_dict) != (self.transform is not None):
             raise ValueError("the state must be of a replay with the same transform")
+        self._computed.clear()
         if self.transform is not None:
             self.transform.load_state_dict(state_dict["transform"])
         for replica, buffer in enumerate(self._buffers):

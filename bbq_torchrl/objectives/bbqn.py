@@ -146,6 +146,11 @@ class BBQNLoss(NumData, OneStepQLoss):
     def _kl_weight(self) -> Tensor:  # type: ignore[override]
         return self.kl_temperature / self.num_data
 
+    @property
+    def has_fixed_targets(self) -> bool:
+        """Whether the target is the frozen mean network's."""
+        return self.target == "map" and super().has_fixed_targets
+
     def _predict(
         self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
     ) -> tuple[Tensor, dict[str, Tensor]]:

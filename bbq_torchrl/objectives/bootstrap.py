@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
-from torchrl.objectives import DQNLoss
 
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.td_error import td_loss
@@ -73,7 +72,7 @@ class BootstrapDQNLoss(OneStepQLoss):
     """
 
     @dataclass
-    class _AcceptedKeys(DQNLoss._AcceptedKeys):
+    class _AcceptedKeys(OneStepQLoss._AcceptedKeys):
         """The entries whose names ``set_keys`` changes.
 
         Attributes:

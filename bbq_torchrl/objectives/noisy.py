@@ -86,6 +86,11 @@ class NoisyDQNLoss(OneStepQLoss):
         )
         noisy_layers(self.value_network)
 
+    @property
+    def has_fixed_targets(self) -> bool:
+        """False: the target draws noise for every batch."""
+        return False
+
     def _predict(
         self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
     ) -> tuple[Tensor, dict[str, Tensor]]:

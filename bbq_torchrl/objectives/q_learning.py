@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -34,6 +35,10 @@ class OneStepQLoss(DQNLoss):
     attribute, here "valid" by default, an optional entry) names a bool [*stack, *batch] entry
     that is True for the rows that count.
 
+    Where the frozen network's values of the next states are at hand, computed by
+    :meth:`frozen_values` once a freeze for many batches, the loss takes them from the entry
+    ``frozen_value`` under "next" and runs the online network only.
+
     Differences from TorchRL's: the target is the one-step one (TD0) and computed without
     TensorDicts in between; only index and one-hot actions; the network's dropout and weight
     draws are set by the loss and not by the exploration type or the training flag.
@@ -54,6 +59,19 @@ class OneStepQLoss(DQNLoss):
         ValueError: for an argument outside of what is listed.
     """
 
+    @dataclass
+    class _AcceptedKeys(DQNLoss._AcceptedKeys):
+        """The entries whose names ``set_keys`` changes.
+
+        Attributes:
+            frozen_value (NestedKey): under "next", what :meth:`frozen_values` returned; may be
+                absent. Defaults to ``"frozen_value"``.
+        """
+
+        frozen_value: NestedKey = "frozen_value"
+
+    tensor_keys: _AcceptedKeys
+    default_keys = _AcceptedKeys
     out_keys = ["loss", "loss_value", "td_error", "q_value"]  # noqa: RUF012 - as in TorchRL
     SUPPORTED_VALUE_ESTIMATORS = (ValueEstimators.TD0,)
     _loss_mask_key: NestedKey | None = "valid"
@@ -116,6 +134,34 @@ class OneStepQLoss(DQNLoss):
         state = self.__dict__.copy()
         state.pop("_cache_tensors", None)
         return state
+
+    # -- targets ----------------------------------------------------------------------------
+
+    @property
+    def has_fixed_targets(self) -> bool:
+        """Whether the frozen network's value of a state is the same for every batch.
+
+        It is not where the online network takes part in it, or noise that a batch draws.
+        """
+        return bool(self.delay_value) and not self.double_dqn
+
+    @torch.no_grad()
+    def frozen_values(self, tensordict: TensorDictBase) -> Tensor:
+        """Returns max Q(s', ·) of the frozen network over legal actions, [*stack, *batch, 1].
+
+        To be handed to :meth:`forward` in the entry ``frozen_value`` under "next", until the
+        target network is updated.
+
+        Args:
+            tensordict: transitions [*stack, *batch]; what the network reads, under "next".
+
+        Raises:
+            RuntimeError: if ``has_fixed_targets`` is False.
+        """
+        if not self.has_fixed_targets:
+            raise RuntimeError("frozen_values needs targets that are the same for every batch")
+        online, target = self._tensors()
+        return self._next_values(tensordict.get("next"), online, target)
 
     # -- forward ----------------------------------------------------------------------------
 
@@ -190,20 +236,27 @@ class OneStepQLoss(DQNLoss):
     ) -> Tensor:
         """Returns r + γ max Q(s', ·) over legal actions, r at an end, [*stack, *batch, 1]."""
         keys = self.tensor_keys
+        value = following.get(keys.frozen_value, None)
+        if value is None:
+            value = self._next_values(following, online, target)
+        reward = self._beside_values(following.get(keys.reward))
+        going_on = torch.addcmul(reward, value, self.value_estimator.gamma)
+        return torch.where(self._beside_values(following.get(keys.terminated)), reward, going_on)
+
+    def _next_values(
+        self, following: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
+    ) -> Tensor:
+        """Returns max Q(s', ·) over legal actions, [*stack, *batch, 1]."""
         function = self._function
         inputs = [following.get(key) for key in function.in_keys]
         mask = None
         if function.action_mask_key is not None:
             mask = self._beside_values(following.get(function.action_mask_key))
         values = _masked(self._target_values(target, inputs), mask)
-        if self.double_dqn:
-            choice = _masked(self._choice_values(online, inputs), mask)
-            value = values.gather(-1, choice.argmax(-1, keepdim=True))
-        else:
-            value = values.amax(-1, keepdim=True)
-        reward = self._beside_values(following.get(keys.reward))
-        going_on = torch.addcmul(reward, value, self.value_estimator.gamma)
-        return torch.where(self._beside_values(following.get(keys.terminated)), reward, going_on)
+        if not self.double_dqn:
+            return values.amax(-1, keepdim=True)
+        choice = _masked(self._choice_values(online, inputs), mask)
+        return values.gather(-1, choice.argmax(-1, keepdim=True))
 
     def _beside_values(self, entry: Tensor) -> Tensor:
         """Returns an entry [*stack, *batch, n] in a shape that broadcasts with the values."""

@@ -63,7 +63,8 @@ class RoundTrainer:
 
     Optional hooks, used where an object has them: ``env.set_round(round)`` (domain extension),
     ``loss.set_num_data(tensor)`` (the weight of a KL), ``loss.begin_epoch()`` (what does not happen
-    at every update), and for the modules of the policy ``module.resample()`` before (weight draws)
+    at every update), ``loss.has_fixed_targets`` with ``loss.frozen_values(transitions)`` (targets
+    that are computed once a freeze), and for the modules of the policy ``module.resample()`` before (weight draws)
     and ``module.step(1)`` after (schedules) each round.
 
     Args:
@@ -296,6 +297,7 @@ class RoundTrainer:
         _call_hook(self.loss, "set_num_data", self.replay.num_data())
         for freeze in range(settings.freezes):
             self.target_updater.step()
+            self._compute_targets()
             for epoch in range(settings.epochs):
                 # A seed for every epoch: its length is that of the longest replica's, and the
                 # draws of the next epoch must not depend on it.
@@ -308,6 +310,12 @@ class RoundTrainer:
             saved = self._save(name=f"failed-round-{round_number:06d}")
             raise NonFiniteLossError(round_number, broken, saved)
         return means, self._update.sums.updates
+
+    def _compute_targets(self) -> None:
+        """Has the frozen network's values computed for the whole buffer, where a loss allows it."""
+        if getattr(self.loss, "has_fixed_targets", False):
+            key = ("next", self.loss.tensor_keys.frozen_value)
+            self.replay.compute(key, self.loss.frozen_values)
 
     def _step_schedules(self) -> None:
         """Moves the policy's schedules (epsilon, temperature) on by one round."""
