@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
@@ -13,6 +12,7 @@ from torchrl.objectives import LossModule
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torchrl.objectives.value import ValueEstimatorBase
 
@@ -122,15 +122,16 @@ class VIMELoss(LossModule):
             a TensorDict with what both losses return; the scalar "loss" to differentiate is
             their sum, or the Q-loss's where the dynamics do not learn.
         """
-        out = self.q_loss(tensordict).to_dict()
+        out: TensorDictBase = self.q_loss(tensordict)
         is_due = self._batches % self.dynamics_every == 0
         self._batches += 1
         if is_due:
             learned = self.dynamics_loss(tensordict)
-            out["loss"] = out["loss"] + learned["loss"]
-            self.held = torch.stack([learned["dynamics_loss"], learned["dynamics_kl"]])
-        out["dynamics_loss"], out["dynamics_kl"] = self.held.unbind(0)
-        return TensorDict(out)
+            out.set("loss", out.get("loss") + learned.get("loss"))
+            # in place, and nobody else gets the buffer itself: a captured update finds it again
+            self.held.copy_(torch.stack([learned.get("dynamics_loss"), learned.get("dynamics_kl")]))
+        dynamics_loss, dynamics_kl = self.held.clone().unbind(0)
+        return out.set("dynamics_loss", dynamics_loss).set("dynamics_kl", dynamics_kl)
 
     # -- what is the Q-loss's ---------------------------------------------------------------
 
