@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
+
 from bbq_torchrl.config.intrinsic import IntrinsicConfig, VIMEConfig
 from bbq_torchrl.data import VIMEReward
-from bbq_torchrl.modules import DynamicsModel
+from bbq_torchrl.modules import DynamicsModel, reset_inactive_
 from bbq_torchrl.objectives import DynamicsLoss, VIMELoss
 
 if TYPE_CHECKING:
@@ -40,6 +42,10 @@ def with_intrinsic_reward(
         std_floor=config.std_floor,
         device=around.device,
     )
+    if around.inactive_inputs is not None and around.inactive_actions is not None:
+        # Of the outputs none: that a feature stays as it is can be learned before it appears.
+        inactive = torch.cat([around.inactive_inputs, around.inactive_actions])
+        reset_inactive_(dynamics.network, inputs=inactive)
     reward = VIMEReward(
         dynamics,
         eta=config.eta,

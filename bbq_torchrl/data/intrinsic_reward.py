@@ -108,6 +108,8 @@ class VIMEReward(Transform):
         True
     """
 
+    _given: Tensor
+
     ENV_ERR = (
         "VIMEReward is a transform of replay buffers: it needs whole transitions, which an "
         "environment's transform does not see"
@@ -160,7 +162,23 @@ class VIMEReward(Transform):
         self.clip = clip
         self.valid_key = valid_key
         self.median = RunningMedian(dynamics.stack, median_window, like=dynamics.mean)
+        # sum and number of the bonuses since they were last reported; not worth a checkpoint
+        self.register_buffer(
+            "_given", dynamics.mean.new_zeros((2, *dynamics.stack)).double(), persistent=False
+        )
         self._generators: list[torch.Generator] | None = None
+
+    def pop_metrics(self) -> dict[str, Tensor]:
+        """Returns the mean bonus of what was stored since the last call, and starts anew.
+
+        A trainer's metric, under "intrinsic_reward", shape [*stack]: the mean over the
+        transitions that count, in units of the usual one (eta is not in it), terminal ones
+        included with their 0; NaN where nothing was stored.
+        """
+        total, count = self._given.unbind(0)
+        mean = total / count
+        self._given.zero_()
+        return {"intrinsic_reward": mean}
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
         """Restarts the random numbers of "mc", each element of the stack its own.
@@ -242,7 +260,12 @@ class VIMEReward(Transform):
             median = self.median.update(gain, is_predicted).unsqueeze(-1)
             # where more than half of the gains are 0, any other is clipped
             gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)
-        return torch.where(is_predicted, gain.clamp_max(self.clip), 0)
+        bonus = torch.where(is_predicted, gain.clamp_max(self.clip), 0)
+        # cumsum adds from left to right: the 0 of the padding at the end change no digit
+        self._given += torch.stack(
+            [bonus.double().cumsum(-1)[..., -1], valid.squeeze(-1).sum(-1).double()]
+        )
+        return bonus
 
     def _pieces(self, *entries: Tensor) -> Iterator[list[Tensor]]:
         """Yields entries [*stack, rows, *] some rows at a time; see ``_PIECE``."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
@@ -13,6 +12,7 @@ from torchrl.objectives import LossModule
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torchrl.objectives.value import ValueEstimatorBase
 
@@ -77,7 +77,7 @@ class VIMELoss(LossModule):
         # one record for both, so that an updater of this loss counts as one of the Q-loss
         self._has_update_associated = q_loss._has_update_associated
         # on the host: whether a batch is skipped must not wait for a device
-        self._batches = 0
+        self.batches = 0
         self.register_buffer(
             "held", dynamics_loss.num_data.new_zeros((2, *dynamics_loss.num_data.shape))
         )
@@ -101,15 +101,20 @@ class VIMELoss(LossModule):
         lengths (:class:`~bbq_torchrl.data.ReplicaReplay`), or the length of one element's epoch
         decides which batches of the next the others' dynamics learn on.
         """
-        self._batches = 0
+        self.batches = 0
+
+    @property
+    def branch(self) -> bool:
+        """Whether the dynamics learn on the next batch: a captured update knows only one answer."""
+        return self.batches % self.dynamics_every == 0
 
     def get_extra_state(self) -> Tensor:
         """Returns the number of batches since the schedule began, int64, shape []."""
-        return torch.tensor(self._batches)
+        return torch.tensor(self.batches)
 
     def set_extra_state(self, state: Tensor) -> None:
         """Restores what :meth:`get_extra_state` returned."""
-        self._batches = int(state)
+        self.batches = int(state)
 
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -122,15 +127,16 @@ class VIMELoss(LossModule):
             a TensorDict with what both losses return; the scalar "loss" to differentiate is
             their sum, or the Q-loss's where the dynamics do not learn.
         """
-        out = self.q_loss(tensordict).to_dict()
-        is_due = self._batches % self.dynamics_every == 0
-        self._batches += 1
+        out: TensorDictBase = self.q_loss(tensordict)
+        is_due = self.branch
+        self.batches += 1
         if is_due:
             learned = self.dynamics_loss(tensordict)
-            out["loss"] = out["loss"] + learned["loss"]
-            self.held = torch.stack([learned["dynamics_loss"], learned["dynamics_kl"]])
-        out["dynamics_loss"], out["dynamics_kl"] = self.held.unbind(0)
-        return TensorDict(out)
+            out.set("loss", out.get("loss") + learned.get("loss"))
+            # in place, and nobody else gets the buffer itself: a captured update finds it again
+            self.held.copy_(torch.stack([learned.get("dynamics_loss"), learned.get("dynamics_kl")]))
+        dynamics_loss, dynamics_kl = self.held.clone().unbind(0)
+        return out.set("dynamics_loss", dynamics_loss).set("dynamics_kl", dynamics_kl)
 
     # -- what is the Q-loss's ---------------------------------------------------------------
 

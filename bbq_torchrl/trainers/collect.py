@@ -13,7 +13,15 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
-__all__ = ["Outcomes", "Policy", "outcomes", "play", "play_dialogues", "rows_per_replica"]
+__all__ = [
+    "Outcomes",
+    "Policy",
+    "outcomes",
+    "play",
+    "play_dialogues",
+    "pop_metrics",
+    "rows_per_replica",
+]
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
@@ -126,3 +134,20 @@ def rows_per_replica(rollout: TensorDictBase, keys: tuple[NestedKey, ...]) -> li
     valid = rollout["valid"]
     counts = valid.sum((-2, -1)).tolist()
     return list(rollout.select(*keys)[valid].split(counts))
+
+
+def pop_metrics(transform: nn.Module | None, replicas: int) -> list[dict[str, float]]:
+    """Returns what a replay's transform noted since the last call, a dict for each replica.
+
+    Args:
+        transform (nn.Module, optional): those of its modules that have ``pop_metrics()`` return
+            metrics by name, each of shape [replicas].
+        replicas (int): the number of replicas.
+    """
+    found: list[dict[str, float]] = [{} for _ in range(replicas)]
+    for module in () if transform is None else transform.modules():
+        if callable(pop := getattr(module, "pop_metrics", None)):
+            for name, values in pop().items():
+                for row, value in zip(found, values.tolist(), strict=True):
+                    row[name] = value
+    return found

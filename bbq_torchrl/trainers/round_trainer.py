@@ -11,7 +11,13 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
-from bbq_torchrl.trainers.collect import Policy, outcomes, play_dialogues, rows_per_replica
+from bbq_torchrl.trainers.collect import (
+    Policy,
+    outcomes,
+    play_dialogues,
+    pop_metrics,
+    rows_per_replica,
+)
 from bbq_torchrl.trainers.errors import NonFiniteLossError
 from bbq_torchrl.trainers.learn import Update, learn_epoch
 from bbq_torchrl.trainers.loggers import log_rows, trim_scalars
@@ -64,8 +70,10 @@ class RoundTrainer:
     Optional hooks, used where an object has them: ``env.set_round(round)`` (domain extension),
     ``loss.set_num_data(tensor)`` (the weight of a KL), ``loss.begin_epoch()`` (what does not happen
     at every update), ``loss.has_fixed_targets`` with ``loss.frozen_values(transitions)`` (targets
-    that are computed once a freeze), and for the modules of the policy ``module.resample()`` before (weight draws)
-    and ``module.step(1)`` after (schedules) each round.
+    that are computed once a freeze), for the modules of the policy ``module.resample()`` before
+    (weight draws) and ``module.step(1)`` after (schedules) each round, and for those of the
+    replay's transform ``module.pop_metrics()`` after playing (metrics by name, [replicas], of what
+    was stored).
 
     Args:
         env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
@@ -272,6 +280,7 @@ class RoundTrainer:
         for module in self.policy.modules():
             _call_hook(module, "resample")
         settings = self.settings
+        pop_metrics(self.replay.transform, self.replicas)  # spiking's are not the round's
         totals: Tensor | None = None
         plays = play_dialogues(
             self.env, self.policy, settings.dialogues, max_steps=settings.max_steps
@@ -282,12 +291,13 @@ class RoundTrainer:
             totals = sums if totals is None else totals + sums
             self.replay.extend(rows_per_replica(rollout, self.replay.keys))
         assert totals is not None
+        means = (totals / settings.dialogues).tolist()
+        names = ("success_rate", "reward", "turns")
         return [
-            {
-                name: total / settings.dialogues
-                for name, total in zip(("success_rate", "reward", "turns"), row, strict=True)
-            }
-            for row in totals.tolist()
+            {**dict(zip(names, row, strict=True)), **noted}
+            for row, noted in zip(
+                means, pop_metrics(self.replay.transform, self.replicas), strict=True
+            )
         ]
 
     def _learn(self, round_number: int) -> tuple[list[dict[str, float]], list[int]]:

@@ -127,6 +127,31 @@ def test_an_intrinsic_reward_is_learned_from_and_never_reported(restaurant_folde
     assert (rounds["vime"]["td_error"] > 10 * rounds["none"]["td_error"]).all()
 
 
+def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(restaurant_folder, tmp_path):
+    choices = ["agent=dqn", "intrinsic=vime", "intrinsic.prior_std=0.2", "env=domain_ext"]
+    late = ["env.start=1", "env.every=1", "protocol.rounds=1"]
+    config = compose([*command(*choices, domain=restaurant_folder), *late])
+    trainer, _ = build_trainer(config, tmp_path)
+    inputs, _ = trainer.loss.dynamics_loss.dynamics.network.layout.shapes[0]
+    network = trainer.loss.dynamics_loss.dynamics.network
+    inactive = ~torch.cat(
+        [
+            trainer.env.active_features,
+            trainer.env.simulator.action_mask(trainer.env.active_slots),
+        ]
+    )
+    assert inactive.shape == (inputs,)
+    assert inactive.any()
+
+    trainer.train()
+
+    first = network.layout.unflatten(network.posterior.mu)[0][0]
+    rho = network.layout.unflatten(network.posterior.rho)[0][0]
+    assert not first[..., inactive, :].any()
+    assert (rho[..., inactive, :] == network.posterior.prior_rho).all()
+    assert first[..., ~inactive, :].any()
+
+
 RECIPES = [name for name in options("experiment") if "/" in name]
 
 

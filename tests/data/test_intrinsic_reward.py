@@ -177,6 +177,31 @@ def test_one_hot_actions_single_rows_and_batches_of_any_shape():
     assert transform().inv(td[:0])[BONUS].shape == (0, 1)
 
 
+def test_the_mean_bonus_of_what_was_stored_is_reported_once():
+    vime = transform()
+    stored = [vime.inv(transitions(rows)) for rows in (300, 50)]
+    vime.inv(stored[0])  # they come with a bonus: nothing new
+    expected = torch.cat([td[BONUS] for td in stored]).mean()
+    torch.testing.assert_close(
+        vime.pop_metrics(), {"intrinsic_reward": expected}, check_dtype=False
+    )
+    assert vime.pop_metrics()["intrinsic_reward"].isnan()
+
+
+def test_padding_does_not_change_a_digit_of_the_report():
+    td = transitions(3, 700)
+    td["valid"] = torch.arange(700) < torch.tensor([[700], [411], [0]])
+    short = td[:, :411].clone()
+    means = []
+    for rows in (td, short):
+        vime = transform((3,))
+        stored = vime.inv(rows)
+        means.append(vime.pop_metrics()["intrinsic_reward"])
+    assert means[0][1] == means[1][1]
+    assert means[0][1] == pytest.approx(float(stored[BONUS][1].mean()), rel=1e-5)
+    assert means[0][2].isnan()
+
+
 # -- stacks ----------------------------------------------------------------------------------
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 import torch
 from torch import nn
-from torchrl.envs import InitTracker, TransformedEnv
+from torchrl.envs import Compose, InitTracker, Transform, TransformedEnv
 from trainer_parts import StackedQLoss, make_trainer
 
 from bbq_torchrl.trainers import NonFiniteLossError, RoundSettings, SpikeSettings
@@ -59,6 +59,35 @@ def test_metrics_are_what_was_played_and_learned(tmp_path):
         assert [row["updates"] for row in own] == [4 * -(-int(row["buffer"]) // 16) for row in own]
         assert trainer.loss.num_data[0][replica] == own[0]["buffer"]
     assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
+
+
+class CountStored(Transform):
+    """Notes how many transitions are stored."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stored: list[torch.Tensor] = []
+        self.popped = 0
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.stored.append(torch.where(tensordict["valid"], 1.0, 0.0).sum(-1))
+        return tensordict
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict
+
+    def pop_metrics(self) -> dict[str, torch.Tensor]:
+        noted = sum(self.stored[self.popped :], torch.zeros(2))
+        self.popped = len(self.stored)
+        return {"stored": noted}
+
+
+def test_what_the_replays_transform_notes_of_a_round_is_a_metric(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=3, replicas=2, transform=Compose(CountStored()))
+
+    rows = trainer.train()
+
+    assert [row["stored"] for row in rows] == [row["turns"] * row["dialogues"] for row in rows]
 
 
 def test_a_rounds_phases_follow_the_protocol(tmp_path):

@@ -18,6 +18,8 @@ from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer, Spike
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from torchrl.envs import Transform
+
 FEATURES, ACTIONS = 6, 4
 
 
@@ -175,6 +177,7 @@ def make_trainer(
     seed: int = 0,
     checkpoint_every: int = 2,
     spike: SpikeSettings | None = None,
+    transform: Transform | None = None,
     **options: object,
 ) -> RoundTrainer:
     """Returns a trainer of tiny parts that learns for a few rounds."""
@@ -187,7 +190,7 @@ def make_trainer(
         GuessEnv(replicas, places),
         policy,
         loss,
-        ReplicaReplay(capacity, replicas=replicas),
+        ReplicaReplay(capacity, replicas=replicas, transform=transform),
         ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
         HardUpdate(loss, value_network_update_interval=0),
         RoundSettings(
