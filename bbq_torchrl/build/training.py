@@ -60,6 +60,7 @@ def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent
             checkpoint_every=protocol.checkpoint_every,
             seed=config.seed,
             max_steps=env.max_agent_turns,
+            cuda_graph=config.cuda_graph,
         ),
         run_folder,
         spike_policy=scripted_policy(spike.policy, env),

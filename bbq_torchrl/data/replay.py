@@ -287,7 +287,7 @@ class ReplicaReplay:
         # device, and the host would wait for it.
         valid = torch.ones(rows.shape, dtype=torch.bool, device=self._device)
         for replica, length in enumerate(lengths):
-            valid[replica, length:] = False
+            valid[replica, length:].fill_(False)
         rows = rows.set("valid", valid)
         if self.transform is not None:
             rows = self.transform(rows)

@@ -302,9 +302,19 @@ class RoundTrainer:
 
     def _learn(self, round_number: int) -> tuple[list[dict[str, float]], list[int]]:
         """Freezes and learns. Returns each replica's mean losses and number of updates."""
-        settings = self.settings
         self._update.sums.reset()
         _call_hook(self.loss, "set_num_data", self.replay.num_data())
+        self._update_all(round_number)
+        means = self._update.sums.means()
+        broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]
+        if broken:
+            saved = self._save(name=f"failed-round-{round_number:06d}")
+            raise NonFiniteLossError(round_number, broken, saved)
+        return means, self._update.sums.updates
+
+    def _update_all(self, round_number: int) -> None:
+        """Freezes and learns, without waiting for the device."""
+        settings = self.settings
         for freeze in range(settings.freezes):
             self.target_updater.step()
             self._compute_targets()
@@ -314,12 +324,6 @@ class RoundTrainer:
                 self._seed_phase("learn", round_number, freeze, epoch)
                 _call_hook(self.loss, "begin_epoch")
                 learn_epoch(self._update, self.replay.epoch(settings.batch_size))
-        means = self._update.sums.means()
-        broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]
-        if broken:
-            saved = self._save(name=f"failed-round-{round_number:06d}")
-            raise NonFiniteLossError(round_number, broken, saved)
-        return means, self._update.sums.updates
 
     def _compute_targets(self) -> None:
         """Has the frozen network's values computed for the whole buffer, where a loss allows it."""

@@ -1,0 +1,106 @@
+"""An update of every agent waits for no device, and does as a CUDA graph what it does without."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+import torch
+from host_waits import NeverWaits, draw_as_on_a_device, use_tapes
+
+from bbq_torchrl.build import build_trainer
+from bbq_torchrl.config.store import compose
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.trainers import RoundTrainer
+
+SHRUNKEN = (
+    "protocol.rounds=4",
+    "protocol.dialogues=4",
+    "protocol.batch_size=8",
+    "protocol.capacity=120",
+    "protocol.epochs=1",
+    "spike.dialogues=4",
+    "spike.policy=random",
+    "agent.hidden=[8,8]",
+    "replicas=3",
+)
+AGENTS = {
+    **{
+        name: (f"+experiment=agents/{name}",)
+        for name in (
+            "bbqn_map",
+            "bbqn_mc",
+            "bbqn_vime_map",
+            "bbqn_vime_mc",
+            "dqn",
+            "dqn_boltzmann",
+            "dqn_bootstrap",
+            "dqn_vime_map",
+            "dqn_vime_mc",
+        )
+    },
+    "noisy_dqn": ("+experiment=rivals/noisy_dqn",),
+    "double_dqn": ("+experiment=rivals/double_dqn",),
+    "shared target noise": ("agent=bbqn", "agent.target=mc", "agent.target_noise=shared"),
+    "sampled KL": ("agent=bbqn", "agent.kl=sampled"),
+    "separate heads with priors": (
+        "agent=bootstrap",
+        "agent.trunk_layers=0",
+        "agent.prior_scale=3",
+        "agent.double=true",
+    ),
+    "dynamics now and then": ("agent=bbqn", "intrinsic=vime", "intrinsic.dynamics_every=3"),
+}
+
+
+def make_trainer(
+    agent: str, domain: Path, folder: Path, *further: str
+) -> RoundTrainer:
+    config = compose([*AGENTS[agent], *SHRUNKEN, *further, "domain=folder", f"domain.path={domain}"])
+    trainer, _ = build_trainer(config, folder)
+    trainer.progress = False
+    return trainer
+
+
+def state(trainer: RoundTrainer) -> list[torch.Tensor]:
+    adam = trainer.optimiser.state_dict()["state"].values()
+    return [
+        *(value for value in trainer.loss.state_dict().values()),
+        *(value for moments in adam for value in moments.values()),
+    ]
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_a_rounds_updates_never_wait_for_the_device(
+    agent, restaurant_folder, tmp_path, monkeypatch
+):
+    draw_as_on_a_device(monkeypatch)
+    trainer = make_trainer(agent, restaurant_folder, tmp_path)
+    trainer.begin()
+    trainer.train_round()
+    with NeverWaits():
+        trainer._update_all(1)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_a_captured_update_is_the_update(agent, restaurant_folder, tmp_path, monkeypatch):
+    draw_as_on_a_device(monkeypatch)
+    plain = make_trainer(agent, restaurant_folder, tmp_path / "plain", "cuda_graph=false")
+    plain_rows = plain.train()
+    graphs = use_tapes(monkeypatch)
+    captured = make_trainer(agent, restaurant_folder, tmp_path / "captured")
+    rows = captured.train()
+
+    assert len(graphs) == (2 if agent == "dynamics now and then" else 1)
+    launched = sum(graph.launches for graph in graphs)
+    # The buffers differ in length, so some batches are not active for all replicas.
+    assert 0 < launched < max(sum(row["updates"] for row in rows[r::3]) for r in range(3))
+    for one, other in zip(state(plain), state(captured), strict=True):
+        assert torch.equal(one, other)
+    for one, other in zip(plain_rows, rows, strict=True):
+        assert {k: v for k, v in one.items() if "seconds" not in k} == {
+            k: v for k, v in other.items() if "seconds" not in k
+        }
