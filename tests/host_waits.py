@@ -8,6 +8,8 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
+from bbq_torchrl.modules import CudaGraph
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -154,7 +156,7 @@ def use_tapes(monkeypatch) -> list[TapeModule]:
     """Makes :class:`~bbq_torchrl.modules.CudaGraph` record tapes here. Returns those it makes."""
     monkeypatch.setattr(TapeModule, "made", [], raising=False)
     monkeypatch.setattr("bbq_torchrl.modules.cuda_graph.CudaGraphModule", TapeModule)
-    monkeypatch.setattr("bbq_torchrl.modules.cuda_graph._captures", lambda device: True)
+    monkeypatch.setattr(CudaGraph, "works_on", staticmethod(lambda device: True))
     return TapeModule.made
 
 

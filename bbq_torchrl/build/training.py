@@ -36,6 +36,7 @@ def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent
         (config.replicas, protocol.dialogues),
         seed=config.seed,
         device=config.device,
+        cuda_graph=config.cuda_graph,
     )
     agent = build_agent(config, env)
     logger = config.logger

@@ -74,6 +74,11 @@ class CudaGraph(Generic[Outputs]):
         self._keys: list[NestedKey]
         self._outputs: Outputs
 
+    @staticmethod
+    def works_on(device: torch.device) -> bool:
+        """Whether work on a device can be captured; that of another would leave a graph empty."""
+        return device.type == "cuda"
+
     @property
     def is_captured(self) -> bool:
         """Whether calls launch a graph by now."""
@@ -85,7 +90,7 @@ class CudaGraph(Generic[Outputs]):
         Args:
             inputs: with the entries that it had at first; further ones are not read.
         """
-        if not _captures(self._device):
+        if not self.works_on(self._device):
             return self._function(inputs)
         if self._module is None:
             self._begin(inputs)
@@ -122,7 +127,3 @@ class CudaGraph(Generic[Outputs]):
         self._outputs = self._function(self._inputs)
         return self._outputs
 
-
-def _captures(device: torch.device) -> bool:
-    """Returns whether work on a device can be captured: a graph of another's is empty."""
-    return device.type == "cuda"
