@@ -162,6 +162,4 @@ def use_tapes(monkeypatch) -> list[TapeModule]:
 
 def draw_as_on_a_device(monkeypatch) -> None:
     """Has noise drawn by torch's generator, as on a CUDA device, in the place of NumPy's."""
-    monkeypatch.setattr(
-        "bbq_torchrl.modules.posterior.fill_normal_", lambda out: out.normal_()
-    )
+    monkeypatch.setattr("bbq_torchrl.modules.posterior.fill_normal_", lambda out: out.normal_())

@@ -64,9 +64,7 @@ class CudaGraph(Generic[Outputs]):
         tensor([3., 3.])
     """
 
-    def __init__(
-        self, function: Callable[[TensorDictBase], Outputs], device: torch.device
-    ) -> None:
+    def __init__(self, function: Callable[[TensorDictBase], Outputs], device: torch.device) -> None:
         self._function = function
         self._device = device
         self._module: CudaGraphModule | None = None
@@ -92,25 +90,26 @@ class CudaGraph(Generic[Outputs]):
         """
         if not self.works_on(self._device):
             return self._function(inputs)
-        if self._module is None:
-            self._begin(inputs)
+        module = self._module
+        if module is None:
+            module = self._module = self._begin(inputs)
         else:
             self._take_in(inputs)
         if self.is_captured:
-            self._module.graph.replay()
+            module.graph.replay()
             return self._outputs
         # The capture runs the function a second time, without a result: what the first run
         # returned is handed on.
-        return self._module()
+        return module()
 
-    def _begin(self, inputs: TensorDictBase) -> None:
+    def _begin(self, inputs: TensorDictBase) -> CudaGraphModule:
         self._inputs = inputs.clone()
         # Fixed now: the function may add entries.
         self._keys = list(self._inputs.keys(True, True))
         with warnings.catch_warnings():
             # It unregisters TensorDict from torch's pytrees, which nothing here needs.
             warnings.filterwarnings("ignore", message="Tensordict is registered in PyTree")
-            self._module = CudaGraphModule(self._run, device=self._device)
+            return CudaGraphModule(self._run, device=self._device)
 
     def _take_in(self, inputs: TensorDictBase) -> None:
         ours = [self._inputs.get(key) for key in self._keys]
@@ -126,4 +125,3 @@ class CudaGraph(Generic[Outputs]):
     def _run(self) -> Outputs:
         self._outputs = self._function(self._inputs)
         return self._outputs
-

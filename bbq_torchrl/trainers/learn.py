@@ -68,9 +68,7 @@ class LossSums:
 
     def count(self, active: Iterable[bool]) -> None:
         """Counts an update of the active replicas."""
-        self.updates = [
-            n + is_active for n, is_active in zip(self.updates, active, strict=True)
-        ]
+        self.updates = [n + is_active for n, is_active in zip(self.updates, active, strict=True)]
 
     def means(self) -> list[dict[str, float]]:
         """Returns the means over each replica's updates; one synchronisation with the device."""

@@ -9,11 +9,14 @@ import torch
 from host_waits import NeverWaits, draw_as_on_a_device, use_tapes
 
 from bbq_torchrl.build import build_trainer
+from bbq_torchrl.build.intrinsic import with_intrinsic_reward
+from bbq_torchrl.build.parts import Surroundings, agent_parts
 from bbq_torchrl.config.store import compose
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bbq_torchrl.config import Config
     from bbq_torchrl.trainers import RoundTrainer
 
 SHRUNKEN = (
@@ -56,10 +59,12 @@ AGENTS = {
 }
 
 
-def make_trainer(
-    agent: str, domain: Path, folder: Path, *further: str
-) -> RoundTrainer:
-    config = compose([*AGENTS[agent], *SHRUNKEN, *further, "domain=folder", f"domain.path={domain}"])
+def config_of(agent: str, domain: Path, *further: str) -> Config:
+    return compose([*AGENTS[agent], *SHRUNKEN, *further, "domain=folder", f"domain.path={domain}"])
+
+
+def make_trainer(agent: str, domain: Path, folder: Path, *further: str) -> RoundTrainer:
+    config = config_of(agent, domain, *further)
     trainer, _ = build_trainer(config, folder)
     trainer.progress = False
     return trainer
@@ -104,3 +109,26 @@ def test_a_captured_update_is_the_update(agent, restaurant_folder, tmp_path, mon
         assert {k: v for k, v in one.items() if "seconds" not in k} == {
             k: v for k, v in other.items() if "seconds" not in k
         }
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_everything_that_an_update_uses_is_on_its_device(agent, restaurant_folder, tmp_path):
+    trainer = make_trainer(agent, restaurant_folder, tmp_path)
+    trainer.begin()
+    trainer._compute_targets()
+    batch = next(trainer.replay.epoch(8)).transitions.to("meta")
+    # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
+    # tensors of the CPU, fails.
+    env, config = trainer.env, config_of(agent, restaurant_folder)
+    spec, device = env.action_spec_unbatched, torch.device("meta")
+    around = Surroundings(env.layout.size, spec, (3,), None, None, device)
+    loss, _ = with_intrinsic_reward(
+        config.intrinsic, agent_parts(config.agent, around).loss, around
+    )
+    loss._has_update_associated = dict.fromkeys(loss._has_update_associated, True)
+    if hasattr(loss, "set_num_data"):
+        loss.set_num_data(10)
+    with NeverWaits():
+        loss(batch)["loss"].backward()
+    gradients = [p.grad for p in loss.parameters() if p.requires_grad]
+    assert {gradient.device for gradient in gradients} == {device}
