@@ -8,7 +8,9 @@ import pytest
 import torch
 from host_waits import NeverWaits, use_tapes
 
+from bbq_torchrl.domains import tensorise
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
+from bbq_torchrl.simulator import ErrorModel, Simulator
 
 
 def make_env(domain, mode="mixed", **options):
@@ -58,6 +60,21 @@ def test_a_reset_never_waits_for_the_device(movie):
     with NeverWaits():
         env._reset(state)
         env._reset()
+
+
+@pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed"])
+def test_everything_that_a_turn_uses_is_on_its_device(movie, mode):
+    # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
+    # tensors of the CPU, fails.
+    tensors = tensorise(movie)
+    simulator = Simulator(tensors, errors=ErrorModel(tensors, 0.3, mode, 0.2)).to("meta")
+    active = torch.ones(tensors.n_slots, dtype=torch.bool, device="meta")
+    action = torch.zeros(7, dtype=torch.int64, device="meta")
+    with NeverWaits():
+        state = simulator.reset(simulator.draw_reset((7,)), active)
+        state = simulator.turn(state, action, simulator.draw_turn((7,)), active)
+        features = simulator.observe(state, active)
+    assert {features.device.type, *(entry.device.type for entry in state.values())} == {"meta"}
 
 
 def test_a_captured_turn_is_the_turn(restaurant, monkeypatch):
