@@ -113,7 +113,7 @@ class Update:
         self.loss = loss
         self.optimiser = optimiser
         self.sums = LossSums(optimiser.replicas)
-        self._is_captured = cuda_graph
+        self._is_captured = cuda_graph and CudaGraph.works_on(optimiser.device)
         self._graphs: dict[Hashable, CudaGraph[None]] = {}
 
     def __call__(self, batch: Batch) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bbq_torchrl.config import EvaluateConfig
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.config.store import compose, conf_folder
 
 from .pages import PAGES, commands, snippets
 
@@ -56,6 +56,9 @@ def _first(argument: str) -> str:
     key, _, value = argument.partition("=")
     if value.startswith("range("):
         return f"{key}=0"
+    if value == "glob(*)":
+        files = (conf_folder() / key.removeprefix("+")).glob("*.yaml")
+        return f"{key}={min(file.stem for file in files)}"
     return f"{key}={value.split(',')[0]}"
 
 
