@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.config import ConfigError, EvaluateConfig
 from bbq_torchrl.config.resume import run_config
 from bbq_torchrl.config.store import compose_raw, session, to_config
+from bbq_torchrl.config.values import replica_values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -95,6 +96,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         if config.mode is not None:
             raise ConfigError(f"mode must be null for policy={config.policy}, got {config.mode!r}")
     replicas = 1 if run is None else run.replicas
+    values = [] if run is None else replica_values(run)
     env = build_env(
         config.env,
         domain,
@@ -131,6 +133,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
             if replicas > 1
             else {}
         ),
+        **({"values_per_replica": values} if any(values) else {}),
     }
 
 

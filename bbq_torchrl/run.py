@@ -17,6 +17,7 @@ import bbq_torchrl
 from bbq_torchrl.build import build_env, build_trainer
 from bbq_torchrl.config.resume import RUN_CONFIG
 from bbq_torchrl.config.store import save_config
+from bbq_torchrl.config.values import replica_values
 from bbq_torchrl.evaluation.figures import Curves, draw_run
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.play import evaluate
@@ -30,23 +31,26 @@ from bbq_torchrl.evaluation.results import (
 from bbq_torchrl.trainers import keep_freed_memory
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from bbq_torchrl.build import Agent
     from bbq_torchrl.config import Config
     from bbq_torchrl.envs import DialogueEnv
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 __all__ = ["run"]
 
 _LOG = logging.getLogger(__name__)
 
 
-def run(config: Config, folder: Path) -> RunResult:
+def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -> RunResult:
     """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
 
     Args:
         config: what to run; with ``resume``, the run in the folder goes on.
         folder: the run folder.
+        callbacks: called after every round; what one raises ends the run.
 
     Raises:
         NonFiniteLossError: a loss is NaN or infinite.
@@ -56,7 +60,7 @@ def run(config: Config, folder: Path) -> RunResult:
     keep_freed_memory()
     _quieten_torchrl()
     save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
-    trainer, agent = build_trainer(config, folder)
+    trainer, agent = build_trainer(config, folder, callbacks)
     rows = trainer.train(resume=config.resume is not None)
     trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
     started = time.perf_counter()
@@ -95,6 +99,7 @@ def _evaluated(
     name, policy = agent.evaluation(None)
     played = evaluate(env, policy, protocol.eval_dialogues, seed=config.seed)
     training_success = read_metrics(folder).training_success
+    values = replica_values(config)
     per_replica = [
         replica_result(
             replica,
@@ -102,6 +107,7 @@ def _evaluated(
             played.reward[replica].tolist(),
             played.turns[replica].tolist(),
             float(training_success[replica]),
+            values[replica],
         )
         for replica in range(config.replicas)
     ]
@@ -122,13 +128,16 @@ def _evaluated(
 
 def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> None:
     spike = config.spike
+    name = f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}"
+    success = read_metrics(folder)["success_rate"]
+    final = np.array([item.success_rate for item in result.per_replica])
+    together: dict[str, list[int]] = {}
+    for replica, values in enumerate(replica_values(config)):
+        label = ", ".join([name, *(f"{key}={value:g}" for key, value in values.items())])
+        together.setdefault(label, []).append(replica)
     draw_run(
         folder / "curve.png",
-        Curves(
-            f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}",
-            read_metrics(folder)["success_rate"],
-            np.array([item.success_rate for item in result.per_replica]),
-        ),
+        [Curves(label, success[:, same], final[same]) for label, same in together.items()],
         title=f"Training success: env={config.env.name}, domain={config.domain.name}",
         spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
         if spike.dialogues

@@ -11,16 +11,29 @@ seeds 0, 1 and 2 (random actions: about 22; the most is 500).
 from __future__ import annotations
 
 import argparse
+from typing import Any, Literal, get_args
 
 import torch
+from tensordict.nn import TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import GymEnv, ObservationNorm, TransformedEnv
+from torchrl.modules import EGreedyModule
 from torchrl.objectives import SoftUpdate
 
-from bbq_torchrl.modules import BayesMLP, EvaluationPolicy, ThompsonSampling, q_network
-from bbq_torchrl.objectives import BBQNLoss
+from bbq_torchrl.modules import (
+    MLP,
+    BayesMLP,
+    EvaluationPolicy,
+    Greedy,
+    ThompsonSampling,
+    q_network,
+)
+from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
 
+Agent = Literal["bbqn", "dqn"]
+
+HIDDEN, GAMMA = (64, 64), 0.95
 FRAMES_PER_BATCH, UPDATES_PER_BATCH = 16, 16
 LONGEST = 500  # frames of an episode of CartPole-v1; each is worth a reward of 1
 # One over what position [m], velocity [m/s], angle [rad] and its velocity [rad/s] reach.
@@ -40,11 +53,30 @@ def mean_return(env: TransformedEnv, policy: EvaluationPolicy, episodes: int) ->
     return float(torch.stack(returns).mean())
 
 
-def train(frames: int, seed: int, *, every: int = 2000) -> float:
+def make_agent(agent: Agent, env: TransformedEnv, frames: int) -> tuple[Any, Any, Any]:
+    """Returns the Q-value actor, the policy that explores, and the loss.
+
+    Args:
+        agent: "bbqn" explores by Thompson sampling, one weight draw an episode; "dqn", the same
+            network without uncertainty, by ε from 1 to .05 in a quarter of the frames.
+        env: whose actions there are.
+        frames: to learn from.
+    """
+    if agent == "bbqn":
+        net = BayesMLP(4, 2, HIDDEN, prior_std="fan_in", mean_init="kaiming", std_init=0.03)
+        actor = q_network(net, env.action_spec, action_mask_key=None)
+        return actor, ThompsonSampling(actor), BBQNLoss(actor, gamma=GAMMA, noise_std=1.0)
+    actor = q_network(MLP(4, 2, HIDDEN), env.action_spec, action_mask_key=None)
+    dither = EGreedyModule(env.action_spec, eps_end=0.05, annealing_num_steps=frames // 4)
+    return actor, TensorDictSequential(Greedy(actor), dither), DropoutDQNLoss(actor, gamma=GAMMA)
+
+
+def train(agent: Agent, frames: int, seed: int, *, every: int = 2000) -> float:
     """Learns for a number of frames and returns the mean network's mean return.
 
     Args:
-        frames: of the environment, all of them explored by Thompson sampling.
+        agent: which one.
+        frames: of the environment, all of them explored.
         seed: of the weights, the draws and the environment.
 
     Keyword Args:
@@ -52,9 +84,7 @@ def train(frames: int, seed: int, *, every: int = 2000) -> float:
     """
     torch.manual_seed(seed)
     env, test_env = make_env(seed), make_env(seed + 10_000)
-    net = BayesMLP(4, 2, (64, 64), prior_std="fan_in", mean_init="kaiming", std_init=0.03)
-    actor = q_network(net, env.action_spec, action_mask_key=None)
-    loss = BBQNLoss(actor, gamma=0.95, noise_std=1.0)
+    actor, explore, loss = make_agent(agent, env, frames)
     target = SoftUpdate(loss, tau=0.005)
     optimiser = torch.optim.Adam(loss.parameters(), 1e-3, fused=True)
     updates = frames * UPDATES_PER_BATCH // FRAMES_PER_BATCH
@@ -62,7 +92,7 @@ def train(frames: int, seed: int, *, every: int = 2000) -> float:
     buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(frames), batch_size=64)
     collector = Collector(
         env,
-        ThompsonSampling(actor),
+        explore,
         frames_per_batch=FRAMES_PER_BATCH,
         total_frames=frames,
         auto_register_policy_transforms=True,  # marks where episodes begin, as per="dialogue" needs
@@ -71,7 +101,10 @@ def train(frames: int, seed: int, *, every: int = 2000) -> float:
     seen = 0
     for batch in collector:
         buffer.extend(batch.reshape(-1))
-        loss.set_num_data(len(buffer))  # the more data, the less the prior weighs
+        if agent == "bbqn":
+            loss.set_num_data(len(buffer))  # the more data, the less the prior weighs
+        else:
+            explore[-1].step(batch.numel())  # ε falls
         for _ in range(UPDATES_PER_BATCH):
             out = loss(buffer.sample())
             optimiser.zero_grad()
@@ -90,10 +123,11 @@ def train(frames: int, seed: int, *, every: int = 2000) -> float:
 def main() -> None:
     """Trains one agent and prints its return."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--agent", choices=get_args(Agent), default="bbqn")
     parser.add_argument("--frames", type=int, default=20_000, help="frames to learn from")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    result = train(options.frames, options.seed)
+    result = train(options.agent, options.frames, options.seed)
     print(f"mean network, 20 episodes: return {result:.1f} of at most {LONGEST}")
 
 

@@ -9,6 +9,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from bbq_torchrl.modules import CudaGraph
+from bbq_torchrl.objectives import BBQNLoss
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -161,5 +162,6 @@ def use_tapes(monkeypatch) -> list[TapeModule]:
 
 
 def draw_as_on_a_device(monkeypatch) -> None:
-    """Has noise drawn by torch's generator, as on a CUDA device, in the place of NumPy's."""
+    """Has noise drawn by torch's generator and nothing held, as on a CUDA device."""
     monkeypatch.setattr("bbq_torchrl.modules.posterior.fill_normal_", lambda out: out.normal_())
+    monkeypatch.setattr(BBQNLoss, "_holds", lambda loss: False)

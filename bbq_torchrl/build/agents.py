@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
     from torchrl.envs import Transform
     from torchrl.objectives import LossModule
 
@@ -35,14 +36,15 @@ class Agent:
         loss: what is learned.
         evaluation: a mode (or None for the agent's own) to the name of the policy that is to be
             reported, and that policy.
-        gauges: what of the exploration is worth a column of the metrics.
+        gauges: what of the exploration is worth a column of the metrics; one number, or
+            [replicas].
         transform: what the replay buffer does to transitions, if anything.
     """
 
     policy: TensorDictModuleBase
     loss: LossModule
     evaluation: Callable[[str | None], Evaluation]
-    gauges: dict[str, Callable[[], float]] = field(default_factory=dict)
+    gauges: dict[str, Callable[[], float | Tensor]] = field(default_factory=dict)
     transform: Transform | None = None
 
 
@@ -60,7 +62,7 @@ def build_agent(config: Config, env: DialogueEnv) -> Agent:
         device=env.device,
     )
     parts = agent_parts(config.agent, around)
-    policy, gauges = exploring_policy(config.explore, parts, spec)
+    policy, gauges = exploring_policy(config.explore, parts, spec, config.replicas)
     loss, transforms = with_intrinsic_reward(config.intrinsic, parts.loss, around)
     transforms = [*parts.transforms, *transforms]
     return Agent(

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch import Tensor
 from torchrl.modules import EGreedyModule
 
+from bbq_torchrl.build.values import over_replicas
 from bbq_torchrl.config.explorations import (
     BoltzmannConfig,
     BootstrapSamplingConfig,
@@ -18,70 +20,99 @@ from bbq_torchrl.config.explorations import (
     ThompsonConfig,
     ThompsonEpsilonConfig,
 )
-from bbq_torchrl.modules import Boltzmann, BootstrapSampling, NoisySampling, ThompsonSampling
+from bbq_torchrl.modules import (
+    BatchedEGreedy,
+    Boltzmann,
+    BootstrapSampling,
+    NoisySampling,
+    ThompsonSampling,
+)
 
 if TYPE_CHECKING:
     from torchrl.data import TensorSpec
 
     from bbq_torchrl.build.parts import AgentParts
+    from bbq_torchrl.config.settings import Values
 
 __all__ = ["exploring_policy"]
 
-Policy = tuple[TensorDictModuleBase, dict[str, Callable[[], float]]]
+Policy = tuple[TensorDictModuleBase, dict[str, Callable[[], float | Tensor]]]
 
 
-def exploring_policy(config: ExploreConfig, parts: AgentParts, spec: TensorSpec) -> Policy:
+def exploring_policy(
+    config: ExploreConfig, parts: AgentParts, spec: TensorSpec, replicas: int
+) -> Policy:
     """Returns the policy that explores, and its gauges: what of it is worth a metric.
 
     Args:
         config: an option of ``explore``; whether the agent can use it has been checked.
         parts: the agent's.
         spec: of one action.
+        replicas: the first dimension of the batch that is acted on; the other one is dialogues.
     """
-    return _POLICIES[type(config)](config, parts, spec)
+    return _POLICIES[type(config)](config, parts, spec, replicas)
 
 
-def _greedy(config: GreedyConfig, parts: AgentParts, spec: TensorSpec) -> Policy:
+def _beside_dialogues(value: Values, replicas: int) -> float | Tensor:
+    """Returns one number as it is, and a list as [replicas, 1]."""
+    over = over_replicas(value, replicas)
+    return over.unsqueeze(-1) if isinstance(over, Tensor) else over
+
+
+def _greedy(config: GreedyConfig, parts: AgentParts, spec: TensorSpec, replicas: int) -> Policy:
     return parts.greedy, {}
 
 
-def _thompson(config: ThompsonConfig, parts: AgentParts, spec: TensorSpec) -> Policy:
+def _thompson(config: ThompsonConfig, parts: AgentParts, spec: TensorSpec, replicas: int) -> Policy:
     return ThompsonSampling(parts.actor, per=config.per, shared=config.shared), {}  # type: ignore[arg-type]
 
 
 def _epsilon_greedy(
-    config: EpsilonGreedyConfig | ThompsonEpsilonConfig, parts: AgentParts, spec: TensorSpec
+    config: EpsilonGreedyConfig | ThompsonEpsilonConfig,
+    parts: AgentParts,
+    spec: TensorSpec,
+    replicas: int,
 ) -> Policy:
     base = parts.greedy
     if isinstance(config, ThompsonEpsilonConfig):
         base = ThompsonSampling(parts.actor, per=config.per, shared=config.shared)  # type: ignore[arg-type]
-    epsilon = EGreedyModule(
+    start, end = (_beside_dialogues(value, replicas) for value in (config.eps_init, config.eps_end))
+    has_several = isinstance(start, Tensor) or isinstance(end, Tensor)
+    epsilon = (BatchedEGreedy if has_several else EGreedyModule)(
         spec,
-        eps_init=config.eps_init,
-        eps_end=config.eps_end,
+        eps_init=start,
+        eps_end=end,
         annealing_num_steps=config.anneal_rounds,
         action_mask_key="action_mask",
     )
-    return TensorDictSequential(base, epsilon), {"epsilon": lambda: float(epsilon.eps)}
+    return TensorDictSequential(base, epsilon), {"epsilon": lambda: epsilon.eps.squeeze(-1)}
 
 
-def _boltzmann(config: BoltzmannConfig, parts: AgentParts, spec: TensorSpec) -> Policy:
-    boltzmann = Boltzmann(config.temperature_init, config.temperature_end, config.anneal_rounds)
+def _boltzmann(
+    config: BoltzmannConfig, parts: AgentParts, spec: TensorSpec, replicas: int
+) -> Policy:
+    boltzmann = Boltzmann(
+        _beside_dialogues(config.temperature_init, replicas),
+        _beside_dialogues(config.temperature_end, replicas),
+        config.anneal_rounds,
+    )
     return (
         TensorDictSequential(parts.greedy, boltzmann),
-        {"temperature": lambda: float(boltzmann.temperature)},
+        {"temperature": lambda: boltzmann.temperature.squeeze(-1)},
     )
 
 
-def _bootstrap(config: BootstrapSamplingConfig, parts: AgentParts, spec: TensorSpec) -> Policy:
+def _bootstrap(
+    config: BootstrapSamplingConfig, parts: AgentParts, spec: TensorSpec, replicas: int
+) -> Policy:
     return BootstrapSampling(parts.actor, per=config.per), {}  # type: ignore[arg-type]
 
 
-def _noisy(config: NoisyConfig, parts: AgentParts, spec: TensorSpec) -> Policy:
+def _noisy(config: NoisyConfig, parts: AgentParts, spec: TensorSpec, replicas: int) -> Policy:
     return NoisySampling(parts.actor, shared=config.shared), {}
 
 
-_POLICIES: dict[type[ExploreConfig], Callable[[Any, AgentParts, TensorSpec], Policy]] = {
+_POLICIES: dict[type[ExploreConfig], Callable[[Any, AgentParts, TensorSpec, int], Policy]] = {
     GreedyConfig: _greedy,
     ThompsonConfig: _thompson,
     ThompsonEpsilonConfig: _epsilon_greedy,

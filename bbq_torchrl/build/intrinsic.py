@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.build.values import over_replicas
 from bbq_torchrl.config.intrinsic import IntrinsicConfig, VIMEConfig
 from bbq_torchrl.data import VIMEReward
 from bbq_torchrl.modules import DynamicsModel, reset_inactive_
@@ -48,7 +49,7 @@ def with_intrinsic_reward(
         reset_inactive_(dynamics.network, inputs=inactive)
     reward = VIMEReward(
         dynamics,
-        eta=config.eta,
+        eta=over_replicas(config.eta, around.replicas),
         weights=config.weights,  # type: ignore[arg-type]
         step_size=config.step_size,
         median_window=config.median_window,

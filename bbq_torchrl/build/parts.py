@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from tensordict.nn import TensorDictModuleBase
 
+from bbq_torchrl.build.values import over_replicas
 from bbq_torchrl.config.agents import AgentConfig, BBQNConfig, BootstrapConfig, DQNConfig
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.data import BootstrapMask
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
 
+    from bbq_torchrl.config.settings import Values
+
 __all__ = ["AgentParts", "Surroundings", "agent_parts"]
 
 Evaluation = tuple[str, TensorDictModuleBase]
@@ -58,6 +61,11 @@ class Surroundings:
     inactive_inputs: Tensor | None
     inactive_actions: Tensor | None
     device: torch.device | None
+
+    @property
+    def replicas(self) -> int:
+        """Independent seeds trained side by side."""
+        return self.stack[0]
 
 
 @dataclass(frozen=True)
@@ -90,14 +98,17 @@ def agent_parts(config: AgentConfig, around: Surroundings) -> AgentParts:
 
 
 def _bbqn(config: BBQNConfig, around: Surroundings) -> AgentParts:
+    def value(given: Values) -> float | Tensor:
+        return over_replicas(given, around.replicas)
+
     network = BayesMLP(
         around.inputs,
         around.spec.n,
         config.hidden,
         stack=around.stack,
-        prior_std=config.prior_std,  # type: ignore[arg-type]
+        prior_std="fan_in" if config.prior_std == "fan_in" else value(config.prior_std),
         mean_init=config.mean_init,  # type: ignore[arg-type]
-        std_init=config.std_init,
+        std_init=None if config.std_init is None else value(config.std_init),
         device=around.device,
     )
     actor = _actor(network, around)
@@ -106,9 +117,10 @@ def _bbqn(config: BBQNConfig, around: Surroundings) -> AgentParts:
         target=config.target,  # type: ignore[arg-type]
         target_noise=config.target_noise,  # type: ignore[arg-type]
         kl=config.kl,  # type: ignore[arg-type]
-        noise_std=config.noise_std,
-        kl_temperature=config.kl_temperature,
-        gamma=config.gamma,
+        noise_std=value(config.noise_std),
+        kl_temperature=value(config.kl_temperature),
+        gamma=value(config.gamma),
+        hold=True,
     )
 
     def evaluation(mode: str | None) -> Evaluation:
@@ -127,7 +139,8 @@ def _dqn(config: DQNConfig, around: Surroundings) -> AgentParts:
         network = MLP(*sizes, stack=around.stack, dropout=config.dropout, device=around.device)
     actor = _actor(network, around)
     loss_type = NoisyDQNLoss if config.noisy else DropoutDQNLoss
-    loss = loss_type(actor, gamma=config.gamma, double_dqn=config.double)
+    gamma = over_replicas(config.gamma, around.replicas)
+    loss = loss_type(actor, gamma=gamma, double_dqn=config.double)
     greedy = Greedy(actor)
     return AgentParts(actor, loss, greedy, _only(config, "greedy", greedy))
 
@@ -145,7 +158,8 @@ def _bootstrap(config: BootstrapConfig, around: Surroundings) -> AgentParts:
     )
     _reset_inactive(network, around)
     actor = bootstrap_actor(network, around.spec)
-    loss = BootstrapDQNLoss(actor, gamma=config.gamma, double_dqn=config.double)
+    gamma = over_replicas(config.gamma, around.replicas)
+    loss = BootstrapDQNLoss(actor, gamma=gamma, double_dqn=config.double)
     vote = MajorityVote(actor)
     mask = BootstrapMask(config.heads, config.mask_prob, stack=around.stack)
     return AgentParts(actor, loss, vote, _only(config, "vote", vote), (mask,))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.build.agents import Agent, build_agent
 from bbq_torchrl.build.worlds import build_domain, build_env
 from bbq_torchrl.config.protocols import WandbLoggerConfig
+from bbq_torchrl.config.values import replica_values, spread
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.envs import scripted_policy
 from bbq_torchrl.trainers import (
@@ -20,15 +22,19 @@ from bbq_torchrl.trainers import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from bbq_torchrl.config.schema import Config
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 __all__ = ["build_trainer"]
 
 
-def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent]:
-    """Makes the trainer of a run, and its agent."""
+def build_trainer(
+    config: Config, run_folder: Path, callbacks: Sequence[RoundCallback] = ()
+) -> tuple[RoundTrainer, Agent]:
+    """Makes the trainer of a run, and its agent; callbacks are called after every round."""
     protocol, spike = config.protocol, config.spike
     env = build_env(
         config.env,
@@ -50,7 +56,11 @@ def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent
             transform=agent.transform,
             device=config.device,
         ),
-        ReplicaAdam(agent.loss.parameters(), config.replicas, lr=config.agent.lr),
+        ReplicaAdam(
+            agent.loss.parameters(),
+            config.replicas,
+            lr=list(map(float, spread(config.agent.lr, config.replicas))),
+        ),
         HardUpdate(agent.loss, value_network_update_interval=0),
         RoundSettings(
             rounds=protocol.rounds,
@@ -77,6 +87,17 @@ def build_trainer(config: Config, run_folder: Path) -> tuple[RoundTrainer, Agent
             resume=config.resume is not None,
             **({"wandb_project": logger.project} if isinstance(logger, WandbLoggerConfig) else {}),
         ),
-        gauges=agent.gauges,
+        callbacks=callbacks,
+        gauges={**agent.gauges, **_own_values(config)},
     )
     return trainer, agent
+
+
+def _own_values(config: Config) -> dict[str, Callable[[], torch.Tensor]]:
+    """Returns gauges of the keys that have a list, so that the metrics say whose value is which."""
+    per_replica = replica_values(config)
+    columns = {
+        key: torch.tensor([values[key] for values in per_replica], dtype=torch.float64)
+        for key in per_replica[0]
+    }
+    return {key: column.clone for key, column in columns.items()}

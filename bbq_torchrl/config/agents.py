@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from bbq_torchrl.config.settings import (
     ABOVE_ZERO_TO_ONE,
@@ -15,10 +16,12 @@ from bbq_torchrl.config.settings import (
     POSITIVE,
     PROBABILITY,
     REQUIRED,
+    Values,
     one_of,
     option,
     optional,
     or_text,
+    per_replica,
     setting,
 )
 
@@ -36,8 +39,8 @@ class AgentConfig:
 
     name: str = REQUIRED
     hidden: list[int] = setting([256, 256], COUNTS, "units of each hidden layer")
-    lr: float = setting(1e-3, POSITIVE, "step size of Adam")
-    gamma: float = setting(0.9, PROBABILITY, "discount of a turn")
+    lr: Values = setting(1e-3, per_replica(POSITIVE), "step size of Adam")
+    gamma: Values = setting(0.9, per_replica(PROBABILITY), "discount of a turn")
 
 
 @dataclass
@@ -45,16 +48,20 @@ class BBQNConfig(AgentConfig):
     """Bayes-by-Backprop Q-network: a Gaussian for every weight and bias."""
 
     name: str = option("bbqn")
-    prior_std: float | int | str = setting(
-        0.1, or_text(POSITIVE, "fan_in"), "std of the prior; fan_in: sqrt(2 / fan-in) a layer"
+    prior_std: Any = setting(
+        0.1,
+        or_text(per_replica(POSITIVE), "fan_in"),
+        "std of the prior; fan_in: sqrt(2 / fan-in) a layer",
     )
     mean_init: str = setting("zero", one_of("zero", "kaiming"), "where the posterior means start")
-    std_init: float | None = setting(
-        None, optional(POSITIVE, "prior_std"), "where the posterior stds start"
+    std_init: Any = setting(
+        None, optional(per_replica(POSITIVE), "prior_std"), "where the posterior stds start"
     )
-    noise_std: float = setting(1.0, POSITIVE, "std of the noise on the target, in units of Q")
+    noise_std: Values = setting(
+        1.0, per_replica(POSITIVE), "std of the noise on the target, in units of Q"
+    )
     kl: str = setting("closed", one_of("closed", "sampled"), "how KL(q || p) is computed")
-    kl_temperature: float = setting(1.0, NON_NEGATIVE, "factor on the KL term")
+    kl_temperature: Values = setting(1.0, per_replica(NON_NEGATIVE), "factor on the KL term")
     target: str = setting(
         "map", one_of("map", "mc"), "target by the frozen posterior's mean, or by one draw of it"
     )

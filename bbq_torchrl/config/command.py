@@ -10,9 +10,11 @@ also reserves the run folder (two runs of the same second never share one) and t
 from __future__ import annotations
 
 import functools
+import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +27,14 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from bbq_torchrl.config.launchers import LAUNCHER, check_launcher
 from bbq_torchrl.config.messages import explain
-from bbq_torchrl.config.resume import RUN_CONFIG, resumed_config
+from bbq_torchrl.config.resume import (
+    RUN_CONFIG,
+    restarted_config,
+    resumed_config,
+    what_is_unfinished,
+)
 from bbq_torchrl.config.schema import EXPERIMENT, Config
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
@@ -35,6 +43,8 @@ if TYPE_CHECKING:
     from argparse import Namespace
 
 __all__ = ["REFUSED", "Refusal", "command", "prepare"]
+
+_LOG = logging.getLogger(__name__)
 
 REFUSED = 2
 """Exit code of a command that was refused; a run that an error stops ends with 1, Hydra's code."""
@@ -65,10 +75,14 @@ def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callabl
         @functools.wraps(task)
         def job(composed: DictConfig) -> float:
             settings = HydraConfig.get()
+            folder = Path(settings.runtime.output_dir)
+            swept = settings.mode is RunMode.MULTIRUN
             try:
                 config = _job_config(composed, list(settings.overrides.task))
-                return task(config, Path(settings.runtime.output_dir))
+                return task(restarted_config(config, folder) if swept else config, folder)
             except Exception as error:
+                if swept:  # Hydra reports the first job that fails, at the end; the log has each
+                    _LOG.error("this run failed: %s", _sentence(error) or type(error).__name__)
                 if isinstance(error, (ConfigError, *clear_errors())):
                     raise Refusal(_sentence(error)) from error
                 raise
@@ -77,7 +91,7 @@ def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callabl
         def main() -> None:
             arguments = sys.argv[1:]
             try:
-                prepared = prepare(arguments, check)
+                prepared, sweep = _prepare(arguments, check)
             except (ValueError, OSError) as error:
                 _refuse(error)
             sys.argv[1:] = prepared
@@ -85,6 +99,10 @@ def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callabl
                 hydra.main(
                     version_base="1.3", config_path=str(conf_folder()), config_name="config"
                 )(job)()
+            except SystemExit as end:
+                if sweep is not None and end.code:
+                    sys.stderr.write(f"{what_is_unfinished(sweep.folder, sweep.jobs)}\n")
+                raise
             finally:
                 sys.argv[1:] = arguments
 
@@ -104,9 +122,22 @@ def prepare(arguments: Sequence[str], check: Check) -> list[str]:
         ConfigError: one sentence that says what is wrong and what is allowed.
         ValueError or OSError: what ``check`` raises.
     """
+    return _prepare(arguments, check)[0]
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """Where a sweep's runs are, and how many (0 where only its sweeper knows)."""
+
+    folder: Path
+    jobs: int
+
+
+def _prepare(arguments: Sequence[str], check: Check) -> tuple[list[str], _Sweep | None]:
     parsed = get_args_parser().parse_args(list(arguments))
     if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
-        return list(arguments)
+        return list(arguments), None
+    sweep = None
     with session() as hydra_session:
         _refuse_unread(parsed)
         mode = None if parsed.multirun else hydra_session.get_mode("config", parsed.overrides)
@@ -118,13 +149,15 @@ def prepare(arguments: Sequence[str], check: Check) -> list[str]:
             extra = _run_folder(composed, resume)
         else:
             composed, jobs = _sweep(hydra_session, parsed.overrides)
+            check_launcher(composed.hydra.runtime.choices[LAUNCHER])
             for overrides in jobs:
                 job = compose_raw(overrides)
                 if job.resume is not None:
                     raise ConfigError("resume cannot be combined with --multirun")
                 check(to_config(job, Config))
-            extra = [f"hydra.sweep.dir={_quoted(_reserve(Path(composed.hydra.sweep.dir)))}"]
-    return [*arguments, *extra]
+            sweep = _Sweep(_reserve(Path(composed.hydra.sweep.dir)), len(jobs))
+            extra = [f"hydra.sweep.dir={_quoted(sweep.folder)}"]
+    return [*arguments, *extra], sweep
 
 
 def _refuse_unread(parsed: Namespace) -> None:

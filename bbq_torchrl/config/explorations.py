@@ -10,8 +10,10 @@ from bbq_torchrl.config.settings import (
     POSITIVE,
     PROBABILITY,
     REQUIRED,
+    Values,
     one_of,
     option,
+    per_replica,
     setting,
 )
 
@@ -50,8 +52,10 @@ class EpsilonGreedyConfig(ExploreConfig):
     """With probability epsilon a uniformly random legal action, else the greedy one."""
 
     name: str = option("epsilon_greedy")
-    eps_init: float = setting(0.1, PROBABILITY, "epsilon in the first round")
-    eps_end: float = setting(0.01, PROBABILITY, "epsilon from the last annealed round on")
+    eps_init: Values = setting(0.1, per_replica(PROBABILITY), "epsilon in the first round")
+    eps_end: Values = setting(
+        0.01, per_replica(PROBABILITY), "epsilon from the last annealed round on"
+    )
     anneal_rounds: int = setting(100, COUNT, "rounds over which epsilon falls, linearly")
 
 
@@ -64,8 +68,10 @@ class ThompsonEpsilonConfig(ExploreConfig):
         "step", one_of("step", "dialogue", "round"), "how long one draw of the weights is kept"
     )
     shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
-    eps_init: float = setting(0.1, PROBABILITY, "epsilon in the first round")
-    eps_end: float = setting(0.01, PROBABILITY, "epsilon from the last annealed round on")
+    eps_init: Values = setting(0.1, per_replica(PROBABILITY), "epsilon in the first round")
+    eps_end: Values = setting(
+        0.01, per_replica(PROBABILITY), "epsilon from the last annealed round on"
+    )
     anneal_rounds: int = setting(100, COUNT, "rounds over which epsilon falls, linearly")
 
 
@@ -81,8 +87,12 @@ class BoltzmannConfig(ExploreConfig):
     """Actions drawn from softmax(Q / temperature)."""
 
     name: str = option("boltzmann")
-    temperature_init: float = setting(1.0, POSITIVE, "temperature in the first round, units of Q")
-    temperature_end: float = setting(1.0, POSITIVE, "temperature from the last annealed round on")
+    temperature_init: Values = setting(
+        1.0, per_replica(POSITIVE), "temperature in the first round, units of Q"
+    )
+    temperature_end: Values = setting(
+        1.0, per_replica(POSITIVE), "temperature from the last annealed round on"
+    )
     anneal_rounds: int = setting(100, COUNT, "rounds over which the temperature moves, linearly")
 
 

@@ -10,8 +10,10 @@ from bbq_torchrl.config.settings import (
     NON_NEGATIVE,
     POSITIVE,
     REQUIRED,
+    Values,
     one_of,
     option,
+    per_replica,
     setting,
 )
 
@@ -37,8 +39,10 @@ class VIMEConfig(IntrinsicConfig):
     """What a transition teaches a Bayesian model of the dialogue's dynamics (VIME)."""
 
     name: str = option("vime")
-    eta: float = setting(
-        0.1, NON_NEGATIVE, "factor of the normalised information gain, in units of reward"
+    eta: Values = setting(
+        0.1,
+        per_replica(NON_NEGATIVE),
+        "factor of the normalised information gain, in units of reward",
     )
     weights: str = setting(
         "map", one_of("map", "mc"), "information gain at the mean weights, or at one draw"
@@ -50,4 +54,4 @@ class VIMEConfig(IntrinsicConfig):
     step_size: float = setting(0.01, POSITIVE, "size of the second-order step that gains")
     clip: float = setting(10.0, POSITIVE, "greatest normalised information gain")
     median_window: int = setting(10, COUNT, "rounds that the normalising median is taken over")
-    dynamics_every: int = setting(1, COUNT, "updates of Q for one of the dynamics")
+    dynamics_every: int = setting(8, COUNT, "updates of Q for one of the dynamics")

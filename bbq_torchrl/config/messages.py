@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
 
+from bbq_torchrl.config.launchers import LAUNCHER, LAUNCHER_EXTRAS
 from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.values import keys_with_lists
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -55,8 +57,17 @@ def _first_line(error: BaseException) -> str:
 
 
 def _missing_option(error: MissingConfigException, options: Callable[[str], list[str]]) -> str:
-    group, _, option = str(error.missing_cfg_file or "").partition("/")
-    if group in (*SCHEMAS, EXPERIMENT):
+    missing = str(error.missing_cfg_file or "")
+    group, _, option = missing.partition("/")
+    if missing.startswith(f"{LAUNCHER}/"):
+        group, option = LAUNCHER, missing.removeprefix(f"{LAUNCHER}/")
+        if option in LAUNCHER_EXTRAS:
+            extra = LAUNCHER_EXTRAS[option]
+            return (
+                f"{group}={option} needs a package that is missing: "
+                f"pip install 'bbq-torchrl[{extra}]'"
+            )
+    if group in (*SCHEMAS, EXPERIMENT, LAUNCHER):
         return f"{group} must be one of {', '.join(options(group))}, got {option!r}"
     return _first_line(error)
 
@@ -98,7 +109,10 @@ def _several_values(error: Exception) -> str | None:
     match = re.match(r"(?:Ambiguous value for argument|Sweep parameters) '([^']+)'", str(error))
     if match is None:
         return None
-    return f"{match[1]} has several values: add --multirun to run them all"
+    given = match[1]
+    takes_a_list = given.partition("=")[0] in keys_with_lists(SCHEMAS)
+    or_list = ", or put them in brackets for the replicas of one run" if takes_a_list else ""
+    return f"{given} has several values: add --multirun to run them all{or_list}"
 
 
 def _removed(overrides: Sequence[str]) -> str | None:

@@ -15,12 +15,20 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.config.schema import Config
 
-__all__ = ["RUN_CONFIG", "resumed_config", "run_config"]
+__all__ = [
+    "RESULT",
+    "RUN_CONFIG",
+    "restarted_config",
+    "resumed_config",
+    "run_config",
+    "what_is_unfinished",
+]
 
 RUN_CONFIG = "config.yaml"
 """The composed configuration in a run folder."""
 
 RESULT = "result.json"
+"""The final evaluation in a run folder: it is there when the run is finished."""
 
 CHANGEABLE = ("protocol.rounds", "logger", "device")
 """What may be given beside ``resume``; the rest is the run's own."""
@@ -73,6 +81,41 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
             f"protocol.rounds=<more> extends it"
         )
     return config
+
+
+def restarted_config(config: Config, folder: Path) -> Config:
+    """The configuration of a job of a sweep: it goes on with what its folder holds already.
+
+    Launchers start a job again whose worker died (Ray) or that ran out of time (SLURM).
+
+    Raises:
+        ConfigError: the folder holds a run of another configuration.
+    """
+    if not (folder / RUN_CONFIG).is_file():
+        return config
+    if run_config(folder) != dataclasses.replace(config, resume=None):
+        raise ConfigError(
+            f"{folder} already holds another run: hydra.sweep.subdir must give each job of a "
+            f"sweep a folder of its own"
+        )
+    return dataclasses.replace(config, resume=str(folder))
+
+
+def what_is_unfinished(sweep: Path, jobs: int) -> str:
+    """Lines that say which runs of a sweep have no result.
+
+    Args:
+        sweep: the sweep's folder.
+        jobs: how many jobs it has; 0 where only the sweeper knows.
+    """
+    started = sorted(item.parent for item in sweep.rglob(".hydra"))
+    without = [folder for folder in started if not (folder / RESULT).is_file()]
+    total = max(jobs, len(started))
+    lines = [f"{len(started) - len(without)} of {total} runs in {sweep} are finished"]
+    lines += [f"  not finished: {folder} (train.log in it says why)" for folder in without]
+    if total > len(started):
+        lines.append(f"  never started: {total - len(started)}")
+    return "\n".join(lines)
 
 
 def _extended(saved: Config, given: Config, folder: Path) -> int:

@@ -18,6 +18,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    Values = float | list[float]
+else:
+    # OmegaConf has no union with a list; what a key allows checks these instead.
+    Values = Any
+
 __all__ = [
     "ABOVE_ZERO_TO_ONE",
     "ANY_TEXT",
@@ -33,12 +38,14 @@ __all__ = [
     "REQUIRED",
     "Allowed",
     "ConfigError",
+    "Values",
     "at_least",
     "check_settings",
     "one_of",
     "option",
     "optional",
     "or_text",
+    "per_replica",
     "setting",
     "walk",
 ]
@@ -59,10 +66,12 @@ class Allowed:
     Attributes:
         text: completes the sentence ``"<key> must be ..."``.
         test: whether a value (already of the right type) is one of them.
+        per_replica: whether a list can give the replicas values of their own.
     """
 
     text: str
     test: Callable[[Any], bool]
+    per_replica: bool = False
 
 
 def _is_number(value: Any) -> bool:
@@ -118,15 +127,37 @@ def one_of(*choices: str) -> Allowed:
 def or_text(allowed: Allowed, text: str) -> Allowed:
     """What ``allowed`` lets through, and the word ``text``."""
     return Allowed(
-        f"{allowed.text} or {text!r}", lambda value: value == text or allowed.test(value)
+        f"{allowed.text} or {text!r}",
+        lambda value: value == text or allowed.test(value),
+        allowed.per_replica,
     )
 
 
 def optional(allowed: Allowed, meaning: str) -> Allowed:
     """What ``allowed`` lets through, and null; ``meaning`` says what null does."""
     return Allowed(
-        f"{allowed.text} or null ({meaning})", lambda value: value is None or allowed.test(value)
+        f"{allowed.text} or null ({meaning})",
+        lambda value: value is None or allowed.test(value),
+        allowed.per_replica,
     )
+
+
+def per_replica(allowed: Allowed) -> Allowed:
+    """What ``allowed`` lets through, and a list of it whose values the replicas share out.
+
+    How long the list may be is checked where the number of replicas is known.
+
+    Example:
+        >>> per_replica(POSITIVE).test([0.1, 0.2]), per_replica(POSITIVE).test([0.1, -1])
+        (True, False)
+    """
+
+    def test(value: Any) -> bool:
+        if isinstance(value, list):
+            return bool(value) and all(map(allowed.test, value))
+        return allowed.test(value)
+
+    return Allowed(f"{allowed.text} (or a list, one for each replica)", test, per_replica=True)
 
 
 def setting(default: Any, allowed: Allowed, meaning: str) -> Any:

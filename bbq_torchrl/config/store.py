@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import textwrap
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -31,6 +32,7 @@ from bbq_torchrl.config.schema import (
 )
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.validation import validate
+from bbq_torchrl.config.values import keys_with_lists
 from bbq_torchrl.config.worlds import FolderDomainConfig, MiuLabDomainConfig
 
 if TYPE_CHECKING:
@@ -89,10 +91,22 @@ def _register() -> None:
             store.store(group=group, name=f"_{option}", node=schema)
     OmegaConf.register_new_resolver("bbq_pairs", _indented_pairs, replace=True)
     OmegaConf.register_new_resolver("bbq_groups", _indented_groups, replace=True)
+    OmegaConf.register_new_resolver("bbq_lists", _indented_lists, replace=True)
 
 
 def _indented_pairs() -> str:
     return "\n".join(f"  {line}" for line in explorations_table().splitlines())
+
+
+def _indented_lists() -> str:
+    return "\n".join(
+        textwrap.wrap(
+            ", ".join(keys_with_lists(SCHEMAS)),
+            width=90,
+            initial_indent="  ",
+            subsequent_indent="  ",
+        )
+    )
 
 
 def _indented_groups() -> str:

@@ -7,6 +7,7 @@ from bbq_torchrl.config.explorations import NoisyConfig
 from bbq_torchrl.config.pairs import EXPLORATIONS
 from bbq_torchrl.config.schema import Config, EvaluateConfig
 from bbq_torchrl.config.settings import ConfigError, check_settings
+from bbq_torchrl.config.values import check_values
 from bbq_torchrl.config.worlds import DomainExtensionConfig
 
 __all__ = ["validate"]
@@ -24,6 +25,7 @@ def validate(config: Config | EvaluateConfig) -> None:
     check_settings(config)
     if isinstance(config, Config):
         _check_pair(config)
+        check_values(config)
         _check_noise(config)
         _check_trunk(config)
         _check_extension(config)

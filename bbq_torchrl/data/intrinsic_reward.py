@@ -13,6 +13,7 @@ from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.data.running_median import RunningMedian
 from bbq_torchrl.modules.information_gain import information_gain
+from bbq_torchrl.modules.stack_values import stack_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -66,7 +67,8 @@ class VIMEReward(Transform):
         dynamics: the model; also to be given to a :class:`~bbq_torchrl.objectives.DynamicsLoss`.
 
     Keyword Args:
-        eta: η, what a bonus of 1 is worth in units of the task reward. Defaults to 0.1.
+        eta: η, what a bonus of 1 is worth in units of the task reward; a number or a tensor
+            [*stack]. Defaults to 0.1.
         weights: "map", the gain at the posterior's mean, or "mc", at one weight draw for each
             store, shared by its transitions. Defaults to "map".
         step_size: λ of the gain. Defaults to 0.01.
@@ -109,6 +111,7 @@ class VIMEReward(Transform):
     """
 
     _given: Tensor
+    eta: float | Tensor
 
     ENV_ERR = (
         "VIMEReward is a transform of replay buffers: it needs whole transitions, which an "
@@ -119,7 +122,7 @@ class VIMEReward(Transform):
         self,
         dynamics: DynamicsModel,
         *,
-        eta: float = 0.1,
+        eta: float | Tensor = 0.1,
         weights: GainWeights = "map",
         step_size: float = 0.01,
         normalise: bool = True,
@@ -136,7 +139,9 @@ class VIMEReward(Transform):
             raise ValueError(
                 f"weights must be one of {list(get_args(GainWeights))}, got {weights!r}"
             )
-        if not 0 <= eta < float("inf"):
+        if isinstance(eta, Tensor):
+            eta = stack_values("eta", eta, dynamics.stack, minimum=0)
+        elif not 0 <= eta < float("inf"):
             raise ValueError(f"eta must be finite and not negative, got {eta}")
         for name, value in (("step_size", step_size), ("clip", clip)):
             if not value > 0:
@@ -155,7 +160,10 @@ class VIMEReward(Transform):
             out_keys_inv=[bonus],
         )
         self.dynamics = dynamics
-        self.eta = eta
+        if isinstance(eta, Tensor):
+            self.register_buffer("eta", eta, persistent=False)
+        else:
+            self.eta = eta
         self.weights = weights
         self.step_size = step_size
         self.normalise = normalise
@@ -297,7 +305,11 @@ class VIMEReward(Transform):
                 f"{bonus_key!r} is missing: the transitions were stored without this transform"
             )
         out = tensordict.clone(recurse=False)
-        return out.set(reward_key, torch.add(reward, bonus.to(reward.dtype), alpha=self.eta))
+        bonus, eta = bonus.to(reward.dtype), self.eta
+        if not isinstance(eta, Tensor):
+            return out.set(reward_key, torch.add(reward, bonus, alpha=eta))
+        eta = eta.to(reward.dtype).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))
+        return out.set(reward_key, torch.addcmul(reward, bonus, eta))
 
     # -- not in environments ----------------------------------------------------------------
 

@@ -53,7 +53,7 @@ def moving_average(values: Any, window: int = WINDOW) -> Any:
 
 def draw_run(
     file: Path,
-    curves: Curves,
+    curves: Curves | Sequence[Curves],
     *,
     title: str,
     spiked: str | None = None,
@@ -63,20 +63,23 @@ def draw_run(
 
     Args:
         file: the file.
-        curves: the run's replicas.
+        curves: the run's replicas; several where they have values of their own.
         title: the heading.
         spiked: what the buffer was spiked with, said at round 0; ``None`` for an empty buffer.
         extensions: round to slot: where the domain grew.
     """
     figure, axes = _axes()
-    rounds = np.arange(len(curves.success))
-    _draw_group(axes, curves, COLOURS[0], band=False)
-    if curves.final.size:
-        mean = float(np.mean(curves.final))
-        axes.plot(
-            np.full(curves.final.size, rounds[-1] + 1), curves.final, "o", ms=5, color=COLOURS[1]
-        )
-        axes.axhline(mean, color=COLOURS[1], lw=1, ls="--", label=f"final evaluation: {mean:.3f}")
+    groups = [curves] if isinstance(curves, Curves) else list(curves)
+    rounds = np.arange(len(groups[0].success))
+    for group, colour in zip(groups, _colours(len(groups)), strict=True):
+        _draw_group(axes, group, colour, band=False)
+        # Of one group the final evaluation stands out, of several it belongs to the group.
+        final = COLOURS[1] if len(groups) == 1 else colour
+        if group.final.size:
+            mean = float(np.mean(group.final))
+            at = np.full(group.final.size, rounds[-1] + 1)
+            axes.plot(at, group.final, "o", ms=5, color=final)
+            axes.axhline(mean, color=final, lw=1, ls="--", label=f"final evaluation: {mean:.3f}")
     if spiked is not None:
         axes.plot([0], [0], "^", color=COLOURS[2], ms=8, clip_on=False, label=spiked, zorder=5)
     for start, slot in (extensions or {}).items():
@@ -102,6 +105,15 @@ def draw_comparison(file: Path, groups: Sequence[Curves], *, title: str) -> None
     for group, colour in zip(groups, COLOURS, strict=False):
         _draw_group(axes, group, colour, band=True)
     _finish(figure, axes, file, title)
+
+
+def _colours(count: int) -> Sequence[Any]:
+    """Colours of groups; of many, ones that follow their order."""
+    if count <= len(COLOURS):
+        return COLOURS[:count]
+    from matplotlib import colormaps
+
+    return [colormaps["viridis"](place) for place in np.linspace(0, 0.95, count)]
 
 
 def _axes() -> tuple[Any, Any]:

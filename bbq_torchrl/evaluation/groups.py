@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -34,11 +34,12 @@ _OF_A_MACHINE = ("protocol.checkpoint_every", "protocol.eval_batch")
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run as its result folder tells it.
+    """A finished run as its result folder tells it, or those of its replicas with one value.
 
     Attributes:
         folder: the result folder.
-        config: the composed configuration, nested mappings.
+        config: the composed configuration, nested mappings; a key with a list, a value for each
+            replica, has the one value of these replicas (see :meth:`by_values`).
         result: of the final evaluation.
         metrics: of the training.
     """
@@ -57,6 +58,23 @@ class Run:
             if key.partition(".")[0] not in _OF_A_SEED and key not in _OF_A_MACHINE
         }
         return flat | {"protocol.rounds": self.result.rounds}
+
+    def by_values(self) -> list[Run]:
+        """The replicas that have the same values, where keys have a list; else the run itself."""
+        together: dict[tuple[tuple[str, float], ...], list[int]] = {}
+        for number, entry in enumerate(self.result.per_replica):
+            together.setdefault(tuple(entry.values.items()), []).append(number)
+        return [
+            replace(
+                self,
+                config=_with_values(self.config, dict(values)),
+                result=self.result.only(replicas),
+                metrics=self.metrics.only(replicas),
+            )
+            if values
+            else self
+            for values, replicas in together.items()
+        ]
 
     @property
     def agent(self) -> str:
@@ -154,11 +172,13 @@ def read_run(folder: Path) -> Run:
 def read_groups(folders: Sequence[Path]) -> list[Group]:
     """Reads result folders. Returns a group for each setting, in the order in which they come.
 
+    Replicas of a run that have values of their own are of different settings.
+
     Raises:
         ValueError: see :func:`read_run`; or two runs are of the same setting and seed.
     """
     together: list[tuple[dict[str, Any], list[Run]]] = []
-    for run in map(read_run, folders):
+    for run in (part for folder in folders for part in read_run(folder).by_values()):
         setting = run.setting
         same = next((runs for known, runs in together if known == setting), None)
         if same is None:
@@ -188,6 +208,15 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
         key = f"{prefix}{name}"
         leaves += _flat(value, f"{key}.") if isinstance(value, dict) else [(key, value)]
     return leaves
+
+
+def _with_values(config: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
+    """Returns the configuration with other values of some dotted keys."""
+    changed = dict(config)
+    for key, value in values.items():
+        group, _, name = key.partition(".")
+        changed[group] = {**changed[group], name: value}
+    return changed
 
 
 def _label(name: str, setting: Mapping[str, Any], same_name: Sequence[Mapping[str, Any]]) -> str:

@@ -10,7 +10,7 @@ import csv
 import json
 import math
 import os
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from bbq_torchrl.evaluation.statistics import binomial_standard_error
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
 __all__ = [
@@ -48,6 +48,7 @@ class ReplicaResult:
         turns: mean number of agent turns of a dialogue.
         dialogues: number of dialogues evaluated.
         training_success: share of all training dialogues that succeeded (cumulative success).
+        values: dotted key to value, of the keys that have a list with a value for each replica.
     """
 
     replica: int
@@ -57,6 +58,7 @@ class ReplicaResult:
     turns: float
     dialogues: int
     training_success: float
+    values: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,8 @@ class RunResult:
         seed: of the run.
         rounds: rounds trained.
         replicas: independent seeds trained side by side.
-        success_rate: mean over replicas; likewise reward, turns, training_success.
+        success_rate: mean over replicas, whatever their values; likewise reward, turns,
+            training_success.
         standard_error: of success_rate over the dialogues of *these* replicas (binomial). It does
             not tell how another seed would do: see :mod:`bbq_torchrl.evaluation.report`.
         dialogues: evaluated in all.
@@ -119,6 +122,16 @@ class RunResult:
             **described,
         )
 
+    def only(self, replicas: Sequence[int]) -> RunResult:
+        """The result of some of the replicas."""
+        computed = {"replicas", "standard_error", "dialogues", "per_replica"}
+        computed |= {"success_rate", "reward", "turns", "training_success"}
+        names = [item.name for item in fields(self) if item.name not in computed]
+        return RunResult.of(
+            [self.per_replica[replica] for replica in replicas],
+            **{name: getattr(self, name) for name in names},
+        )
+
 
 def replica_result(
     replica: int,
@@ -126,6 +139,7 @@ def replica_result(
     reward: Sequence[float],
     turns: Sequence[float],
     training_success: float,
+    values: Mapping[str, float] | None = None,
 ) -> ReplicaResult:
     """Sums up the dialogues of one replica: one entry of each sequence for each dialogue."""
     dialogues = len(success)
@@ -138,6 +152,7 @@ def replica_result(
         turns=math.fsum(turns) / dialogues,
         dialogues=dialogues,
         training_success=training_success,
+        values=dict(values or {}),
     )
 
 
@@ -196,6 +211,10 @@ class Metrics:
         if name not in self.columns:
             raise KeyError(f"metrics have no column {name!r}, only {', '.join(self.columns)}")
         return self.columns[name]
+
+    def only(self, replicas: Sequence[int]) -> Metrics:
+        """The metrics of some of the replicas."""
+        return Metrics({name: values[:, list(replicas)] for name, values in self.columns.items()})
 
     @property
     def training_success(self) -> Any:

@@ -41,9 +41,11 @@ class BayesMLP(nn.Module):
             inputs have R as their first dimension. Defaults to (), one network.
         prior_std: standard deviation of the prior, or "fan_in" for √(2/inputs) a layer. It
             decides how much is explored: under the prior Q has a variance of v₁ = p²(‖x‖² + 1),
-            v_{l+1} = p²(n_l v_l / 2 + 1). Defaults to 0.1.
+            v_{l+1} = p²(n_l v_l / 2 + 1). A tensor [*stack] gives each network its own.
+            Defaults to 0.1.
         mean_init: "zero", or "kaiming" (uniform in ±1/√inputs, what ``nn.Linear`` starts with).
-        std_init: standard deviation to start with. Defaults to None, the prior's.
+        std_init: standard deviation to start with, a number or a tensor [*stack]. Defaults to
+            None, the prior's.
         device: of the parameters.
         dtype: of the parameters.
 
@@ -67,9 +69,9 @@ class BayesMLP(nn.Module):
         hidden: Sequence[int] = (256, 256),
         *,
         stack: Sequence[int] = (),
-        prior_std: float | Literal["fan_in"] = 0.1,
+        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
         mean_init: MeanInit = "zero",
-        std_init: float | None = None,
+        std_init: float | Tensor | None = None,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
@@ -79,8 +81,8 @@ class BayesMLP(nn.Module):
             raise ValueError(
                 f"mean_init must be one of {list(get_args(MeanInit))}, got {mean_init!r}"
             )
-        if (isinstance(prior_std, str) and prior_std != "fan_in") or not (
-            isinstance(prior_std, str) or prior_std > 0
+        if (isinstance(prior_std, str) and prior_std != "fan_in") or (
+            isinstance(prior_std, (int, float)) and not prior_std > 0
         ):
             raise ValueError(f"prior_std must be positive or 'fan_in', got {prior_std!r}")
         self.mean_init = mean_init
@@ -196,9 +198,9 @@ class BayesLinear(BayesMLP):
         out_features: int,
         *,
         stack: Sequence[int] = (),
-        prior_std: float | Literal["fan_in"] = 0.1,
+        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
         mean_init: MeanInit = "zero",
-        std_init: float | None = None,
+        std_init: float | Tensor | None = None,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:

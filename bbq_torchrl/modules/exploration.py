@@ -1,7 +1,8 @@
-"""Ways to act on a Q-network: greedily, by Thompson sampling, by a softmax over values.
+"""Ways to act on a Q-network: greedily, and by Thompson sampling.
 
-Each is a TensorDict module that honours the actor's action mask. TorchRL's ``EGreedyModule``
-goes behind :class:`Greedy` or :class:`ThompsonSampling` in a ``TensorDictSequential``.
+Each is a TensorDict module that honours the actor's action mask. TorchRL's ``EGreedyModule`` (or
+what :mod:`~bbq_torchrl.modules.annealed` has) goes behind :class:`Greedy` or
+:class:`ThompsonSampling` in a ``TensorDictSequential``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
 
-__all__ = ["Boltzmann", "Greedy", "Per", "ThompsonSampling"]
+__all__ = ["Greedy", "Per", "ThompsonSampling"]
 
 Per = Literal["step", "dialogue", "round"]
 
@@ -179,104 +180,6 @@ class ThompsonSampling(TensorDictModuleBase):
             begins = begins.flatten(len(stack)).any(-1)
         for layer, draws in self._held.items():
             layer.posterior.redraw_(draws, begins)
-
-
-class Boltzmann(TensorDictModuleBase):
-    """Replaces the greedy action by a draw from softmax(Q / temperature).
-
-    Goes behind an actor; explores under RANDOM and outside of any context, else leaves the
-    action as it is. The temperature falls linearly with :meth:`step` and is a buffer, so that
-    checkpoints hold it.
-
-    Args:
-        temperature_init: temperature at first, in units of Q (rewards).
-        temperature_end: temperature after ``annealing_num_steps`` steps.
-        annealing_num_steps: length of the schedule.
-
-    Keyword Args:
-        action_key: where the action (an index) goes.
-        action_value_key: values [*batch, N].
-        action_mask_key: bool [*batch, N], or None for no mask.
-        spec: of the action, if known.
-
-    Raises:
-        ValueError: if not temperature_init ≥ temperature_end > 0, or without any step.
-
-    Example:
-        >>> import torch
-        >>> from tensordict import TensorDict
-        >>> explore = Boltzmann(2.0, 0.5, 3, action_mask_key=None)
-        >>> td = TensorDict(action_value=torch.tensor([[0.0, 99.0, -99.0]]), batch_size=[1])
-        >>> explore(td)["action"]
-        tensor([1])
-        >>> explore.step(2)
-        >>> explore.temperature
-        tensor(1.)
-    """
-
-    temperature: Tensor
-    temperature_init: Tensor
-    temperature_end: Tensor
-
-    def __init__(
-        self,
-        temperature_init: float,
-        temperature_end: float,
-        annealing_num_steps: int = 1000,
-        *,
-        action_key: NestedKey = "action",
-        action_value_key: NestedKey = "action_value",
-        action_mask_key: NestedKey | None = "action_mask",
-        spec: Composite | None = None,
-        device: torch.device | str | None = None,
-    ) -> None:
-        if not temperature_init >= temperature_end > 0:
-            raise ValueError(
-                "temperature_init must be at least temperature_end and that positive, got "
-                f"{temperature_init} and {temperature_end}"
-            )
-        if annealing_num_steps < 1:
-            raise ValueError(f"annealing_num_steps must be at least 1, got {annealing_num_steps}")
-        super().__init__()
-        self.action_key = action_key
-        self.action_value_key = action_value_key
-        self.action_mask_key = action_mask_key
-        self.in_keys = [action_value_key]
-        if action_mask_key is not None:
-            self.in_keys.append(action_mask_key)
-        self.out_keys = [action_key]
-        self.annealing_num_steps = annealing_num_steps
-        for name, value in {
-            "temperature_init": temperature_init,
-            "temperature_end": temperature_end,
-            "temperature": temperature_init,
-        }.items():
-            self.register_buffer(name, torch.tensor(float(value), device=device))
-        self._spec = spec
-
-    @property
-    def spec(self) -> Composite | None:
-        """Spec of the action, if one was given."""
-        return self._spec
-
-    def step(self, frames: int = 1) -> None:
-        """Lowers the temperature by ``frames`` steps of the schedule."""
-        fall = (self.temperature_init - self.temperature_end) / self.annealing_num_steps
-        self.temperature.copy_(
-            torch.maximum(self.temperature_end, self.temperature - frames * fall)
-        )
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the drawn action [*batch]."""
-        if not explores():
-            return tensordict
-        logits = tensordict.get(self.action_value_key).detach() / self.temperature
-        # argmax(logit - log E), E ~ Exp(1), is a draw from the softmax (the Gumbel trick)
-        logits = logits - torch.empty_like(logits).exponential_().log_()
-        if self.action_mask_key is not None:
-            mask = tensordict.get(self.action_mask_key)
-            logits = torch.where(mask, logits, float("-inf"))
-        return tensordict.set(self.action_key, logits.argmax(-1))
 
 
 def bayesian_layers(module: torch.nn.Module) -> list[BayesMLP]:

@@ -37,10 +37,15 @@ class collect_kl:
     Args:
         kind: "closed", or "sampled" (log q(w) - log p(w) at the draw; needs layers that draw
             their weights, see Raises).
+        held: values of the closed KL by posterior, kept by the caller across contexts. A layer
+            that draws its weights and is found there reports the value held, with the gradient
+            of today's; one that is not computes its KL and is added. Defaults to None: nothing
+            is held.
 
     Raises:
-        ValueError: for another kind; and at the call of a layer in mode "mean" or "local" when
-            the kind is "sampled": there are no weights to evaluate it at.
+        ValueError: for another kind, or values held of another one than "closed"; and at the call
+            of a layer in mode "mean" or "local" when the kind is "sampled": there are no weights
+            to evaluate it at.
 
     Example:
         >>> import torch
@@ -53,16 +58,25 @@ class collect_kl:
         tensor(..., grad_fn=...)
     """
 
-    def __init__(self, kind: KLKind = "closed") -> None:
+    def __init__(
+        self, kind: KLKind = "closed", held: dict[GaussianPosterior, Tensor] | None = None
+    ) -> None:
         check_kl_kind(kind)
+        if held is not None and kind != "closed":
+            raise ValueError(f"held values need kl='closed', got {kind!r}")
         self.kind = kind
+        self._held = held
         self._terms: dict[GaussianPosterior, Tensor] = {}
 
     def draw(self, posterior: GaussianPosterior) -> Tensor:
         """Returns a weight draw [*stack, P] and notes the KL at the posterior's first draw."""
         if posterior in self._terms:
             return posterior.sample()
-        weights, self._terms[posterior] = posterior.sample_with_kl(self.kind)
+        known = None if self._held is None else self._held.get(posterior)
+        weights, kl = posterior.sample_with_kl(self.kind, known)
+        self._terms[posterior] = kl
+        if self._held is not None and known is None:
+            self._held[posterior] = kl.detach()
         return weights
 
     def note(self, posterior: GaussianPosterior) -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from bbq_torchrl.modules.held_std import std_of
 from bbq_torchrl.modules.noise import fill_normal_
 from bbq_torchrl.modules.shared_noise import noise_for
+from bbq_torchrl.modules.stack_values import stack_values
 from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind, closed_kl, draw_with_kl
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 __all__ = ["GaussianPosterior", "inverse_softplus"]
 
@@ -33,7 +32,8 @@ class GaussianPosterior(nn.Module):
 
     Args:
         group_sizes: how many weights each group (for an MLP: layer) has; P is their sum.
-        prior_std: standard deviation of the prior, one number for all groups or one a group.
+        prior_std: standard deviation of the prior: one number, a sequence with one for each
+            group, or a tensor [*stack] with one for each element of the stack.
 
     Keyword Args:
         stack: leading shape; an independent posterior for each element. Defaults to ().
@@ -43,11 +43,12 @@ class GaussianPosterior(nn.Module):
     Attributes:
         mu: parameter [*stack, P], 0 at first.
         rho: parameter [*stack, P], softplus(rho) = prior_std at first.
-        prior_rho: buffer [1] or [groups], softplus(prior_rho) = prior_std. Kept in the place
-            of prior_std so that σ meets the prior's in any dtype.
+        prior_rho: buffer [1], [groups] or [*stack, 1], softplus(prior_rho) = prior_std. Kept in
+            the place of prior_std so that σ meets the prior's in any dtype.
 
     Raises:
-        ValueError: if a prior_std is not a positive finite number.
+        ValueError: if a prior_std is not a positive finite number, or there are not as many as
+            there are groups or elements of the stack.
 
     Example:
         >>> import torch
@@ -64,7 +65,7 @@ class GaussianPosterior(nn.Module):
     def __init__(
         self,
         group_sizes: Sequence[int],
-        prior_std: float | Sequence[float],
+        prior_std: float | Sequence[float] | Tensor,
         *,
         stack: Sequence[int] = (),
         device: torch.device | str | None = None,
@@ -73,7 +74,19 @@ class GaussianPosterior(nn.Module):
         super().__init__()
         self.group_sizes = tuple(group_sizes)
         self.stack = torch.Size(stack)
-        groups = [prior_std] if isinstance(prior_std, (int, float)) else list(prior_std)
+        std = self._prior(prior_std)
+        dtype = dtype or torch.get_default_dtype()
+        self.register_buffer("prior_rho", inverse_softplus(std).to(device=device, dtype=dtype))
+        shape = (*self.stack, sum(self.group_sizes))
+        self.mu = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
+        self.rho = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
+        self.reset_parameters()
+
+    def _prior(self, prior_std: float | Sequence[float] | Tensor) -> Tensor:
+        """Returns the prior's checked std, float64 [1], [groups] or [*stack, 1]."""
+        if isinstance(prior_std, Tensor) and prior_std.ndim > 0:
+            return stack_values("prior_std", prior_std, self.stack).unsqueeze(-1)
+        groups = list(prior_std) if isinstance(prior_std, Sequence) else [float(prior_std)]
         for value in groups:
             if not 0 < value < float("inf"):
                 raise ValueError(f"prior_std must be positive and finite, got {value}")
@@ -82,13 +95,7 @@ class GaussianPosterior(nn.Module):
                 f"prior_std must be one number or one for each of the {len(self.group_sizes)} "
                 f"groups, got {len(groups)}"
             )
-        std = torch.tensor(groups, dtype=torch.float64)
-        dtype = dtype or torch.get_default_dtype()
-        self.register_buffer("prior_rho", inverse_softplus(std).to(device=device, dtype=dtype))
-        shape = (*self.stack, sum(self.group_sizes))
-        self.mu = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
-        self.rho = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
-        self.reset_parameters()
+        return torch.tensor(groups, dtype=torch.float64)
 
     def reset_parameters(self) -> None:
         """Sets the posterior to the prior."""
@@ -96,23 +103,26 @@ class GaussianPosterior(nn.Module):
             self.mu.zero_()
             self.rho.copy_(self.per_weight(self.prior_rho))
 
-    def reset_std_(self, std: float) -> None:
-        """Sets every standard deviation to ``std``."""
-        if not 0 < std < float("inf"):
+    def reset_std_(self, std: float | Tensor) -> None:
+        """Sets every standard deviation to ``std``, one number or one a stack element, [*stack]."""
+        values = torch.as_tensor(std, dtype=torch.float64)
+        if values.ndim:
+            values = stack_values("std_init", values, self.stack)
+        elif not 0 < std < float("inf"):
             raise ValueError(f"std_init must be positive and finite, got {std}")
         with torch.no_grad():
-            self.rho.fill_(inverse_softplus(torch.tensor(std, dtype=torch.float64)).item())
+            self.rho.copy_(inverse_softplus(values).unsqueeze(-1))
 
     def per_weight(self, per_group: Tensor) -> Tensor:
-        """Returns values per group, [1] or [groups], as values per weight, [1] or [P]."""
-        if per_group.shape[0] == 1:
+        """Returns values per group as values per weight: [groups] as [P], [*, 1] as it is."""
+        if per_group.shape[-1] == 1:
             return per_group
         parts = zip(per_group.unbind(), self.group_sizes, strict=True)
         return torch.cat([value.expand(size) for value, size in parts])
 
     @property
     def prior_std(self) -> Tensor:
-        """Standard deviation of the prior, [1] if one for all, else [P]."""
+        """Standard deviation of the prior: [1] if one for all, [*stack, 1], or [P]."""
         return self.per_weight(F.softplus(self.prior_rho))
 
     @property
@@ -134,7 +144,7 @@ class GaussianPosterior(nn.Module):
         if not is_filled:
             self.fill_noise_(noise)
         shape = (*self.stack, *(1 for _ in rows), count)
-        return torch.addcmul(self.mu.reshape(shape), self.sigma.reshape(shape), noise)
+        return torch.addcmul(self.mu.reshape(shape), std_of(self).reshape(shape), noise)
 
     @torch.no_grad()
     def redraw_(self, draws: Tensor, where: Tensor) -> None:
@@ -154,20 +164,26 @@ class GaussianPosterior(nn.Module):
         self.fill_noise_(noise)
         flat[which] = torch.addcmul(mu[element], F.softplus(rho[element]), noise)
 
-    def sample_with_kl(self, kind: KLKind = "closed") -> tuple[Tensor, Tensor]:
+    def sample_with_kl(
+        self, kind: KLKind = "closed", known_kl: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Returns a draw [*stack, P] and the KL from the prior [*stack], sharing σ.
 
         Args:
             kind: "closed", Σ log(p/σ) + (σ² + μ²)/(2p²) - ½, or "sampled", log q(w) - log p(w)
                 at the draw, as the paper has it.
+            known_kl: an earlier value of the closed KL, [*stack], to be returned in the place of
+                today's; its gradient is today's all the same. Defaults to None.
 
         Raises:
-            ValueError: for any other string.
+            ValueError: for any other string, or a known KL of another kind than "closed".
         """
         check_kl_kind(kind)
+        if known_kl is not None and kind != "closed":
+            raise ValueError(f"known_kl needs kl='closed', got {kind!r}")
         noise, is_filled = noise_for(self, self.mu.shape)
         fill_noise_ = None if is_filled else self.fill_noise_
-        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_)
+        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_, known_kl)
 
     def kl(self) -> Tensor:
         """Returns the KL from the prior in closed form, [*stack], in nats."""

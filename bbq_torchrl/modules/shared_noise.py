@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.modules.noise_pool import active_noise_pool
+
 if TYPE_CHECKING:
     from types import TracebackType
 
@@ -56,8 +58,9 @@ class shared_noise:
         number = self._used.get(posterior, 0)
         self._used[posterior] = number + 1
         if number == len(drawn):
-            drawn.append(posterior.mu.new_empty(shape))
-            return drawn[number], False
+            noise, is_filled = _new_noise(posterior, shape)
+            drawn.append(noise)
+            return noise, is_filled
         if drawn[number].shape != shape:
             raise ValueError(
                 f"a draw of shape {list(shape)} cannot share noise of shape "
@@ -83,12 +86,22 @@ class shared_noise:
 def noise_for(posterior: GaussianPosterior, shape: torch.Size) -> tuple[Tensor, bool]:
     """Returns a tensor for the noise of a draw, and whether it holds numbers already.
 
-    Outside of :class:`shared_noise` it is always an empty one.
+    Outside of :class:`shared_noise` and :class:`~bbq_torchrl.modules.noise_pool` it is always an
+    empty one.
 
     Args:
         posterior: what is drawn from.
         shape: of the draw.
     """
     if _active.noise is None:
-        return posterior.mu.new_empty(shape), False
+        return _new_noise(posterior, shape)
     return _active.noise.next(posterior, shape)
+
+
+def _new_noise(posterior: GaussianPosterior, shape: torch.Size) -> tuple[Tensor, bool]:
+    """Returns a tensor for noise that no draw has used, and whether it holds numbers already."""
+    pool = active_noise_pool()
+    noise = None if pool is None else pool.window(posterior, shape)
+    if noise is None:
+        return posterior.mu.new_empty(shape), False
+    return noise, True

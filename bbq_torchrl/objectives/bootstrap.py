@@ -38,7 +38,7 @@ class BootstrapDQNLoss(OneStepQLoss):
             network that maps the observation to values [*stack, *batch, K, N].
 
     Keyword Args:
-        gamma: discount of the one-step target. Defaults to 0.9.
+        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.

@@ -24,7 +24,7 @@ class DropoutDQNLoss(OneStepQLoss):
         value_network: an actor, or a network that maps the observation to values.
 
     Keyword Args:
-        gamma: discount of the one-step target. Defaults to 0.9.
+        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.

@@ -37,7 +37,7 @@ class NoisyDQNLoss(OneStepQLoss):
             layers (:class:`~bbq_torchrl.modules.NoisyMLP`).
 
     Keyword Args:
-        gamma: discount of the one-step target. Defaults to 0.9.
+        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
@@ -70,7 +70,7 @@ class NoisyDQNLoss(OneStepQLoss):
         self,
         value_network: QValueActor | nn.Module,
         *,
-        gamma: float = 0.9,
+        gamma: float | Tensor = 0.9,
         action_space: str | TensorSpec | None = None,
         delay_value: bool = True,
         double_dqn: bool = False,

@@ -11,6 +11,7 @@ from tensordict.nn import dispatch
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
+from bbq_torchrl.modules.stack_values import stack_values
 from bbq_torchrl.objectives.td_error import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
@@ -47,7 +48,7 @@ class OneStepQLoss(DQNLoss):
         value_network: an actor, or a network that maps the observation to values.
 
     Keyword Args:
-        gamma: discount of the one-step target. Defaults to 0.9.
+        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
@@ -75,20 +76,20 @@ class OneStepQLoss(DQNLoss):
     out_keys = ["loss", "loss_value", "td_error", "q_value"]  # noqa: RUF012 - as in TorchRL
     SUPPORTED_VALUE_ESTIMATORS = (ValueEstimators.TD0,)
     _loss_mask_key: NestedKey | None = "valid"
-    _scale: float = 1.0  # of each row's loss
+    _scale: float | Tensor = 1.0  # of each row's loss; float64 [*stack] where it differs
     _kl_weight: Tensor  # of the KL, [*stack]; only where _predict returns one
 
     def __init__(
         self,
         value_network: QValueActor | nn.Module,
         *,
-        gamma: float = 0.9,
+        gamma: float | Tensor = 0.9,
         action_space: str | TensorSpec | None = None,
         delay_value: bool = True,
         double_dqn: bool = False,
         loss_function: Distance = "l2",
     ) -> None:
-        if not 0 <= gamma <= 1:
+        if not isinstance(gamma, torch.Tensor) and not 0 <= gamma <= 1:
             raise ValueError(f"gamma must be in [0, 1], got {gamma}")
         if loss_function not in DISTANCES:
             raise ValueError(
@@ -106,7 +107,13 @@ class OneStepQLoss(DQNLoss):
                 f"action_space must be categorical or one-hot, got {self.action_space}"
             )
         self.stack = stack_of(self.value_network)
-        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+        # The estimator makes a tensor of numbers itself, and warns of a copy if it is given one.
+        discount: float | list[Any] = (
+            stack_values("gamma", gamma, self.stack, minimum=0, maximum=1).tolist()
+            if isinstance(gamma, torch.Tensor)
+            else gamma
+        )
+        self.make_value_estimator(ValueEstimators.TD0, gamma=discount)
         self._function = ValueFunction(self.value_network, self.value_network_params)
 
     # -- parameters -------------------------------------------------------------------------
@@ -240,7 +247,10 @@ class OneStepQLoss(DQNLoss):
         if value is None:
             value = self._next_values(following, online, target)
         reward = self._beside_values(following.get(keys.reward))
-        going_on = torch.addcmul(reward, value, self.value_estimator.gamma)
+        gamma = self.value_estimator.gamma
+        if gamma.ndim:
+            gamma = gamma.reshape(gamma.shape + (1,) * (value.ndim - gamma.ndim))
+        going_on = torch.addcmul(reward, value, gamma)
         return torch.where(self._beside_values(following.get(keys.terminated)), reward, going_on)
 
     def _next_values(

@@ -24,8 +24,9 @@ class _TDLoss(torch.autograd.Function):
         target: Tensor,
         weight: Tensor | None,
         distance: Distance,
-        scale: float,
+        scale: float | Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        whole = scale
         chosen = values.gather(-1, index)
         error = chosen - target
         if weight is None:
@@ -36,16 +37,15 @@ class _TDLoss(torch.autograd.Function):
             chosen, error = chosen.masked_fill_(ignored, 0), error.masked_fill_(ignored, 0)
         square, size = error.square(), error.abs()
         if distance == "l2":
-            rows, slope = square, error * (2 * scale)
+            rows, slope = square, error * _factor(2 * scale, error, 2)
         elif distance == "l1":
-            rows, slope = size, error.sign() * scale
+            rows, slope = size, error.sign() * _factor(scale, error, 2)
         else:
             clamped = error.clamp(-1, 1)
-            rows, slope = clamped * (error - 0.5 * clamped), clamped * scale
+            rows, slope = clamped * (error - 0.5 * clamped), clamped * _factor(scale, error, 2)
         sums = torch.cat([rows, size, chosen], -1)
         if weight is None:
             loss, td_error, q_value = sums.mean(-2).unbind(-1)
-            scale *= max(1, error.shape[-2])
         else:
             slope = slope.mul_(weight)
             loss, td_error, q_value = sums.mul_(weight).sum(-2).unbind(-1)
@@ -53,7 +53,7 @@ class _TDLoss(torch.autograd.Function):
         ctx.shape = values.shape
         ctx.mark_non_differentiable(td_error, q_value, square)
         ctx.set_materialize_grads(False)
-        return loss * scale, td_error, q_value, square
+        return loss * _factor(whole, loss, 0), td_error, q_value, square
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -66,13 +66,20 @@ class _TDLoss(torch.autograd.Function):
         return out, None, None, None, None, None
 
 
+def _factor(scale: float | Tensor, like: Tensor, dims: int) -> float | Tensor:
+    """Returns a factor, a number or [*stack], for a tensor with ``dims`` dimensions behind."""
+    if not isinstance(scale, Tensor):
+        return scale
+    return scale.to(like.dtype).reshape(scale.shape + (1,) * dims)
+
+
 def td_loss(
     values: Tensor,
     index: Tensor,
     target: Tensor,
     weight: Tensor | None = None,
     distance: Distance = "l2",
-    scale: float = 1.0,
+    scale: float | Tensor = 1.0,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Returns each network's loss, mean |TD error| and mean Q, and each row's squared error.
 
@@ -83,7 +90,7 @@ def td_loss(
         weight: of each row, [*stack, B, 1], adding up to 1 over a batch; None for 1/B each.
             Rows of weight 0 may hold anything, NaN too.
         distance: "l2" (squared), "l1" or "smooth_l1" (as ``torch.nn``'s, β = 1).
-        scale: factor of the loss.
+        scale: factor of the loss, one number or float64 [*stack].
 
     Returns:
         the loss [*stack], Σ weight · scale · distance(Q(s, a) - target), differentiable in

@@ -102,6 +102,8 @@ class VIMELoss(LossModule):
         decides which batches of the next the others' dynamics learn on.
         """
         self.batches = 0
+        if hasattr(self.q_loss, "begin_epoch"):
+            self.q_loss.begin_epoch()
 
     @property
     def branch(self) -> bool:

@@ -23,6 +23,9 @@ _WORD_BYTES = WORD_BITS // _BYTE_BITS
 # Dialogues to fill at a time: the temporaries hold a long for every value of a slot, and above
 # 32 MB the allocator maps fresh pages at every call, which then cost more than the work.
 _FILL_BLOCK = 4096
+# Flags (a byte each) to order and pack at a time while a knowledge base is made: with all records
+# at once, what a hundred thousand of them need for a moment is a gigabyte.
+_BUILD_BLOCK = 2**22
 
 
 class KnowledgeBase:
@@ -84,8 +87,8 @@ class KnowledgeBase:
         n_bytes = max(place.numel() for place, _ in orders) // _BYTE_BITS
         n_bytes += -n_bytes % _WORD_BYTES
         n_bounds = max(bounds.numel() for _, bounds in orders)
-        self.ordered_sets = torch.cat(
-            [pack(_placed(distinct, place, n_bytes * _BYTE_BITS)) for place, _ in orders]
+        self.ordered_sets = _pack_in_orders(
+            distinct, [place for place, _ in orders], n_bytes * _BYTE_BITS
         )
         self.sets_per_order = distinct.shape[0]
         # A bound beyond a slot's last value repeats the last one: no record lies between.
@@ -236,6 +239,26 @@ def _order_by_value(values: torch.Tensor, n_values: int) -> tuple[torch.Tensor, 
         places.append(torch.nn.functional.pad(rows, (0, -rows.numel() % _BYTE_BITS), value=-1))
         bounds.append(bounds[-1] + places[-1].numel() // _BYTE_BITS)
     return torch.cat(places), torch.tensor(bounds[:-1])
+
+
+def _pack_in_orders(
+    members: torch.Tensor, orders: Sequence[torch.Tensor], n_places: int
+) -> torch.Tensor:
+    """Returns the sets once for each order of the records: int64 ``[orders * sets, words]``.
+
+    Args:
+        members: bool ``[sets, rows]``.
+        orders: for each place the record in it, or -1: long ``[places]``.
+        n_places: how many places a packed set has, a multiple of the bits of a word.
+    """
+    n_sets = members.shape[0]
+    packed = torch.empty((len(orders) * n_sets, n_places // WORD_BITS), dtype=torch.long)
+    block = max(1, _BUILD_BLOCK // n_places)
+    for number, place in enumerate(orders):
+        for first in range(0, n_sets, block):
+            part = pack(_placed(members[first : first + block], place, n_places))
+            packed[number * n_sets + first :][: part.shape[0]] = part
+    return packed
 
 
 def _placed(members: torch.Tensor, place: torch.Tensor, n_places: int) -> torch.Tensor:

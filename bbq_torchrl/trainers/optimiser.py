@@ -6,7 +6,7 @@ from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -26,7 +26,8 @@ class ReplicaAdam:
         parameters (iterable of Parameter): shapes [replicas, ...]; those that do not require a
             gradient are left out.
         replicas (int): the number of replicas.
-        lr (float): the learning rate. Default: 1e-3 (the paper's).
+        lr (float or sequence of float): the learning rate, or one for each replica. Default: 1e-3
+            (the paper's).
         betas (pair of float): as in :class:`torch.optim.Adam`.
         eps (float): as in :class:`torch.optim.Adam`.
 
@@ -45,7 +46,7 @@ class ReplicaAdam:
         parameters: Iterable[nn.Parameter],
         replicas: int,
         *,
-        lr: float = 1e-3,
+        lr: float | Sequence[float] = 1e-3,
         betas: tuple[float, float] = (0.9, 0.999),
         eps: float = 1e-8,
     ) -> None:
@@ -63,17 +64,32 @@ class ReplicaAdam:
             [parameter.detach()[replica].requires_grad_() for parameter in self.parameters]
             for replica in range(replicas)
         ]
-        views: list[Tensor] = [view for replica in self._views for view in replica]
+        groups = self._groups(lr)
         # A step that belongs to a CUDA graph has to be told so.
         self._capturable = self.device.type == "cuda"
         self._adam = torch.optim.Adam(
-            views, lr=lr, betas=betas, eps=eps, fused=True, capturable=self._capturable
+            groups, betas=betas, eps=eps, fused=True, capturable=self._capturable
         )
 
     @property
     def device(self) -> torch.device:
         """Where the parameters are."""
         return self.parameters[0].device
+
+    def _groups(self, lr: float | Sequence[float]) -> list[dict[str, Any]]:
+        """Returns Adam's parameter groups: neighbours of the same rate are one, as a step is."""
+        rates = [lr] * self.replicas if isinstance(lr, (int, float)) else list(lr)
+        if len(rates) != self.replicas:
+            raise ValueError(
+                f"lr must be one number or one for each of the {self.replicas} replicas, got "
+                f"{len(rates)}"
+            )
+        groups: list[dict[str, Any]] = []
+        for rate, views in zip(rates, self._views, strict=True):
+            if not groups or groups[-1]["lr"] != rate:
+                groups.append({"params": [], "lr": rate})
+            groups[-1]["params"] += views
+        return groups
 
     def zero_grad(self) -> None:
         """Forgets the gradients of the stacked parameters."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from datetime import datetime, timedelta
 from statistics import fmean
 from typing import TYPE_CHECKING
@@ -23,11 +24,13 @@ class RoundProgress:
         rounds (int): how many rounds the training has.
         done (int): how many of them are done already (a resumed run). Default: 0.
         visible (bool, optional): whether the bar is shown. Default: ``None``, where stderr is a
-            terminal.
+            terminal and no other process of a sweep draws on it.
     """
 
     def __init__(self, rounds: int, *, done: int = 0, visible: bool | None = None) -> None:
         self._left = rounds - done
+        if visible is None and multiprocessing.parent_process() is not None:
+            visible = False
         self._bar = tqdm(
             total=rounds,
             initial=done,

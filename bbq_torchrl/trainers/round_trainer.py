@@ -90,7 +90,8 @@ class RoundTrainer:
         loggers (sequence of Logger): TorchRL loggers; see
             :func:`~bbq_torchrl.trainers.make_loggers`.
         callbacks (sequence of callable): called after every round.
-        gauges (mapping): metrics read at the start of each round, such as an exploration rate.
+        gauges (mapping): metrics read at the start of each round, such as an exploration rate:
+            each returns one number, or a tensor [replicas].
         progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
 
     Raises:
@@ -112,7 +113,7 @@ class RoundTrainer:
         spike: SpikeSettings | None = None,
         loggers: Sequence[Logger] = (),
         callbacks: Sequence[RoundCallback] = (),
-        gauges: Mapping[str, Callable[[], float]] | None = None,
+        gauges: Mapping[str, Callable[[], float | Tensor]] | None = None,
         success_key: NestedKey = "success",
         progress: bool | None = None,
     ) -> None:
@@ -240,7 +241,7 @@ class RoundTrainer:
     def _round(self, round_number: int) -> list[MetricRow]:
         """Plays and learns one round. Returns its metrics, a row for each replica."""
         started = time.perf_counter()
-        gauges = {name: float(read()) for name, read in self.gauges.items()}
+        gauges = {name: _of_each(read(), self.replicas) for name, read in self.gauges.items()}
         collected = self._collect(round_number)
         self._drop_spike(collected)
         collected_at = time.perf_counter()
@@ -267,7 +268,7 @@ class RoundTrainer:
                     **losses,
                     "buffer": length,
                     "updates": updates[replica],
-                    **gauges,
+                    **{name: values[replica] for name, values in gauges.items()},
                     **shared,
                 }
             )
@@ -327,9 +328,9 @@ class RoundTrainer:
 
     def _compute_targets(self) -> None:
         """Has the frozen network's values computed for the whole buffer, where a loss allows it."""
-        if getattr(self.loss, "has_fixed_targets", False):
-            key = ("next", self.loss.tensor_keys.frozen_value)
-            self.replay.compute(key, self.loss.frozen_values)
+        loss: Any = self.loss
+        if getattr(loss, "has_fixed_targets", False):
+            self.replay.compute(("next", loss.tensor_keys.frozen_value), loss.frozen_values)
 
     def _step_schedules(self) -> None:
         """Moves the policy's schedules (epsilon, temperature) on by one round."""
@@ -373,6 +374,11 @@ class RoundTrainer:
         self.checkpoints.load(path)
         self.rounds_done = int(metadata["round"])
         trim_scalars(self.run_folder, self.rounds_done)
+
+
+def _of_each(value: float | Tensor, replicas: int) -> list[float]:
+    """Returns a gauge's value for each replica."""
+    return torch.as_tensor(value, dtype=torch.float64).expand(replicas).tolist()
 
 
 def _call_hook(owner: object, name: str, *arguments: int | Tensor | TensorDictBase) -> None:

@@ -34,10 +34,11 @@ def main() -> None:
     parser.add_argument("--prior-std", type=_prior_std, help="of BBQN, or fan_in")
     parser.add_argument("--noise-std", type=float, help="of BBQN, in units of Q")
     parser.add_argument("--prior-scale", type=float, help="of bootstrap_prior")
+    parser.add_argument("--mask-prob", type=float, help="of the bootstraps")
     parser.add_argument("--lr", type=float, help="learning rate")
     parser.add_argument("--updates-per-step", type=float, help="mini-batches for each step")
     options = parser.parse_args()
-    settings = ("prior_std", "noise_std", "prior_scale", "lr", "updates_per_step")
+    settings = ("prior_std", "noise_std", "prior_scale", "mask_prob", "lr", "updates_per_step")
     given = {key: value for key, value in vars(options).items() if key in settings}
     given = {key: value for key, value in given.items() if value is not None}
     torch.set_num_threads(1)  # the networks are too small for more

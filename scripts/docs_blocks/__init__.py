@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from scripts.docs_blocks.config import config_blocks
 from scripts.docs_blocks.deep_sea import deep_sea_blocks
 from scripts.docs_blocks.dialogues import dialogues_blocks
 from scripts.docs_blocks.domain import domain_blocks
+from scripts.docs_blocks.floor import floor_blocks
+from scripts.docs_blocks.growth import draw_growth, growth_blocks
 from scripts.docs_blocks.policies import policies_blocks
-from scripts.docs_blocks.results import draw_figures, results_blocks
+from scripts.docs_blocks.results import draw_figures as draw_learning_curves
+from scripts.docs_blocks.results import results_blocks
 from scripts.docs_blocks.speed import speed_blocks
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 BLOCKS = (
     config_blocks,
     deep_sea_blocks,
     dialogues_blocks,
     domain_blocks,
+    floor_blocks,
+    growth_blocks,
     policies_blocks,
     results_blocks,
     speed_blocks,
@@ -22,3 +32,8 @@ BLOCKS = (
 """Functions that return blocks by name; what is added here is known to every page."""
 
 __all__ = ["BLOCKS", "draw_figures"]
+
+
+def draw_figures() -> list[Path]:
+    """Draws every figure that is made from results; returns the files."""
+    return [*draw_learning_curves(), *draw_growth()]

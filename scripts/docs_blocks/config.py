@@ -11,7 +11,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from bbq_torchrl.config.pairs import EXPLORATIONS
 from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.searches import SEARCH, SearchConfig
 from bbq_torchrl.config.store import compose_raw, options, session
+from bbq_torchrl.config.values import keys_with_lists
 from scripts.docs_blocks.markdown import code, table
 
 if TYPE_CHECKING:
@@ -27,8 +29,10 @@ def config_blocks() -> dict[str, Callable[[], str]]:
     blocks: dict[str, Callable[[], str]] = {
         "config.root": partial(_root, Config, "config", ["agent=bbqn"]),
         "config.evaluate": partial(_root, EvaluateConfig, "evaluate", []),
+        "config.search": _search,
         "config.pairs": _pairs,
         "config.groups": _groups,
+        "config.lists": _lists,
     }
     return blocks | {f"config.{group}": partial(_group, group) for group in SCHEMAS}
 
@@ -38,6 +42,12 @@ def _root(schema: type, name: str, overrides: list[str]) -> str:
         composed = compose_raw(overrides, name)
     leaves = [item for item in fields(schema) if item.name not in SCHEMAS]
     return table(_HEAD, _rows(leaves, composed))
+
+
+def _search() -> str:
+    defaults = OmegaConf.structured(SearchConfig)
+    rows = _rows(fields(SearchConfig), defaults)
+    return table(_HEAD, [(code(f"{SEARCH}.{key.strip('`')}"), *rest) for key, *rest in rows])
 
 
 def _group(group: str) -> str:
@@ -94,6 +104,16 @@ def _pairs() -> str:
         for name in strategies
     ]
     return table(("explore", *(code(f"agent={agent}") for agent in EXPLORATIONS)), rows)
+
+
+def _lists() -> str:
+    rows = []
+    for key, names in keys_with_lists(SCHEMAS).items():
+        group, _, name = key.partition(".")
+        items = [item for item in fields(SCHEMAS[group][names[0]]) if item.name == name]
+        options_with_it = ", ".join(code(f"{group}={option}") for option in names)
+        rows.append((code(key), options_with_it, items[0].metadata["meaning"]))
+    return table(("key", "of", "meaning"), rows)
 
 
 def _groups() -> str:

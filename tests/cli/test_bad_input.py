@@ -114,7 +114,8 @@ def test_a_wrong_command_line(refused, override, message):
 
 
 def test_one_bad_job_stops_a_sweep_before_its_first(refused):
-    assert "agent.lr must be a positive number, got 0" in refused("--multirun", "agent.lr=.1,0")
+    message = refused("--multirun", "agent.lr=.1,0")
+    assert "agent.lr must be a positive number (or a list, one for each replica), got 0" in message
 
 
 def evaluation_refused(capsys, *arguments):

@@ -193,6 +193,7 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(tmp_path):
 def test_a_sweep_trains_each_agent_with_its_own_exploration(tmp_path):
     train(
         "--multirun",
+        "hydra/launcher=basic",  # the default is tested, slowly, in test_launchers.py
         "agent=bbqn,dqn",
         "seed=range(0,2)",
         *SMALL,

@@ -15,6 +15,7 @@ from bbq_torchrl.config.resume import resumed_config
 from bbq_torchrl.config.schema import Config
 from bbq_torchrl.config.settings import walk
 from bbq_torchrl.config.store import compose, conf_folder, load_config, options, save_config
+from bbq_torchrl.config.values import keys_with_lists, replica_values
 
 
 @pytest.mark.parametrize(("group", "option"), [(g, o) for g in SCHEMAS for o in SCHEMAS[g]])
@@ -163,14 +164,14 @@ REFUSED = {
     "nope=1": "nope is not a key",
     "seed=abc": "seed must be an integer of at least 0, got 'abc'",
     "seed=-1": "seed must be an integer of at least 0, got -1",
-    "agent.lr=abc": "agent.lr must be a positive number, got 'abc'",
-    "agent.lr=0": "agent.lr must be a positive number, got 0",
-    "agent.lr=nan": "agent.lr must be a positive number, got nan",
+    "agent.lr=abc": "agent.lr must be a positive number (or a list, one for each replica), got",
+    "agent.lr=0": "agent.lr must be a positive number (or a list, one for each replica), got 0",
+    "agent.lr=nan": "(or a list, one for each replica), got nan",
     "agent.hidden=256": "agent.hidden must be a list of integers of at least 1",
     "agent.hidden=[]": "agent.hidden must be a list of integers",
-    "agent.gamma=1.5": "agent.gamma must be a number between 0 and 1, got 1.5",
-    "agent.prior_std=-1": "agent.prior_std must be a positive number or 'fan_in', got -1",
-    "agent.prior_std=wide": "agent.prior_std must be a positive number or 'fan_in', got 'wide'",
+    "agent.gamma=1.5": "agent.gamma must be a number between 0 and 1 (or a list, one for each",
+    "agent.prior_std=-1": "(or a list, one for each replica) or 'fan_in', got -1",
+    "agent.prior_std=wide": "(or a list, one for each replica) or 'fan_in', got 'wide'",
     "agent.target=both": "agent.target must be one of map, mc, got 'both'",
     "replicas=0": "replicas must be an integer of at least 1, got 0",
     "replicas=1.5": "replicas must be an integer",
@@ -197,9 +198,20 @@ REFUSED = {
     "agent=bootstrap agent.heads=0": "agent.heads must be an integer of at least 1, got 0",
     "agent=bootstrap agent.mask_prob=0": "agent.mask_prob must be a number above 0 and up to 1",
     "agent=bootstrap agent.trunk_layers=3": "agent.trunk_layers must be at most the 2 layers",
+    "agent.prior_std=[.1,.2]": "agent.prior_std must be one value or a list of 1 (one for each of",
+    "agent.lr=.1,.2": "add --multirun to run them all, or put them in brackets for the replicas",
+    "replicas=4 agent.lr=[.1,.2,.3]": "or of a number that divides 4, got 3: [0.1, 0.2, 0.3]",
+    "replicas=2 agent.lr=[.1,-1]": "agent.lr must be a positive number (or a list, one for each",
+    "agent.lr=[]": "agent.lr must be a positive number (or a list, one for each replica), got []",
+    "replicas=2 agent.prior_std=[.1,fan_in]": "agent.prior_std must be a positive number (or a",
+    "agent=dqn replicas=2 agent.dropout=[.1,.2]": "agent.dropout must be a number from 0 to below",
+    "replicas=2 agent.target=[map,mc]": "agent.target must be one of map, mc, got '[map,mc]'",
+    "replicas=2 seed=[0,1]": "seed must be an integer of at least 0, got '[0,1]'",
+    "agent=dqn explore.eps_init=.005": "explore.eps_init must be at least explore.eps_end (0.01)",
+    "agent=dqn replicas=2 explore.eps_end=[.1,.2]": "explore.eps_init must be at least explore.eps",
     "intrinsic=nope": "intrinsic must be one of none, vime, got 'nope'",
     "intrinsic.eta=1": "intrinsic.eta is not a key; the keys of intrinsic=none are name",
-    "intrinsic=vime intrinsic.eta=-1": "intrinsic.eta must be a number of at least 0, got -1",
+    "intrinsic=vime intrinsic.eta=-1": "intrinsic.eta must be a number of at least 0 (or a list",
     "intrinsic=vime intrinsic.weights=all": "intrinsic.weights must be one of map, mc, got 'all'",
 }
 
@@ -231,6 +243,43 @@ def test_an_evaluation_that_cannot_run_is_refused_in_one_sentence(command):
     assert "\n" not in str(refused.value)
 
 
+def test_a_list_is_shared_out_among_the_replicas(tmp_path):
+    command = ["replicas=4", "explore=thompson_epsilon", "agent.prior_std=[.05,.1,.2,.4]"]
+    config = compose([*command, "explore.eps_init=[.2,.5]", "agent.lr=.01"])
+    assert replica_values(config) == [
+        {"agent.prior_std": 0.05, "explore.eps_init": 0.2},
+        {"agent.prior_std": 0.1, "explore.eps_init": 0.2},
+        {"agent.prior_std": 0.2, "explore.eps_init": 0.5},
+        {"agent.prior_std": 0.4, "explore.eps_init": 0.5},
+    ]
+    save_config(config, tmp_path / "config.yaml")
+    assert load_config(tmp_path / "config.yaml") == config
+    assert replica_values(compose(["replicas=2"])) == [{}, {}]
+
+
+def test_lists_are_for_these_keys():
+    assert list(keys_with_lists(SCHEMAS)) == [
+        "agent.lr",
+        "agent.gamma",
+        "agent.prior_std",
+        "agent.std_init",
+        "agent.noise_std",
+        "agent.kl_temperature",
+        "explore.eps_init",
+        "explore.eps_end",
+        "explore.temperature_init",
+        "explore.temperature_end",
+        "intrinsic.eta",
+    ]
+
+
+def test_a_sweep_may_be_over_lists(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    checked = []
+    prepare(["--multirun", "replicas=2", "agent.lr=[.1,.2],[.3,.4]"], checked.append)
+    assert [config.agent.lr for config in checked] == [[0.1, 0.2], [0.3, 0.4]]
+
+
 def test_every_job_of_a_sweep_is_checked_before_the_first_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match="agent=dqn cannot be combined"):
@@ -245,7 +294,7 @@ def test_the_jobs_of_a_sweep_that_an_experiment_asks_for_are_checked(tmp_path, m
         "hydra:\n  mode: MULTIRUN\n  sweeper:\n    params:\n      agent.lr: .1,.2,-1\n"
     )
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=r"agent\.lr must be a positive number, got -1"):
+    with pytest.raises(ConfigError, match=r"agent\.lr must be a positive number .*, got -1"):
         prepare(["+experiment=sweep"], lambda config: None)
     checked = []
     prepare(["+experiment=sweep", "agent.lr=.3,.4"], checked.append)

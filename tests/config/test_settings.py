@@ -17,6 +17,7 @@ from bbq_torchrl.config.settings import (
     one_of,
     optional,
     or_text,
+    per_replica,
     walk,
 )
 
@@ -81,6 +82,18 @@ def test_what_has_to_be_given_is_asked_for():
         (one_of("map", "mc"), "one of map, mc", ["map", "mc"], ["MAP", None]),
         (one_of("full"), "'full'", ["full"], ["", "fuller"]),
         (or_text(POSITIVE, "fan_in"), "a positive number or 'fan_in'", ["fan_in", 1], ["fan", 0]),
+        (
+            per_replica(POSITIVE),
+            "a positive number (or a list, one for each replica)",
+            [1, [0.1], [1, 2]],
+            [0, [], [0.1, 0], ["1"], [True], [[1]], "1"],
+        ),
+        (
+            or_text(per_replica(POSITIVE), "fan_in"),
+            "a positive number (or a list, one for each replica) or 'fan_in'",
+            ["fan_in", [1, 2]],
+            ["fan", ["fan_in"], [1, "fan_in"]],
+        ),
         (optional(POSITIVE, "never"), "a positive number or null (never)", [None, 1], [0, "null"]),
     ],
 )

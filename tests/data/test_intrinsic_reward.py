@@ -298,6 +298,19 @@ def test_what_is_read_is_not_changed():
     assert (rows == before).all()
 
 
+def test_each_element_of_the_stack_may_have_an_eta():
+    vime = transform((3,), eta=torch.tensor([0.0, 0.3, 2.0]))
+    td = vime.inv(transitions(3, 20))
+    torch.testing.assert_close(
+        vime(td)[REWARD], td[REWARD] + torch.tensor([0.0, 0.3, 2.0])[:, None, None] * td[BONUS]
+    )
+    assert "eta" not in vime.state_dict()
+    with pytest.raises(ValueError, match=r"eta must be one number or have the stack's shape \[3\]"):
+        transform((3,), eta=torch.ones(2))
+    with pytest.raises(ValueError, match="eta must be at least 0 and finite, got"):
+        transform((2,), eta=torch.tensor([1.0, -1.0]))
+
+
 def test_eta_0_leaves_the_reward():
     vime = transform(eta=0.0)
     td = vime.inv(transitions(20))

@@ -36,7 +36,14 @@ def _first_cells(heading: str) -> set[str]:
 
 
 CHOICES = (["explore=thompson_epsilon"], ["explore=boltzmann", "intrinsic=vime"])
-OF_A_CHOICE = {"epsilon", "temperature", "intrinsic_reward", "dynamics_loss", "dynamics_kl"}
+OF_A_CHOICE = {
+    "epsilon",
+    "temperature",
+    "intrinsic_reward",
+    "dynamics_loss",
+    "dynamics_kl",
+    "<group>.<key>",
+}
 
 
 @pytest.fixture(scope="module", params=CHOICES, ids=" ".join)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bbq_torchrl.config import EvaluateConfig
+from bbq_torchrl.config.searches import compose_search
 from bbq_torchrl.config.store import compose, conf_folder
 
 from .pages import PAGES, commands, snippets
@@ -65,6 +66,11 @@ def _first(argument: str) -> str:
 @pytest.mark.parametrize(("page", "arguments"), commands("-m bbq_torchrl.evaluate"))
 def test_documented_evaluation_is_accepted(page: str, arguments: list[str], tmp_path: Path) -> None:
     compose(_arguments(arguments, tmp_path), EvaluateConfig)
+
+
+@pytest.mark.parametrize(("page", "arguments"), commands("-m bbq_torchrl.search"))
+def test_documented_search_is_accepted(page: str, arguments: list[str], tmp_path: Path) -> None:
+    compose_search([item for item in _arguments(arguments, tmp_path) if item != "&"])
 
 
 def test_documentation_shows_training_and_evaluation() -> None:

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 DIALOGUES = 100
 
 
-def run_result(rates: list[float], **described: object) -> RunResult:
+def run_result(
+    rates: list[float], values: list[dict[str, float]] | None = None, **described: object
+) -> RunResult:
     """A result whose replicas have these success rates; they were half as good in training."""
     replicas = [
         replica_result(
@@ -24,6 +26,7 @@ def run_result(rates: list[float], **described: object) -> RunResult:
             reward=[10.0] * DIALOGUES,
             turns=[8.0] * DIALOGUES,
             training_success=rate / 2,
+            values=values[number] if values else None,
         )
         for number, rate in enumerate(rates)
     ]
@@ -55,6 +58,7 @@ def make_run(
     explore: str = "thompson",
     seed: int = 0,
     rounds: int = 3,
+    values: list[dict[str, float]] | None = None,
     **agent_keys: object,
 ) -> Path:
     """Writes what a finished run leaves behind. Returns the folder."""
@@ -72,6 +76,6 @@ def make_run(
     }
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     (folder / "metrics.csv").write_text(metrics_text(rates, rounds))
-    result = run_result(rates, agent=agent, explore=explore, seed=seed, rounds=rounds)
+    result = run_result(rates, values, agent=agent, explore=explore, seed=seed, rounds=rounds)
     write_json(result, folder / "result.json")
     return folder

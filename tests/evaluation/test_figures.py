@@ -67,6 +67,19 @@ def test_the_thick_line_is_the_moving_mean_over_replicas(tmp_path, drawn):
     assert thick.get_ydata() == pytest.approx(moving_average(group.success).mean(1))
 
 
+@pytest.mark.parametrize("count", [2, 9])
+def test_a_run_with_several_values_has_a_colour_for_each(tmp_path, drawn, count):
+    groups = [Curves(f"std={n}", curves(2).success, np.array([0.5])) for n in range(count)]
+    draw_run(tmp_path / "curve.png", groups, title="a run")
+    (axes,) = drawn[0].axes
+    # Of each group: two replicas, their mean, the final points, their mean.
+    lines = axes.get_lines()
+    assert len(lines) == count * 5
+    colours = [{str(line.get_color()) for line in lines[n * 5 : n * 5 + 5]} for n in range(count)]
+    assert all(len(own) == 1 for own in colours)
+    assert len(set.union(*colours)) == count
+
+
 def test_a_run_of_one_replica_shows_its_raw_rounds(tmp_path, drawn):
     group = Curves("DQN", curves(1).success, np.array([]))
     draw_run(tmp_path / "curve.png", group, title="a run")

@@ -66,6 +66,32 @@ def test_a_label_says_what_tells_groups_of_an_agent_apart(tmp_path, other, label
     assert tuple(group.label for group in read_groups(folders)) == labels
 
 
+def test_replicas_with_values_of_their_own_are_groups_of_their_own(tmp_path):
+    values = [{"agent.prior_std": std} for std in (0.05, 0.05, 0.2)]
+    folders = [
+        make_run(tmp_path / "all", [0.5, 0.6, 0.9], values=values, prior_std=[0.05, 0.05, 0.2]),
+        make_run(tmp_path / "one", [0.7], seed=1, prior_std=0.2),
+    ]
+    small, large = read_groups(folders)
+    assert small.label == "BBQN-MAP, agent.prior_std=0.05"
+    assert large.label == "BBQN-MAP, agent.prior_std=0.2"
+    assert (small.final, large.final) == ([0.5, 0.6], [0.9, 0.7])
+    assert small.success.tolist() == [[0.25, 0.3]] * 3
+    assert large.success.tolist() == [[0.45, 0.35]] * 3
+    assert (small.first.replicas, small.first.dialogues) == (2, 200)
+    assert small.first.success_rate == pytest.approx(0.55)
+
+
+def test_a_value_of_a_list_and_the_same_one_alone_are_one_setting(tmp_path):
+    values = [{"agent.prior_std": std} for std in (0.05, 0.2)]
+    folders = [
+        make_run(tmp_path / "both", [0.5, 0.6], values=values, prior_std=[0.05, 0.2]),
+        make_run(tmp_path / "one", [0.7], prior_std=0.2),
+    ]
+    with pytest.raises(ValueError, match=r"same setting and seed \(0\)"):
+        read_groups(folders)
+
+
 def test_one_training_does_not_count_as_two_seeds(tmp_path):
     folders = [make_run(tmp_path / name, [0.5], seed=4) for name in ("a", "b")]
     with pytest.raises(ValueError, match=r"same setting and seed \(4\)"):

@@ -1,10 +1,11 @@
-"""BBQN on CartPole: it runs, and nothing of dialogue comes along."""
+"""BBQN and a DQN on CartPole: they run, and nothing of dialogue comes along."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -51,3 +52,20 @@ def test_the_short_form_runs(short_run):
 def test_nothing_of_dialogue_is_imported(short_run):
     packages = {name.split(".")[1] for name in json.loads(short_run[-1]) if "." in name}
     assert packages == {"modules", "objectives"}
+
+
+def test_the_dqn_learns_in_the_same_loop():
+    pytest.importorskip("gymnasium")
+    example = runpy.run_path(str(SCRIPT))
+    assert 1 <= example["train"]("dqn", 64, 0) <= 500
+
+
+def test_the_dqn_explores_less_and_less():
+    pytest.importorskip("gymnasium")
+    example = runpy.run_path(str(SCRIPT))
+    _, explore, _ = example["make_agent"]("dqn", example["make_env"](0), 400)
+    assert float(explore[-1].eps) == 1
+    explore[-1].step(50)
+    assert float(explore[-1].eps) == pytest.approx((1 + 0.05) / 2, rel=1e-4)  # summed up in float32
+    explore[-1].step(100)
+    assert float(explore[-1].eps) == pytest.approx(0.05)

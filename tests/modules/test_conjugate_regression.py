@@ -8,13 +8,14 @@ smaller than the posterior's own.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import NamedTuple
 
 import pytest
 import torch
 from scipy.linalg import hadamard
 
-from bbq_torchrl.modules import BayesLinear, collect_kl, set_weight_mode
+from bbq_torchrl.modules import BayesLinear, collect_kl, noise_pool, set_weight_mode
 
 NOISE_STD, PRIOR_STD = 0.5, 1.0
 ROWS, FEATURES, DRAWS = 32, 3, 512
@@ -48,7 +49,7 @@ def optimum(data: Data) -> tuple[torch.Tensor, torch.Tensor]:
     return mean, precision.diagonal() ** -0.5
 
 
-def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", steps=200):
+def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", steps=200, pool=None):
     """Returns mean and standard deviation of the weights that maximise the evidence bound.
 
     One network whose gradient is the average over draws (a stack of equal networks, each with a
@@ -61,10 +62,12 @@ def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", ste
     num_data = count if num_data is None else num_data
     optimiser = torch.optim.Adam(net.parameters(), 0.1, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    for _ in range(steps):
+    for step in range(steps):
+        if pool is not None and step % 10 == 0:
+            pool.clear()
         index = torch.arange(count) if rows is None else torch.randint(count, (DRAWS, rows))
         x, y = data.x[index].expand(DRAWS, -1, -1), data.y[index]
-        with set_weight_mode(mode), collect_kl(kl) as collector:
+        with set_weight_mode(mode), collect_kl(kl) as collector, pool or nullcontext():
             error = net(x).squeeze(-1) - y
         # the loss of one transition, as BBQNLoss weighs it
         loss = error.square().mean(-1) / (2 * NOISE_STD**2) + collector.total() / num_data
@@ -93,8 +96,9 @@ def assert_optimal(found, expected):
         {"mode": "draw", "kl": "sampled"},
         {"mode": "draw", "rows": 8},
         {"mode": "local", "rows": 8},
+        {"mode": "draw", "rows": 8, "pool": noise_pool()},
     ],
-    ids=["full", "full local", "full sampled KL", "batches", "batches local"],
+    ids=["full", "full local", "full sampled KL", "batches", "batches local", "batches pool"],
 )
 def test_it_learns_the_best_factorised_gaussian(settings):
     data = regression()

@@ -19,6 +19,7 @@ from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer, Spike
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from tensordict import TensorDictBase
     from torch import Tensor
 
     from bbq_torchrl.domains import Domain
@@ -44,7 +45,7 @@ def make_trainer(domain: Domain, agent: str, folder: Path, rounds: int = 3) -> R
     if len(kind) == 3:
         target, kl, per = kind
         actor = q_network(BayesMLP(features, spec.n, HIDDEN, stack=(replicas,)), spec)
-        loss = BBQNLoss(actor, target=target, kl=kl)
+        loss = BBQNLoss(actor, target=target, kl=kl, hold=per != "step")
         policy = ThompsonSampling(actor, per=per)
     else:
         actor = q_network(MLP(features, spec.n, HIDDEN, stack=(replicas,), dropout=0.5), spec)
@@ -114,3 +115,27 @@ def test_the_weight_of_the_kl_follows_each_replicas_buffer(restaurant, tmp_path)
     rows = trainer.train()
 
     assert trainer.loss.num_data.tolist() == [row["buffer"] for row in rows]
+
+
+def test_targets_computed_once_a_freeze_are_those_of_every_batch(restaurant, tmp_path, monkeypatch):
+    agent = "DQN with dropout, Boltzmann"
+    once = make_trainer(restaurant, agent, tmp_path / "once", rounds=1)
+    every = make_trainer(restaurant, agent, tmp_path / "every", rounds=1)
+    read: list[bool] = []
+    forward = once.loss.forward
+
+    def watched(batch: TensorDictBase) -> TensorDictBase:
+        read.append(("next", "frozen_value") in batch.keys(include_nested=True))
+        return forward(batch)
+
+    monkeypatch.setattr(once.loss, "forward", watched)
+    monkeypatch.setattr(every, "_compute_targets", lambda: None)
+
+    rows, expected = once.train(), every.train()
+
+    assert read
+    assert all(read)
+    for ours, theirs in zip(weights(once), weights(every), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-4)
+    for ours, theirs in zip(rows, expected, strict=True):
+        assert ours["loss"] == pytest.approx(theirs["loss"], rel=1e-3)

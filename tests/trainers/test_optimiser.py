@@ -48,6 +48,33 @@ def test_every_replica_moves_as_with_an_adam_of_its_own():
             assert torch.equal(own, stacked[r])
 
 
+@pytest.mark.parametrize("rates", [[1e-2, 0.3, 2.0], [1e-2, 1e-2, 0.5], [0.5, 1e-2, 0.5]])
+def test_every_replica_moves_at_its_own_rate(rates):
+    def moved(lr):
+        parameters = stacked_parameters()
+        optimiser = ReplicaAdam(parameters, 3, lr=lr)
+        for step, active in enumerate(FLAGS[:6]):
+            give_gradients(parameters, step)
+            optimiser.step(active)
+        # The rest by an optimiser that takes the state over.
+        other = ReplicaAdam(parameters, 3, lr=lr)
+        other.load_state_dict(optimiser.state_dict())
+        for step, active in enumerate(FLAGS[6:]):
+            give_gradients(parameters, step)
+            other.step(active)
+        return parameters
+
+    together = moved(rates)
+    for replica, rate in enumerate(rates):
+        for parameter, alone in zip(together, moved(rate), strict=True):
+            assert torch.equal(parameter[replica], alone[replica])
+
+
+def test_as_many_rates_as_replicas_or_one():
+    with pytest.raises(ValueError, match="one for each of the 3 replicas, got 2"):
+        ReplicaAdam(stacked_parameters(), 3, lr=[0.1, 0.2])
+
+
 def test_an_inactive_replica_is_bitwise_untouched():
     parameters = stacked_parameters()
     optimiser = ReplicaAdam(parameters, 3, lr=1e-2)

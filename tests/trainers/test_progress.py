@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import re
+import sys
 
 from bbq_torchrl.trainers import RoundProgress
 
@@ -43,6 +45,14 @@ def test_agents_without_a_kl_show_none(capsys):
     bar.close()
 
     assert "kl" not in capsys.readouterr().err
+
+
+def test_runs_side_by_side_do_not_draw_over_one_another(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for parent, is_shown in ((None, True), (object(), False)):
+        monkeypatch.setattr(multiprocessing, "parent_process", lambda parent=parent: parent)
+        RoundProgress(2).close()
+        assert bool(capsys.readouterr().err) is is_shown
 
 
 def test_it_is_quiet_where_there_is_no_terminal(capsys):

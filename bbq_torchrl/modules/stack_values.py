@@ -1,0 +1,56 @@
+"""A hyper-parameter with a value of its own for each element of a stack."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["stack_values"]
+
+
+def stack_values(
+    name: str,
+    values: Tensor,
+    stack: Sequence[int],
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+) -> Tensor:
+    """Returns a hyper-parameter's checked values, float64 [*stack].
+
+    In float64, so that what is computed from them rounds as it does from one Python number.
+
+    Args:
+        name: of the hyper-parameter, for the message.
+        values: one for each element, shape [*stack].
+        stack: the shape.
+
+    Keyword Args:
+        minimum: the least value that is allowed. Defaults to None: any above 0.
+        maximum: the greatest. Defaults to None: any finite one.
+
+    Raises:
+        ValueError: for another shape, or a value that is not allowed.
+
+    Example:
+        >>> stack_values("noise_std", torch.tensor([1, 2]), (2,))
+        tensor([1., 2.], dtype=torch.float64)
+    """
+    if values.shape != torch.Size(stack):
+        raise ValueError(
+            f"{name} must be one number or have the stack's shape {list(stack)}, got "
+            f"{list(values.shape)}"
+        )
+    values = values.detach().double()
+    fits = values > 0 if minimum is None else values >= minimum
+    fits &= values.isfinite() if maximum is None else values <= maximum
+    if not bool(fits.all()):
+        allowed = "positive" if minimum is None else f"at least {minimum:g}"
+        allowed += " and finite" if maximum is None else f" and at most {maximum:g}"
+        raise ValueError(f"{name} must be {allowed}, got {values.tolist()}")
+    return values

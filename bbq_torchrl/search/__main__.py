@@ -1,0 +1,77 @@
+"""``python -m bbq_torchrl.search``: searches, and prints the best trial as one line of JSON."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+import sys
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.config.searches import SEARCH, compose_search
+from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.config.store import options
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["main"]
+
+USAGE = """\
+usage: python -m bbq_torchrl.search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
+
+Searches for hyper-parameters by Optuna. Every trial is a run of train.py with the keys given;
+started again with the same command, a search goes on. Prints the best trial as one line of JSON.
+
+  search=      {names}, or a YAML file
+  search.trials=, search.objective=, search.folder=, ...
+  search.space.<key>={{type: float, low: 0.1, high: 1, log: true}}, search.space.<key>.high=2
+
+All keys of a search: docs/scale.md; those of train.py: docs/configuration.md
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line. Returns the exit code: 1 if no trial was completed, 2 if refused."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if not arguments or {"-h", "--help"} & set(arguments):
+        sys.stdout.write(USAGE.format(names=", ".join(options(SEARCH))))
+        return 0
+    try:
+        search = compose_search(arguments)
+        for package in ("optuna", "filelock"):
+            if importlib.util.find_spec(package) is None:
+                raise ConfigError(
+                    f"a search needs the package {package}: pip install 'bbq-torchrl[search]'"
+                )
+        # Imported here: torch, torchrl and Optuna take seconds, what is refused above takes none.
+        import optuna
+
+        from bbq_torchrl.build import check
+        from bbq_torchrl.run import run
+        from bbq_torchrl.search.study import run_search
+        from bbq_torchrl.trainers import CheckpointDamagedError, NonFiniteLossError
+
+        check(search.config({item.name: item.probes()[0] for item in search.space}))
+    except (ValueError, OSError) as error:
+        return _refused(error)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    try:
+        best = run_search(search, run, (NonFiniteLossError, CheckpointDamagedError))
+    except ConfigError as error:
+        return _refused(error)
+    if best is None:
+        sys.stderr.write(f"error: no trial was completed; {search.folder} has the reasons\n")
+        return 1
+    sys.stdout.write(json.dumps(best) + "\n")
+    return 0
+
+
+def _refused(error: Exception) -> int:
+    sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,178 @@
+"""The search: trials one after the other, shared by several processes, safe against kills.
+
+Optuna keeps the trials in a database. Who works at a trial holds a lock on a file, which the
+operating system lets go when the process ends, however it ends: a trial that Optuna calls running
+and whose lock is free was killed, and whoever finds it first goes on with it.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import optuna
+import yaml
+from filelock import FileLock, Timeout
+
+from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.search.tables import best_trial, trial_name, write_tables
+from bbq_torchrl.search.trials import Outcome, Runner, play_trial, suggest
+from bbq_torchrl.trainers.seeding import derive_seed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from bbq_torchrl.config.searches import Search
+
+__all__ = ["run_search"]
+
+_LOG = logging.getLogger(__name__)
+_DEFINITION = "search.yaml"
+
+
+def run_search(
+    search: Search, runner: Runner, clear_errors: tuple[type[Exception], ...] = ()
+) -> dict[str, Any] | None:
+    """Runs trials until there are as many as wanted. Returns the best; None if there is none.
+
+    A search that was interrupted goes on: what is finished stays, a killed trial is taken up from
+    its last checkpoint, and the values of new ones are those that they would have been.
+
+    Args:
+        search: what to search.
+        runner: trains one trial: ``bbq_torchrl.run.run``.
+        clear_errors: errors of a trial that the search goes on after; any other one ends it, and
+            the trial is taken up when the search is started again.
+
+    Raises:
+        ConfigError: the folder holds another search.
+    """
+    folder = search.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder / ".search.lock"):
+        _check_definition(search, folder / _DEFINITION)
+        study = _study(search, folder)
+    while True:
+        with _claimed(search, study, folder) as trial:
+            if trial is None:
+                break
+            values = _values(search, study, trial)
+            _LOG.info("trial %d: %s", trial.number, values)
+            run_folder = folder / trial_name(trial.number)
+            config = search.config(values)
+            outcome = play_trial(trial, config, run_folder, search.settings, runner, clear_errors)
+            _tell(study, trial, outcome)
+        with FileLock(folder / ".tables.lock"):
+            write_tables(search, study)
+    return best_trial(search, study)
+
+
+def _check_definition(search: Search, file: Path) -> None:
+    """Writes down what is searched, or compares it with what a folder has begun with."""
+    definition = search.definition()
+    if not file.exists():
+        temporary = file.with_name(f".{file.name}.new")
+        temporary.write_text(yaml.safe_dump(definition, sort_keys=False), encoding="utf-8")
+        temporary.replace(file)
+    begun = yaml.safe_load(file.read_text(encoding="utf-8"))
+    for key in {**begun, **definition}:
+        if begun.get(key) != definition.get(key):
+            raise ConfigError(
+                f"{file.parent} holds a search with {key}={begun.get(key)}, got "
+                f"{definition.get(key)}: choose another search.folder"
+            )
+
+
+def _study(search: Search, folder: Path) -> optuna.Study:
+    settings = search.settings
+    rounds = search.config({item.name: item.probes()[0] for item in search.space}).protocol.rounds
+    pruner: optuna.pruners.BasePruner = optuna.pruners.NopPruner()
+    if settings.pruner == "median":
+        pruner = optuna.pruners.MedianPruner(
+            n_startup_trials=settings.startup_trials,
+            n_warmup_steps=int(settings.prune_after * rounds),
+        )
+    url = settings.storage or f"sqlite:///{folder / 'study.db'}"
+    # Several processes write to the file: each waits up to a minute for the others.
+    options = {"connect_args": {"timeout": 60}} if url.startswith("sqlite") else {}
+    return optuna.create_study(
+        storage=optuna.storages.RDBStorage(url, engine_kwargs=options),
+        study_name=search.name,
+        direction="maximize",
+        load_if_exists=True,
+        pruner=pruner,
+    )
+
+
+@contextmanager
+def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optuna.Trial | None]:
+    """Yields a trial that nobody else works at, killed ones first; None if all are done."""
+    trial, own = None, None
+    with FileLock(folder / ".search.lock"):
+        trials = study.get_trials(deepcopy=False)
+        for known in trials:
+            if known.state is optuna.trial.TrialState.RUNNING:
+                lock = _trial_lock(folder, known.number)
+                if _is_free(lock):
+                    # The way that Optuna itself makes the object of a trial in its database.
+                    trial, own = optuna.Trial(study, known._trial_id), lock
+                    _LOG.info("trial %d was interrupted and goes on", known.number)
+                    break
+        if trial is None and len(trials) < search.settings.trials:
+            trial = study.ask()
+            own = _trial_lock(folder, trial.number)
+            own.acquire()
+    try:
+        yield trial
+    finally:
+        if own is not None:
+            own.release()
+
+
+def _trial_lock(folder: Path, number: int) -> FileLock:
+    locks = folder / ".locks"
+    locks.mkdir(exist_ok=True)
+    return FileLock(locks / trial_name(number))
+
+
+def _is_free(lock: FileLock) -> bool:
+    """Whether nobody held the lock; we do then."""
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        return False
+    return True
+
+
+def _values(search: Search, study: optuna.Study, trial: optuna.Trial) -> dict[str, Any]:
+    """The trial's values: drawn from seeds of its own, so that an interruption changes none."""
+    values = {}
+    for parameter in search.space:
+        seed = derive_seed(search.settings.seed, "search", trial.number, parameter.name)
+        study.sampler = _sampler(search, seed % 2**32)
+        values[parameter.name] = suggest(trial, parameter)
+    return values
+
+
+def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:
+    if search.settings.sampler == "random":
+        return optuna.samplers.RandomSampler(seed=seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        # constant_liar: several processes do not try the same values at the same time.
+        return optuna.samplers.TPESampler(
+            n_startup_trials=search.settings.startup_trials, constant_liar=True, seed=seed
+        )
+
+
+def _tell(study: optuna.Study, trial: optuna.Trial, outcome: Outcome) -> None:
+    if outcome.reason is not None:
+        trial.set_user_attr("reason", outcome.reason)
+    study.tell(trial, outcome.value, state=outcome.state)
+    said = outcome.reason if outcome.value is None else f"{outcome.value:.4f}"
+    _LOG.info(
+        "trial %d is %s%s", trial.number, outcome.state.name.lower(), f": {said}" if said else ""
+    )

@@ -1,0 +1,65 @@
+"""Prints what the project's speed is to be beside what it is, all from one run.
+
+    python benchmarks/compare.py                    everything: a quarter of an hour
+    python benchmarks/compare.py simulator update   these parts
+    python benchmarks/compare.py --json             as JSON
+    python benchmarks/compare.py --tiny             in seconds; checks that the benchmark works
+
+Updates are counted as users run them: the learning of a trainer on a full replay buffer, with
+freezing, targets, shuffling and batching, divided by its updates and replicas. They are compared
+with the hand-written update of ``parts/yardstick.py``, which runs in turn with them, block by
+block. One thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))  # so that `python benchmarks/compare.py` finds its own packages
+
+import torch  # noqa: E402
+
+from bbq_torchrl.trainers import keep_freed_memory  # noqa: E402
+from benchmarks.parts.comparisons import PARTS  # noqa: E402
+from benchmarks.parts.rows import as_table  # noqa: E402
+from benchmarks.parts.sizes import FULL, TINY  # noqa: E402
+from benchmarks.parts.timing import CLOCKS, Timer  # noqa: E402
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measures the parts named, or all, and prints them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="default: all")
+    parser.add_argument("--json", action="store_true", help="print JSON, not a table")
+    parser.add_argument("--tiny", action="store_true", help="sizes that only test the benchmark")
+    parser.add_argument("--clock", choices=CLOCKS, default="wall", help="default: wall")
+    chosen = parser.parse_args(arguments)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    keep_freed_memory()
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage
+    timer, sizes = Timer(chosen.clock), TINY if chosen.tiny else FULL
+    rows = []
+    try:
+        for part in chosen.parts or PARTS:
+            sys.stderr.write(f"measuring: {part}\n")
+            rows += PARTS[part](sizes, timer)
+    finally:
+        torch.set_num_threads(threads)
+    if chosen.json:
+        print(json.dumps([row.as_json() for row in rows], indent=1))
+    else:
+        print(as_table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What the benchmarks share: the yardstick, the things measured, and how times are compared."""

@@ -1,0 +1,59 @@
+"""Commands in processes of their own: how long they take and how much memory."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Used(NamedTuple):
+    """What a process used.
+
+    Attributes:
+        wall: seconds from its start to its end.
+        cpu: seconds of processor time.
+        peak_bytes: the most memory resident at a time.
+    """
+
+    wall: float
+    cpu: float
+    peak_bytes: int
+
+
+def python(*arguments: str) -> Used:
+    """Runs this Python on one thread, in the project's folder, without its output.
+
+    Raises:
+        RuntimeError: if it fails; with what it said.
+    """
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    started = time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stderr is not None
+    with process.stderr:
+        said = process.stderr.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise RuntimeError(f"{' '.join(arguments)} failed: {said.decode(errors='replace')[-2000:]}")
+    return Used(
+        time.perf_counter() - started,
+        usage.ru_utime + usage.ru_stime,
+        usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+    )
+
+
+HELP = ("train.py", "--help")
+IMPORTS = ("bbq_torchrl.modules", "bbq_torchrl.objectives", "bbq_torchrl.envs", "bbq_torchrl.run")

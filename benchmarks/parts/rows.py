@@ -1,0 +1,68 @@
+"""Rows of the comparison: what was measured, beside what it is to reach."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from bbq_torchrl.evaluation.markdown import table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+HEAD = ("what", "unit", "measured", "to reach", "reached")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure.
+
+    Attributes:
+        part: the part of the comparison that it belongs to.
+        what: what was measured.
+        unit: of ``measured`` and ``target``.
+        measured: the figure.
+        target: what it is to reach; None where it only informs.
+        better: whether ``target`` is the least or the most that it may be.
+    """
+
+    part: str
+    what: str
+    unit: str
+    measured: float
+    target: float | None = None
+    better: Literal["higher", "lower"] = "lower"
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the target is reached; None if there is none."""
+        if self.target is None:
+            return None
+        if self.better == "higher":
+            return self.measured >= self.target
+        return self.measured <= self.target
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns the row as JSON values."""
+        return {**asdict(self), "reached": self.reached}
+
+
+def as_table(rows: Sequence[Row]) -> str:
+    """Returns rows as a Markdown table."""
+    lines = []
+    for row in rows:
+        sign = "≥" if row.better == "higher" else "≤"
+        target = "–" if row.target is None else f"{sign} {number(row.target)}"
+        reached = {None: "–", True: "yes", False: "no"}[row.reached]
+        lines.append((row.what, row.unit, number(row.measured), target, reached))
+    return table(HEAD, lines)
+
+
+def number(value: float) -> str:
+    """Returns a figure with three digits, or all before the point.
+
+    Example:
+        >>> number(1234.5), number(0.98765)
+        ('1,234', '0.988')
+    """
+    return f"{value:,.0f}" if abs(value) >= 1_000 else f"{value:.3g}"

@@ -1,0 +1,68 @@
+"""How the benchmarks compare times."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from benchmarks.parts.timing import Stopwatch, compared, interleaved
+
+
+def test_slow_spell_that_hits_both_leaves_the_ratio() -> None:
+    clock = iter([1.0, 2.0, 1.0, 20.0, 10.0, 20.0, 10.0, 2.0, 1.0])
+    result = interleaved(lambda: next(clock), lambda: next(clock), repeats=4)
+    # 2 / 1; 20 between 1 and 10; 20 between two of 10; 2 between 10 and 1
+    assert result.ratio == pytest.approx((2.0 + 2.0) / 2)
+    assert result.seconds == 11.0
+    assert result.base == 1.0
+
+
+def test_candidates_without_a_last_base_are_compared_with_the_one_before() -> None:
+    assert compared([1.0, 2.0], [3.0, 6.0]).ratio == 3.0
+
+
+class Ticks:
+    """A clock that a function moves on."""
+
+    now = 0.0
+
+
+def test_stopwatch_adds_up_and_lets_go() -> None:
+    clock = Ticks()
+
+    def work(ticks: float) -> str:
+        clock.now += ticks
+        return "done"
+
+    def items():
+        for ticks in (1.0, 2.0):
+            clock.now += ticks
+            yield ticks
+
+    owner = SimpleNamespace(work=work, items=items)
+    watch = Stopwatch(lambda: clock.now)
+    watch.watch(owner, "work", "working")
+    watch.watch_iterator(owner, "items", "making")
+    assert owner.work(3.0) == "done"
+    for _ in owner.items():
+        owner.work(10.0)
+    assert watch.seconds == {"working": 23.0, "making": 3.0}
+    watch.restore()
+    assert owner.work is work
+    assert owner.items is items
+
+
+def test_stopwatch_counts_what_a_failing_function_took() -> None:
+    clock = Ticks()
+
+    def fail() -> None:
+        clock.now += 5.0
+        raise ValueError
+
+    owner = SimpleNamespace(fail=fail)
+    watch = Stopwatch(lambda: clock.now)
+    watch.watch(owner, "fail", "failing")
+    with pytest.raises(ValueError):  # noqa: PT011 - it is that function's own
+        owner.fail()
+    assert watch.seconds["failing"] == 5.0

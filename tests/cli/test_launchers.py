@@ -1,0 +1,177 @@
+"""Sweeps and searches as a person types them, on every engine that can run on one machine."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bbq_torchrl.config import ConfigError
+from bbq_torchrl.config.command import prepare
+from bbq_torchrl.config.resume import restarted_config, what_is_unfinished
+from bbq_torchrl.config.store import compose, compose_raw, options, save_config, session
+
+ROOT = Path(__file__).resolve().parents[2]
+TINY = (
+    "protocol.rounds=2",
+    "protocol.dialogues=4",
+    "protocol.capacity=200",
+    "protocol.eval_dialogues=6",
+    "protocol.eval_batch=6",
+    "protocol.checkpoint_every=1",
+    "spike.dialogues=4",
+    "agent.hidden=[8,8]",
+)
+PLUGINS = {
+    "cores": None,
+    "slurm_local": ("hydra_submitit_launcher", "slurm"),
+    "ray_tasks": ("hydra_ray_launcher", "ray"),
+}
+
+
+def start(*arguments, cwd):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def call(*arguments, cwd, code=0):
+    process = start(*arguments, cwd=cwd)
+    out, err = process.communicate(timeout=600)
+    assert process.returncode == code, out + err
+    return out, err
+
+
+def needs(package, extra):
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"needs the extra {extra}: pip install -e '.[{extra}]'")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", PLUGINS)
+def test_a_job_that_fails_leaves_the_others_alone_and_is_named(launcher, tmp_path):
+    if PLUGINS[launcher]:
+        package, extra = PLUGINS[launcher]
+        needs(f"hydra_plugins.{package}", extra)
+    few = ["hydra.launcher.ray.init.num_cpus=2"] if launcher == "ray_tasks" else []
+    _, err = call(
+        str(ROOT / "train.py"),
+        "--multirun",
+        f"hydra/launcher={launcher}",
+        "agent=dqn,bbqn",
+        "agent.lr=1e30,.001",  # the first fails, so that there is something to lose
+        *TINY,
+        *few,
+        "hydra.sweep.dir=sweep",
+        cwd=tmp_path,
+        code=1,
+    )
+    finished = sorted(file.parent.name for file in (tmp_path / "sweep").glob("*/result.json"))
+    assert finished == ["1_dqn_epsilon_greedy_full_seed0", "3_bbqn_thompson_full_seed0"]
+    assert "2 of 4 runs in sweep are finished" in err
+    for failed in ("0_dqn_epsilon_greedy_full_seed0", "2_bbqn_thompson_full_seed0"):
+        assert f"not finished: sweep/{failed}" in err
+        assert "is not finite in round 0" in (tmp_path / "sweep" / failed / "train.log").read_text()
+
+
+@pytest.mark.slow
+def test_a_search_that_was_killed_goes_on_and_its_best_can_be_trained_again(tmp_path):
+    needs("optuna", "search")
+    command = [
+        *("-m", "bbq_torchrl.search", "search=bbqn", "search.trials=2", "search.folder=search"),
+        *("replicas=2", *TINY, "protocol.rounds=4"),
+    ]
+    process = start(*command, cwd=tmp_path)
+    waiting_until = time.monotonic() + 300
+    while not list(tmp_path.glob("search/trial_0001/checkpoint/round-*1.torchrl")):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < waiting_until
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    first = (tmp_path / "search" / "trial_0000" / "result.json").read_text()
+
+    out, err = call(*command, cwd=tmp_path)
+    best = json.loads(out)
+    assert "trial 1 was interrupted and goes on" in err
+    assert (tmp_path / "search" / "trial_0000" / "result.json").read_text() == first
+    assert best["trials"] == {"complete": 2}
+    again, _ = call(*command, cwd=tmp_path)
+    assert json.loads(again) == best
+
+    overrides = shlex.split(best["command"])[2:]
+    call(str(ROOT / "train.py"), *overrides, "hydra.run.dir=best", cwd=tmp_path)
+    results = [
+        json.loads((tmp_path / folder / "result.json").read_text())["per_replica"]
+        for folder in ("best", best["folder"])
+    ]
+    assert results[0] == results[1]
+
+
+def test_a_sweep_runs_on_all_cores_with_a_thread_a_job_by_default():
+    with session():
+        composed = compose_raw([], with_hydra=True)
+    assert composed.hydra.launcher._target_.endswith(".JoblibLauncher")
+    assert composed.hydra.launcher.n_jobs == -1
+    assert composed.threads == 1
+
+
+def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", "")
+    name = "slurm"
+    message = r"needs a package that is missing: pip install 'bbq-torchrl\[slurm\]'"
+    if importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is not None:
+        message = "hydra/launcher=slurm needs the program sbatch"
+    with pytest.raises(ConfigError, match=message):
+        prepare(["--multirun", f"hydra/launcher={name}"], lambda config: None)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("hydra/launcher=clouds", f"must be one of {', '.join(options('hydra/launcher'))}, got 'c"),
+        ("hydra.launcher.n_job=2", "did you mean hydra.launcher.n_jobs?"),
+        ("hydra.launcher.n_jobs=many", "hydra.launcher.n_jobs: Value 'many'"),
+    ],
+)
+def test_a_wrong_launcher_is_refused_by_name(override, message, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError) as refused:
+        prepare(["--multirun", override], lambda config: None)
+    assert message in str(refused.value)
+
+
+def test_a_job_that_a_launcher_starts_again_goes_on_in_its_folder(tmp_path):
+    config = compose(["agent=bbqn", "agent.prior_std=.07", "agent.lr=1e-3"])
+    assert restarted_config(config, tmp_path).resume is None
+    save_config(config, tmp_path / "config.yaml")
+    assert restarted_config(config, tmp_path).resume == str(tmp_path)
+    with pytest.raises(ConfigError, match="must give each job of a sweep a folder of its own"):
+        restarted_config(compose(["agent=bbqn", "seed=1"]), tmp_path)
+
+
+def test_the_runs_that_are_left_are_counted_and_named(tmp_path):
+    for name in ("0_dqn", "1_bbqn"):
+        (tmp_path / name / ".hydra").mkdir(parents=True)
+    (tmp_path / "0_dqn" / "result.json").touch()
+    assert what_is_unfinished(tmp_path, jobs=4).splitlines() == [
+        f"1 of 4 runs in {tmp_path} are finished",
+        f"  not finished: {tmp_path / '1_bbqn'} (train.log in it says why)",
+        "  never started: 2",
+    ]

@@ -1,0 +1,163 @@
+"""Several values in one run: each replica trains as in a run in which all have its value."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import torch
+
+from bbq_torchrl import evaluate
+from bbq_torchrl.build import build_trainer
+from bbq_torchrl.config import EvaluateConfig
+from bbq_torchrl.config.store import compose
+from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.run import run
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SHRUNKEN = (
+    "protocol.rounds=2",
+    "protocol.dialogues=4",
+    "protocol.capacity=200",
+    "protocol.batch_size=16",
+    "protocol.eval_dialogues=6",
+    "protocol.eval_batch=6",
+    "protocol.checkpoint_every=1",
+    "spike.dialogues=4",
+    "agent.hidden=[8,8]",
+)
+MC = ("agent=bbqn", "agent.target=mc")
+CASES: dict[str, tuple[tuple[str, ...], dict[str, list[float]]]] = {
+    "prior_std": (MC, {"agent.prior_std": [0.05, 0.4]}),
+    "prior_std, held draws": (
+        (*MC, "explore.per=dialogue", "agent.kl=sampled"),
+        {"agent.prior_std": [0.05, 0.4]},
+    ),
+    "prior_std, extension": (
+        ("agent=bbqn", "env=domain_ext", "env.start=1", "env.every=1", "agent.std_init=.02"),
+        {"agent.prior_std": [0.05, 0.4]},
+    ),
+    "std_init": (MC, {"agent.std_init": [0.02, 0.2]}),
+    "noise_std": (MC, {"agent.noise_std": [0.3, 3.0]}),
+    "kl_temperature": (MC, {"agent.kl_temperature": [0.0, 2.0]}),
+    "gamma": (("agent=bbqn",), {"agent.gamma": [0.5, 0.95]}),
+    "gamma, heads": (("agent=bootstrap",), {"agent.gamma": [0.5, 0.95]}),
+    "gamma, noisy": (
+        ("agent=dqn", "explore=noisy", "agent.noisy=true", "agent.dropout=0"),
+        {"agent.gamma": [0.5, 0.95]},
+    ),
+    "lr": (("agent=dqn",), {"agent.lr": [1e-3, 0.03]}),
+    "lr, vime": (("agent=bbqn", "intrinsic=vime"), {"agent.lr": [1e-3, 0.03]}),
+    "eta": (
+        ("agent=dqn", "intrinsic=vime", "intrinsic.weights=mc"),
+        {"intrinsic.eta": [0.0, 3.0]},
+    ),
+    "epsilon": (
+        ("agent=dqn", "explore.anneal_rounds=2"),
+        {"explore.eps_init": [0.9, 0.3], "explore.eps_end": [0.2, 0.3]},
+    ),
+    "epsilon, one end": (
+        ("agent=bbqn", "explore=thompson_epsilon", "explore.anneal_rounds=2"),
+        {"explore.eps_init": [0.9, 0.3]},
+    ),
+    "temperature": (
+        ("agent=dqn", "explore=boltzmann", "explore.anneal_rounds=2"),
+        {"explore.temperature_init": [5.0, 0.5], "explore.temperature_end": [1.0, 0.1]},
+    ),
+}
+
+
+def overrides(choices: Sequence[str], values: dict[str, Any], domain: Path) -> list[str]:
+    given = [f"{key}={value}" for key, value in values.items()]
+    return [*choices, *SHRUNKEN, *given, "domain=folder", f"domain.path={domain}"]
+
+
+def trained(command: list[str], folder: Path) -> tuple[list[torch.Tensor], list[dict[str, Any]]]:
+    """What is learned, and the metrics but for the times."""
+    trainer, _ = build_trainer(compose(command), folder)
+    rows = trainer.train()
+    plain = [{k: v for k, v in row.items() if not k.startswith("seconds")} for row in rows]
+    return [parameter.detach().clone() for parameter in trainer.optimiser.parameters], plain
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, restaurant_folder, tmp_path):
+    choices, values = CASES[case]
+    weights, rows = trained(
+        ["replicas=2", *overrides(choices, values, restaurant_folder)], tmp_path / "both"
+    )
+    for replica in range(2):
+        own = {key: several[replica] for key, several in values.items()}
+        alone, expected = trained(
+            ["replicas=2", *overrides(choices, own, restaurant_folder)], tmp_path / str(replica)
+        )
+        assert all(
+            torch.equal(one[replica], other[replica])
+            for one, other in zip(weights, alone, strict=True)
+        )
+        ours = [row for row in rows if row["replica"] == replica]
+        theirs = [row | own for row in expected if row["replica"] == replica]
+        assert ours == theirs
+
+
+@pytest.fixture
+def finished(restaurant_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run of four replicas, two of each value of one key and one of each of another."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    values = {"agent.prior_std": "[.05,.2]", "agent.lr": "[.001,.002,.001,.002]"}
+    run(compose(["replicas=4", *overrides(["agent=bbqn"], values, restaurant_folder)]), folder)
+    return folder
+
+
+def test_results_say_which_replica_had_which_value(finished):
+    per_replica = json.loads((finished / "result.json").read_text())["per_replica"]
+    assert [entry["values"] for entry in per_replica] == [
+        {"agent.lr": 0.001, "agent.prior_std": 0.05},
+        {"agent.lr": 0.002, "agent.prior_std": 0.05},
+        {"agent.lr": 0.001, "agent.prior_std": 0.2},
+        {"agent.lr": 0.002, "agent.prior_std": 0.2},
+    ]
+    with (finished / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        values = per_replica[int(row["replica"])]["values"]
+        assert {key: float(row[key]) for key in values} == values
+
+    line = evaluate.evaluation(
+        compose([f"policy={finished}", "dialogues=6", "batch=3"], EvaluateConfig)
+    )
+    assert line["values_per_replica"] == [entry["values"] for entry in per_replica]
+    groups = read_groups([finished])
+    assert [len(group.final) for group in groups] == [1] * 4
+    assert groups[1].label == "BBQN-MAP, agent.lr=0.002, agent.prior_std=0.05"
+    assert (finished / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_the_command_trains_resumes_and_reports_several_values(restaurant_folder, tmp_path):
+    def call(*arguments: str) -> str:
+        command = [sys.executable, *arguments]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    values = {"agent.prior_std": "[.05,.2]", "explore.eps_init": "[.3,.1]"}
+    choices = ["agent=bbqn", "explore=thompson_epsilon", "replicas=4"]
+    command = overrides(choices, values, restaurant_folder)
+    train, folder = str(ROOT / "train.py"), tmp_path / "run"
+    call(train, *command, f"hydra.run.dir={folder}")
+    call(train, f"resume={folder}", "protocol.rounds=4")
+    table = call("-m", "bbq_torchrl.evaluation.report", str(folder))
+    assert "BBQN-MAP, agent.prior_std=0.05, explore.eps_init=0.3 | thompson_epsilon | 2 |" in table
+    assert "BBQN-MAP, agent.prior_std=0.2, explore.eps_init=0.1 | thompson_epsilon | 2 |" in table
+    assert "agent.prior_std, agent.std_init" in " ".join(call(train, "--help").split())

@@ -1,0 +1,244 @@
+"""What is computed once for many batches: the frozen network's values, and what BBQN holds."""
+
+from __future__ import annotations
+
+import pickle
+from copy import deepcopy
+
+import pytest
+import torch
+from q_transitions import (
+    STACKS,
+    bayes_loss,
+    flat,
+    heads_loss,
+    noisy_loss,
+    plain_loss,
+    target_of,
+    transitions,
+)
+from torch.nn.functional import softplus
+
+from bbq_torchrl.modules import DynamicsModel
+from bbq_torchrl.modules.weight_draw import draw_with_kl
+from bbq_torchrl.objectives import DynamicsLoss, VIMELoss
+
+FIXED = {"dqn": plain_loss, "bbqn": bayes_loss, "bootstrap": heads_loss}
+
+
+def gradients(loss, td):
+    torch.manual_seed(5)
+    out = loss(td)
+    return out, torch.autograd.grad(out["loss"], list(loss.parameters()))
+
+
+# ------------------------------------------------------------------------- frozen values
+
+
+@pytest.mark.parametrize("stack", STACKS, ids=str)
+def test_frozen_values_are_the_best_legal_values_of_the_frozen_network(stack):
+    loss, _ = plain_loss(stack, dtype=torch.double)
+    td = transitions(stack, dtype=torch.double)
+    td["next", "reward"].zero_()
+    td["next", "terminated"].zero_()
+
+    found = loss.frozen_values(td)
+
+    assert found.shape == (*td.shape, 1)
+    assert not found.requires_grad
+    weights = flat(loss, "weight", target=True)
+    weights = weights.reshape(-1, weights.shape[-1])
+    rows = td.reshape(len(weights), -1)
+    for own, w, values in zip(rows, weights, found.reshape(len(weights), -1), strict=True):
+        expected = target_of(loss.value_network[0].module.layout, w, own, 1.0)
+        torch.testing.assert_close(values, expected)
+
+
+@pytest.mark.parametrize("name", FIXED)
+@pytest.mark.parametrize("stack", [(), (3,)], ids=str)
+def test_a_loss_with_frozen_values_at_hand_is_the_same_loss(name, stack):
+    loss, _ = FIXED[name](stack, dtype=torch.double)
+    td = transitions(stack, dtype=torch.double)
+    expected = gradients(loss, td)
+    td["next", "frozen_value"] = loss.frozen_values(td)
+    # Nothing of the next state is read any more.
+    td["next", "observation"].fill_(torch.nan)
+
+    found = gradients(loss, td)
+
+    for key in ("loss", "loss_value", "td_error"):
+        torch.testing.assert_close(found[0][key], expected[0][key])
+    torch.testing.assert_close(found[1], expected[1])
+
+
+def test_frozen_values_follow_the_freeze_and_not_the_network():
+    loss, update = plain_loss((2,))
+    td = transitions((2,))
+    before = loss.frozen_values(td)
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter.add_(0.5)
+    assert torch.equal(loss.frozen_values(td), before)
+    update.step()
+    assert not torch.allclose(loss.frozen_values(td), before)
+
+
+def test_the_entry_has_the_name_that_set_keys_gives_it():
+    loss, _ = plain_loss()
+    loss.set_keys(frozen_value="held")
+    td = transitions()
+    td["next", "held"] = loss.frozen_values(td)
+    td["next", "observation"].fill_(torch.nan)
+    assert loss(td)["loss"].isfinite()
+
+
+@pytest.mark.parametrize(
+    "loss",
+    [
+        plain_loss(double_dqn=True),
+        bayes_loss(target="mc"),
+        bayes_loss(target="mc", target_noise="shared"),
+        heads_loss(double_dqn=True),
+        noisy_loss(),
+    ],
+    ids=["double", "mc", "mc shared", "double heads", "noisy"],
+)
+def test_targets_that_change_from_batch_to_batch_are_not_frozen(loss):
+    assert not loss[0].has_fixed_targets
+    with pytest.raises(RuntimeError, match="the same for every batch"):
+        loss[0].frozen_values(transitions())
+
+
+def test_a_loss_with_vime_has_the_q_losss_frozen_values():
+    q_loss, _ = plain_loss()
+    loss = VIMELoss(q_loss, DynamicsLoss(DynamicsModel(5, 4)))
+    td = transitions()
+    assert loss.has_fixed_targets
+    assert torch.equal(loss.frozen_values(td), q_loss.frozen_values(td))
+    assert not VIMELoss(noisy_loss()[0], loss.dynamics_loss).has_fixed_targets
+
+
+# ------------------------------------------------------------------------- what BBQN holds
+
+
+@pytest.mark.parametrize("stack", [(), (3,)], ids=str)
+@pytest.mark.parametrize("prior", [[0.3], [0.3] * 50], ids=["one prior", "a prior a weight"])
+def test_a_known_kl_is_returned_with_todays_gradient(stack, prior):
+    mu = torch.randn(*stack, 50, dtype=torch.double, requires_grad=True)
+    rho = torch.randn(*stack, 50, dtype=torch.double, requires_grad=True)
+    noise, prior = torch.randn(*stack, 50).double(), torch.tensor(prior).double()
+    known = torch.rand(stack).double()
+    factor = torch.randn(*stack, 50).double()
+
+    def both(known):
+        weights, kl = draw_with_kl(mu, rho, prior, "closed", noise, None, known)
+        return weights, kl, torch.autograd.grad((weights * factor).sum() + 3 * kl.sum(), (mu, rho))
+
+    weights, kl, slopes = both(None)
+    again, value, same_slopes = both(known)
+    assert torch.equal(value, known)
+    assert not torch.allclose(kl, known)
+    assert torch.equal(again, weights)
+    torch.testing.assert_close(same_slopes, slopes)
+
+
+def test_the_kl_is_reported_again_until_the_next_epoch():
+    loss, _ = bayes_loss((2,), hold=True)
+    td = transitions((2,))
+
+    def move():
+        with torch.no_grad():
+            loss.value_network.get_submodule("module.0.module").posterior.mu.add_(1.0)
+
+    loss.begin_epoch()
+    first = loss(td)["kl"]
+    move()
+    assert torch.equal(loss(td)["kl"], first)
+    loss.begin_epoch()
+    assert (loss(td)["kl"] > first).all()
+
+
+def test_nothing_is_held_by_default():
+    loss, _ = bayes_loss((2,))
+    td = transitions((2,))
+    first = loss(td)["kl"]
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter.add_(1.0)
+    assert (loss(td)["kl"] != first).all()
+
+
+def test_an_mc_target_holds_the_frozen_standard_deviations():
+    # With μ⁻ = 0 and σ⁻ all but 0 the target is the reward; with σ⁻ large it is not.
+    loss, _ = bayes_loss(hold=True, target="mc", hidden=(), noise_std=1.0)
+    td = transitions()
+    td["next", "terminated"].zero_()
+    rho, mu = flat(loss, "rho", target=True), flat(loss, "mu", target=True)
+    with torch.no_grad():
+        mu.zero_()
+        rho.fill_(-40.0)
+
+    def error():
+        with torch.no_grad():
+            online = flat(loss, "rho")
+            online.fill_(-40.0)
+        return loss(td)["td_error"]
+
+    loss.begin_epoch()
+    near = error()
+    with torch.no_grad():
+        rho.fill_(10.0)
+    torch.testing.assert_close(error(), near)
+    loss.begin_epoch()
+    assert error() > near + 1
+
+
+@pytest.mark.parametrize("target", ["map", "mc"])
+def test_held_and_not_held_agree_on_average(target):
+    # the mean gradient over many batches, each network of the stack with draws of its own
+    stack = (400,)
+    loss, _ = bayes_loss(stack, hidden=(4,), target=target)
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter.copy_(parameter[:1].expand_as(parameter))
+        for value in loss.target_value_network_params.values(True, True):
+            if value.ndim == 2:
+                value.data.copy_(value.data[:1].expand_as(value))
+    td = transitions((1,)).expand(400, 32).clone()
+
+    def mean_and_error(hold):
+        loss.hold = hold
+        loss.begin_epoch()
+        total = 0
+        for _ in range(4):
+            slopes = torch.autograd.grad(loss(td)["loss"], list(loss.parameters()))
+            total = total + torch.cat(slopes, -1) / 4
+        return total.mean(0), total.std(0) / 400**0.5
+
+    (mean, error), (held, held_error) = mean_and_error(False), mean_and_error(True)
+    assert ((mean - held).abs() < 6 * (error + held_error) + 1e-6).all()
+
+
+def test_what_is_held_is_not_copied_or_saved():
+    loss, _ = bayes_loss(hold=True, target="mc")
+    td = transitions()
+    loss.begin_epoch()
+    loss(td)
+    for other in (deepcopy(loss), pickle.loads(pickle.dumps(loss))):
+        assert not other._held_kl
+        assert other(td)["loss"].isfinite()
+    assert set(loss.state_dict()) == set(bayes_loss(target="mc")[0].state_dict())
+
+
+def test_softplus_of_the_frozen_posterior_is_computed_once(monkeypatch):
+    loss, _ = bayes_loss(hold=True, target="mc")
+    calls = []
+    monkeypatch.setattr(
+        "bbq_torchrl.modules.posterior.F.softplus", lambda x: calls.append(1) or softplus(x)
+    )
+    loss.begin_epoch()
+    loss(transitions())
+    once = len(calls)
+    loss(transitions())
+    # the prior's, one number, is computed again at each online draw
+    assert len(calls) - once < once
