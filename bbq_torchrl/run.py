@@ -93,6 +93,7 @@ def _evaluated(
         training_env.domain,
         (config.replicas, min(protocol.eval_batch, protocol.eval_dialogues)),
         device=config.device,
+        cuda_graph=config.cuda_graph,
     )
     env.set_round(max(protocol.rounds - 1, 0))
     name, policy = agent.evaluation(None)

@@ -42,6 +42,7 @@ def build_trainer(
         (config.replicas, protocol.dialogues),
         seed=config.seed,
         device=config.device,
+        cuda_graph=config.cuda_graph,
     )
     agent = build_agent(config, env)
     logger = config.logger
@@ -70,6 +71,7 @@ def build_trainer(
             checkpoint_every=protocol.checkpoint_every,
             seed=config.seed,
             max_steps=env.max_agent_turns,
+            cuda_graph=config.cuda_graph,
         ),
         run_folder,
         spike_policy=scripted_policy(spike.policy, env),

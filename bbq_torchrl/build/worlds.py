@@ -42,6 +42,7 @@ def build_env(
     *,
     seed: int = 0,
     device: torch.device | str = "cpu",
+    cuda_graph: bool = True,
 ) -> DialogueEnv:
     """Makes the environment with a batch of dialogues, such as [replicas, dialogues]."""
     schedule = None
@@ -60,4 +61,6 @@ def build_env(
         schedule=schedule,
         seed=seed,
         device=device,
+        compile_turns=config.compile_turns,
+        cuda_graph=cuda_graph,
     )

@@ -37,6 +37,7 @@ from bbq_torchrl.config.protocols import (
 )
 from bbq_torchrl.config.settings import (
     ANY_TEXT,
+    BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
     REQUIRED,
@@ -83,6 +84,9 @@ class Config:
     replicas: int = setting(1, COUNT, "independent seeds trained side by side")
     seed: int = setting(0, NON_NEGATIVE_INTEGER, "seed that all random numbers derive from")
     device: str = setting("cpu", DEVICE, "where tensors live")
+    cuda_graph: bool = setting(
+        True, BOOLEAN, "on a CUDA device, updates and turns are launched as CUDA graphs"
+    )
     threads: int = setting(1, COUNT, "CPU threads of torch")
     resume: str | None = setting(
         None, optional(ANY_TEXT, "a new run"), "run folder of the run to go on with"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from bbq_torchrl.config.settings import (
     ANY_TEXT,
+    BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
     NUMBER,
@@ -47,6 +48,9 @@ class EnvConfig:
     success_reward: float = setting(40.0, NUMBER, "reward of a dialogue that succeeds")
     failure_reward: float = setting(-10.0, NUMBER, "reward of a dialogue that fails")
     turn_reward: float = setting(-1.0, NUMBER, "reward of a turn that does not end the dialogue")
+    compile_turns: bool = setting(
+        False, BOOLEAN, "turns are compiled by torch.compile, which takes up to a minute"
+    )
     paper_rounds: int = setting(400, COUNT, "rounds of training in the paper")
 
 

@@ -260,8 +260,8 @@ class ReplicaReplay:
     ) -> Iterator[Batch]:
         rows = self._shuffled(lengths, batch_size)
         counts = [-(-length // batch_size) for length in lengths]
-        sizes = torch.tensor(counts, device=self._device)
-        active = torch.arange(max(counts), device=self._device).unsqueeze(-1) < sizes
+        # A batch's first row counts if any does.
+        active = rows["valid"][..., 0].unbind(1)
         for number, batch in enumerate(rows.unbind(1)):
             if epoch_number != self._epochs_begun:
                 raise RuntimeError("a new epoch has begun: the batches of the one before are gone")
@@ -283,8 +283,11 @@ class ReplicaReplay:
             for key, values in self._computed.items():
                 torch.index_select(values[replica], 0, index, out=target.get(key))
         rows = memory[:, :padded]
-        sizes = torch.tensor(lengths, device=self._device).unsqueeze(-1)
-        valid = torch.arange(padded, device=self._device) < sizes
+        # Filled in, not compared with the lengths: a tensor of them would have to be copied to the
+        # device, and the host would wait for it.
+        valid = torch.ones(rows.shape, dtype=torch.bool, device=self._device)
+        for replica, length in enumerate(lengths):
+            valid[replica, length:].fill_(False)
         rows = rows.set("valid", valid)
         if self.transform is not None:
             rows = self.transform(rows)

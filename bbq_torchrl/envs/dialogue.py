@@ -10,6 +10,7 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bbq_torchrl.domains import tensorise
+from bbq_torchrl.envs.turns import TurnProgram
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 
 if TYPE_CHECKING:
@@ -59,6 +60,11 @@ class DialogueEnv(EnvBase):
         schedule: domain extension; ``None`` for all slots from the start.
         seed: seed of the generator; ``None`` takes one from torch's global generator.
         device: where the dialogues are.
+        compile_turns: whether turns run as code that ``torch.compile`` makes of them, at the first
+            turn and in up to a minute. (TorchRL's ``compile`` is another thing: the whole of
+            ``step_and_maybe_reset``.)
+        cuda_graph: whether turns on a CUDA device are launched as one CUDA graph
+            (:class:`~bbq_torchrl.modules.CudaGraph`).
 
     Raises:
         ValueError: if a setting is out of range, the schedule adds a slot that the domain lacks,
@@ -89,6 +95,8 @@ class DialogueEnv(EnvBase):
         schedule: ExtensionSchedule | None = None,
         seed: int | None = None,
         device: torch.device | str = "cpu",
+        compile_turns: bool = False,
+        cuda_graph: bool = True,
     ) -> None:
         super().__init__(device=_present(device), batch_size=torch.Size(batch_size))
         if slot_error_prob is None:
@@ -103,6 +111,7 @@ class DialogueEnv(EnvBase):
             max_turn=max_turn,
         ).to(self.device)
         self._dialogues: TensorDict | None = None
+        self._turn = TurnProgram(compile=compile_turns, cuda_graph=cuda_graph)
         self._generator = torch.Generator(self.device)
         self._set_seed(seed)
         self._make_specs()
@@ -223,23 +232,23 @@ class DialogueEnv(EnvBase):
         if which is not None and self._dialogues is not None:
             started = started.where(which.view(self.batch_size), self._dialogues)
         self._dialogues = started
-        return self._emit(started)
+        return self._emit(started, self.simulator.observe(started, self._active))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         draws = self.simulator.draw_turn(self.batch_size, self._generator)
-        self._dialogues = self.simulator.turn(
-            self.dialogues, tensordict["action"], draws, self._active
+        self._dialogues, observation = self._turn(
+            self.simulator, self.dialogues, tensordict["action"], draws, self._active
         )
-        emitted = self._emit(self._dialogues)
+        emitted = self._emit(self._dialogues, observation)
         emitted["reward"] = self._dialogues["reward"][..., None]
         return emitted
 
-    def _emit(self, state: TensorDict) -> TensorDict:
+    def _emit(self, state: TensorDict, observation: torch.Tensor) -> TensorDict:
         """Returns what the agent is told of the dialogues."""
         done = state["done"][..., None]
         return TensorDict(
             {
-                "observation": self.simulator.observe(state, self._active),
+                "observation": observation,
                 "action_mask": self._action_mask.clone(),
                 "success": state["success"][..., None],
                 # The simulator counts the acts of both sides.

@@ -77,7 +77,7 @@ class VIMELoss(LossModule):
         # one record for both, so that an updater of this loss counts as one of the Q-loss
         self._has_update_associated = q_loss._has_update_associated
         # on the host: whether a batch is skipped must not wait for a device
-        self._batches = 0
+        self.batches = 0
         self.register_buffer(
             "held", dynamics_loss.num_data.new_zeros((2, *dynamics_loss.num_data.shape))
         )
@@ -101,17 +101,22 @@ class VIMELoss(LossModule):
         lengths (:class:`~bbq_torchrl.data.ReplicaReplay`), or the length of one element's epoch
         decides which batches of the next the others' dynamics learn on.
         """
-        self._batches = 0
+        self.batches = 0
         if hasattr(self.q_loss, "begin_epoch"):
             self.q_loss.begin_epoch()
 
+    @property
+    def branch(self) -> bool:
+        """Whether the dynamics learn on the next batch: a captured update knows only one answer."""
+        return self.batches % self.dynamics_every == 0
+
     def get_extra_state(self) -> Tensor:
         """Returns the number of batches since the schedule began, int64, shape []."""
-        return torch.tensor(self._batches)
+        return torch.tensor(self.batches)
 
     def set_extra_state(self, state: Tensor) -> None:
         """Restores what :meth:`get_extra_state` returned."""
-        self._batches = int(state)
+        self.batches = int(state)
 
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -125,8 +130,8 @@ class VIMELoss(LossModule):
             their sum, or the Q-loss's where the dynamics do not learn.
         """
         out: TensorDictBase = self.q_loss(tensordict)
-        is_due = self._batches % self.dynamics_every == 0
-        self._batches += 1
+        is_due = self.branch
+        self.batches += 1
         if is_due:
             learned = self.dynamics_loss(tensordict)
             out.set("loss", out.get("loss") + learned.get("loss"))

@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bbq_torchrl.modules import CudaGraph
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Hashable, Iterable
 
     from tensordict import TensorDictBase
 
     from bbq_torchrl.data import Batch
     from bbq_torchrl.trainers.optimiser import ReplicaAdam
 
-__all__ = ["LossSums", "learn_epoch"]
+__all__ = ["LossSums", "Update", "learn_epoch"]
 
 
 class LossSums:
@@ -31,9 +33,21 @@ class LossSums:
         self._sums: Tensor | None = None
         self.updates = [0] * replicas
 
+    def reset(self) -> None:
+        """Starts again from 0, in the same memory."""
+        if self._sums is not None:
+            self._sums.zero_()
+        self.updates = [0] * self._replicas
+
     @torch.no_grad()
-    def add(self, losses: TensorDictBase, batch: Batch) -> None:
-        """Adds one update; an inactive replica's entries, which mean nothing, are left out."""
+    def add(self, losses: TensorDictBase, active: Tensor | None = None) -> None:
+        """Adds what a loss returned for an update; nothing here runs on the host.
+
+        Args:
+            losses (TensorDictBase): with ``loss_value`` of shape [replicas].
+            active (Tensor, optional): bool [replicas]; the others' entries, which mean nothing,
+                are left out. Default: all are active.
+        """
         if self._sums is None:
             self._names = tuple(
                 name
@@ -48,12 +62,13 @@ class LossSums:
                 len(self._names), self._replicas, dtype=torch.float64
             )
         values = torch.stack([losses.get(name) for name in self._names])
-        if not all(batch.active):
-            values = torch.where(batch.active_mask, values, 0.0)
+        if active is not None:
+            values = torch.where(active, values, 0.0)
         self._sums += values
-        self.updates = [
-            n + is_active for n, is_active in zip(self.updates, batch.active, strict=True)
-        ]
+
+    def count(self, active: Iterable[bool]) -> None:
+        """Counts an update of the active replicas."""
+        self.updates = [n + is_active for n, is_active in zip(self.updates, active, strict=True)]
 
     def means(self) -> list[dict[str, float]]:
         """Returns the means over each replica's updates; one synchronisation with the device."""
@@ -65,24 +80,89 @@ class LossSums:
         ]
 
 
-def learn_epoch(
-    loss: Callable[[TensorDictBase], TensorDictBase],
-    optimiser: ReplicaAdam,
-    batches: Iterable[Batch],
-    sums: LossSums,
-) -> None:
-    """Updates once for every batch.
+class Update:
+    """Moves the replicas that a batch is active for: loss, gradient, step, sums.
+
+    Nothing in it waits for the device. With ``cuda_graph``, and where the parameters are on a
+    CUDA device, the update is captured (:class:`~bbq_torchrl.modules.CudaGraph`) and launched
+    as one; a batch that is not active for all replicas (the ends of epochs of different lengths)
+    is worked operation by operation.
+
+    A loss whose program changes from batch to batch says so by two attributes, such as
+    :class:`~bbq_torchrl.objectives.VIMELoss`'s: ``batches`` (int), which its forward counts up,
+    and ``branch`` (hashable), which of its programs the next forward runs, as ``batches`` has it.
+    Each gets a graph of its own.
 
     Args:
         loss (callable): returns ``loss``, the scalar to differentiate, and ``loss_value``
             [replicas]; whatever else it returns in shape [replicas] is averaged and reported.
-        optimiser (ReplicaAdam): moves the replicas that a batch is active for.
-        batches (iterable of Batch): the epoch.
+        optimiser (ReplicaAdam): of its parameters.
+        cuda_graph (bool): whether the update is captured. Default: ``True``.
+
+    Attributes:
         sums (LossSums): takes in what the loss returns.
     """
-    for batch in batches:
-        losses = loss(batch.transitions)
-        optimiser.zero_grad()
+
+    def __init__(
+        self,
+        loss: Callable[[TensorDictBase], TensorDictBase],
+        optimiser: ReplicaAdam,
+        *,
+        cuda_graph: bool = True,
+    ) -> None:
+        self.loss = loss
+        self.optimiser = optimiser
+        self.sums = LossSums(optimiser.replicas)
+        self._is_captured = cuda_graph and CudaGraph.works_on(optimiser.device)
+        self._graphs: dict[Hashable, CudaGraph[None]] = {}
+
+    def __call__(self, batch: Batch) -> None:
+        """Updates once."""
+        if not all(batch.active):
+            self._work(batch.transitions, batch)
+        elif self._is_captured:
+            self._launch(batch.transitions)
+        else:
+            self._work(batch.transitions)
+        self.sums.count(batch.active)
+
+    def _work(self, transitions: TensorDictBase, batch: Batch | None = None) -> None:
+        losses = self.loss(transitions)
+        self.optimiser.zero_grad()
         losses["loss"].backward()
-        optimiser.step(batch.active)
-        sums.add(losses, batch)
+        self.optimiser.step(None if batch is None else batch.active)
+        self.sums.add(losses, None if batch is None else batch.active_mask)
+
+    def _launch(self, transitions: TensorDictBase) -> None:
+        branch = (getattr(self.loss, "branch", None), transitions.batch_size)
+        graph = self._graphs.get(branch)
+        if graph is None:
+            graph = CudaGraph(self._program(), self.optimiser.device)
+            self._graphs[branch] = graph
+        batches = getattr(self.loss, "batches", None)
+        graph(transitions)
+        if batches is not None:
+            # The forward of a graph does not run on the host, and that of a capture runs twice.
+            self.loss.batches = batches + 1  # type: ignore[attr-defined]
+
+    def _program(self) -> Callable[[TensorDictBase], None]:
+        """Returns the update in the branch that the loss is in now, as often as it is run."""
+        batches = getattr(self.loss, "batches", None)
+
+        def work(transitions: TensorDictBase) -> None:
+            if batches is not None:
+                self.loss.batches = batches  # type: ignore[attr-defined]
+            self._work(transitions)
+
+        return work
+
+
+def learn_epoch(update: Update, batches: Iterable[Batch]) -> None:
+    """Updates once for every batch.
+
+    Args:
+        update (Update): loss, optimiser and sums.
+        batches (iterable of Batch): the epoch.
+    """
+    for batch in batches:
+        update(batch)

@@ -19,7 +19,7 @@ from bbq_torchrl.trainers.collect import (
     rows_per_replica,
 )
 from bbq_torchrl.trainers.errors import NonFiniteLossError
-from bbq_torchrl.trainers.learn import LossSums, learn_epoch
+from bbq_torchrl.trainers.learn import Update, learn_epoch
 from bbq_torchrl.trainers.loggers import log_rows, trim_scalars
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
@@ -145,6 +145,7 @@ class RoundTrainer:
         self.success_key = success_key
         self.progress = progress
         self.rounds_done = 0
+        self._update = Update(loss, optimiser, cuda_graph=settings.cuda_graph)
         self.metrics = MetricsFile(self.run_folder / "metrics.csv")
         self.checkpoints = CheckpointFolder(
             self.run_folder / "checkpoint",
@@ -302,9 +303,19 @@ class RoundTrainer:
 
     def _learn(self, round_number: int) -> tuple[list[dict[str, float]], list[int]]:
         """Freezes and learns. Returns each replica's mean losses and number of updates."""
-        settings = self.settings
-        sums = LossSums(self.replicas)
+        self._update.sums.reset()
         _call_hook(self.loss, "set_num_data", self.replay.num_data())
+        self._update_all(round_number)
+        means = self._update.sums.means()
+        broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]
+        if broken:
+            saved = self._save(name=f"failed-round-{round_number:06d}")
+            raise NonFiniteLossError(round_number, broken, saved)
+        return means, self._update.sums.updates
+
+    def _update_all(self, round_number: int) -> None:
+        """Freezes and learns, without waiting for the device."""
+        settings = self.settings
         for freeze in range(settings.freezes):
             self.target_updater.step()
             self._compute_targets()
@@ -313,13 +324,7 @@ class RoundTrainer:
                 # draws of the next epoch must not depend on it.
                 self._seed_phase("learn", round_number, freeze, epoch)
                 _call_hook(self.loss, "begin_epoch")
-                learn_epoch(self.loss, self.optimiser, self.replay.epoch(settings.batch_size), sums)
-        means = sums.means()
-        broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]
-        if broken:
-            saved = self._save(name=f"failed-round-{round_number:06d}")
-            raise NonFiniteLossError(round_number, broken, saved)
-        return means, sums.updates
+                learn_epoch(self._update, self.replay.epoch(settings.batch_size))
 
     def _compute_targets(self) -> None:
         """Has the frozen network's values computed for the whole buffer, where a loss allows it."""

@@ -22,6 +22,7 @@ class RoundSettings:
         checkpoint_every: rounds between two checkpoints.
         seed: what every random number of the training derives from.
         max_steps: the most agent turns of a dialogue; one that is longer is an error.
+        cuda_graph: whether an update on a CUDA device is captured as a CUDA graph.
     """
 
     rounds: int
@@ -32,6 +33,7 @@ class RoundSettings:
     checkpoint_every: int = 10
     seed: int = 0
     max_steps: int = 1000
+    cuda_graph: bool = True
 
     def __post_init__(self) -> None:
         lower = {

@@ -8,7 +8,7 @@ import pytest
 
 from bbq_torchrl.config import EvaluateConfig
 from bbq_torchrl.config.searches import compose_search
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.config.store import compose, conf_folder
 
 from .pages import PAGES, commands, snippets
 
@@ -57,6 +57,9 @@ def _first(argument: str) -> str:
     key, _, value = argument.partition("=")
     if value.startswith("range("):
         return f"{key}=0"
+    if value == "glob(*)":
+        files = (conf_folder() / key.removeprefix("+")).glob("*.yaml")
+        return f"{key}={min(file.stem for file in files)}"
     return f"{key}={value.split(',')[0]}"
 
 

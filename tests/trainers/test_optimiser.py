@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 from torch import nn
@@ -131,3 +133,24 @@ def test_parameters_that_are_not_stacked_are_refused():
         ReplicaAdam([nn.Parameter(torch.zeros(2, 4))], 3)
     with pytest.raises(ValueError, match="got none"):
         ReplicaAdam([], 3)
+
+
+def test_a_state_is_restored_in_the_memory_that_a_captured_step_uses():
+    parameters = [nn.Parameter(torch.ones(3, 4))]
+    optimiser = ReplicaAdam(parameters, 3)
+    start = optimiser.state_dict()
+
+    def step(active):
+        parameters[0].grad = torch.ones(3, 4)
+        optimiser.step(active)
+
+    step((True, True, False))
+    saved = copy.deepcopy(optimiser.state_dict())
+    step((True, True, True))
+    moments = [v for state in optimiser.state_dict()["state"].values() for v in state.values()]
+    where = [moment.data_ptr() for moment in moments]
+    for state, expected in ((saved, [1.0, 1.0, 0.0]), (start, [0.0, 0.0, 0.0])):
+        optimiser.load_state_dict(state)
+        restored = optimiser.state_dict()["state"]
+        assert [v.data_ptr() for s in restored.values() for v in s.values()] == where
+        assert [float(s["step"]) for s in restored.values()] == expected

@@ -1,0 +1,107 @@
+"""A turn waits for no device, and is the same compiled, as a CUDA graph and as it is."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from host_waits import NeverWaits, use_tapes
+
+from bbq_torchrl.domains import tensorise
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
+from bbq_torchrl.simulator import ErrorModel, Simulator
+
+
+def make_env(domain, mode="mixed", **options):
+    return DialogueEnv(
+        domain,
+        batch_size=(2, 5),
+        slot_error_prob=0.3,
+        slot_error_mode=mode,
+        intent_error_prob=0.2,
+        schedule=ExtensionSchedule(start=1, every=1),
+        seed=3,
+        **options,
+    )
+
+
+def turns(env):
+    """Returns what an agent that acts at random is told, over two rounds of the extension."""
+    torch.manual_seed(5)
+    told = []
+    for round_number in (0, 4):
+        env.set_round(round_number)
+        told.append(env.rollout(7, break_when_any_done=False).exclude("collector"))
+        told.append(env.rollout(4, break_when_any_done=False).exclude("collector"))
+    return told
+
+
+def assert_same(one, other):
+    for before, after in zip(one, other, strict=True):
+        assert set(before.keys(True, True)) == set(after.keys(True, True))
+        for key in before.keys(True, True):
+            assert torch.equal(before[key], after[key]), key
+
+
+@pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed"])
+def test_a_turn_never_waits_for_the_device(movie, mode):
+    env = make_env(movie, mode)
+    state = env.reset()
+    state["action"] = env.rand_action()["action"]
+    with NeverWaits():
+        env._step(state)
+
+
+def test_a_reset_never_waits_for_the_device(movie):
+    env = make_env(movie)
+    state = env.reset()
+    state["_reset"] = torch.rand(2, 5, 1) < 0.5
+    with NeverWaits():
+        env._reset(state)
+        env._reset()
+
+
+@pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed"])
+def test_everything_that_a_turn_uses_is_on_its_device(movie, mode):
+    # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
+    # tensors of the CPU, fails.
+    tensors = tensorise(movie)
+    simulator = Simulator(tensors, errors=ErrorModel(tensors, 0.3, mode, 0.2)).to("meta")
+    active = torch.ones(tensors.n_slots, dtype=torch.bool, device="meta")
+    action = torch.zeros(7, dtype=torch.int64, device="meta")
+    with NeverWaits():
+        state = simulator.reset(simulator.draw_reset((7,)), active)
+        state = simulator.turn(state, action, simulator.draw_turn((7,)), active)
+        features = simulator.observe(state, active)
+    assert {features.device.type, *(entry.device.type for entry in state.values())} == {"meta"}
+
+
+def test_a_captured_turn_is_the_turn(restaurant, monkeypatch):
+    plain = turns(make_env(restaurant))
+    graphs = use_tapes(monkeypatch)
+    captured = turns(make_env(restaurant))
+    assert [graph.launches > 10 for graph in graphs] == [True]
+    assert_same(plain, captured)
+
+
+def test_a_turn_can_be_left_uncaptured(restaurant, monkeypatch):
+    graphs = use_tapes(monkeypatch)
+    turns(make_env(restaurant, cuda_graph=False))
+    assert graphs == []
+
+
+def test_a_copy_of_an_environment_captures_its_own_turn(restaurant, monkeypatch):
+    graphs = use_tapes(monkeypatch)
+    env = make_env(restaurant)
+    turns(env)
+    other = copy.deepcopy(env)
+    env.set_seed(1)
+    other.set_seed(1)
+    assert_same(turns(env), turns(other))
+    assert len(graphs) == 2
+
+
+@pytest.mark.slow
+def test_a_compiled_turn_is_the_turn(restaurant):
+    assert_same(turns(make_env(restaurant)), turns(make_env(restaurant, compile_turns=True)))

@@ -1,0 +1,138 @@
+"""An update of every agent waits for no device, and does as a CUDA graph what it does without."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+import torch
+from host_waits import NeverWaits, draw_as_on_a_device, use_tapes
+
+from bbq_torchrl.build import build_trainer
+from bbq_torchrl.build.intrinsic import with_intrinsic_reward
+from bbq_torchrl.build.parts import Surroundings, agent_parts
+from bbq_torchrl.config.store import compose
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.config import Config
+    from bbq_torchrl.trainers import RoundTrainer
+
+SHRUNKEN = (
+    "protocol.rounds=2",
+    "protocol.dialogues=4",
+    "protocol.batch_size=6",
+    "protocol.capacity=120",
+    "protocol.epochs=1",
+    "spike.dialogues=4",
+    "spike.policy=random",
+    "agent.hidden=[8,8]",
+    "env.max_turn=16",
+    "replicas=3",
+)
+AGENTS = {
+    **{
+        name: (f"+experiment=agents/{name}",)
+        for name in (
+            "bbqn_map",
+            "bbqn_mc",
+            "bbqn_vime_map",
+            "bbqn_vime_mc",
+            "dqn",
+            "dqn_boltzmann",
+            "dqn_bootstrap",
+            "dqn_vime_map",
+            "dqn_vime_mc",
+        )
+    },
+    "noisy_dqn": ("+experiment=rivals/noisy_dqn",),
+    "double_dqn": ("+experiment=rivals/double_dqn",),
+    "shared target noise": ("agent=bbqn", "agent.target=mc", "agent.target_noise=shared"),
+    "sampled KL": ("agent=bbqn", "agent.kl=sampled"),
+    "separate heads with priors": (
+        "agent=bootstrap",
+        "agent.trunk_layers=0",
+        "agent.prior_scale=3",
+        "agent.double=true",
+    ),
+    "dynamics now and then": ("agent=bbqn", "intrinsic=vime", "intrinsic.dynamics_every=3"),
+}
+
+
+def config_of(agent: str, domain: Path, *further: str) -> Config:
+    return compose([*AGENTS[agent], *SHRUNKEN, *further, "domain=folder", f"domain.path={domain}"])
+
+
+def make_trainer(agent: str, domain: Path, folder: Path, *further: str) -> RoundTrainer:
+    config = config_of(agent, domain, *further)
+    trainer, _ = build_trainer(config, folder)
+    trainer.progress = False
+    return trainer
+
+
+def state(trainer: RoundTrainer) -> list[torch.Tensor]:
+    adam = trainer.optimiser.state_dict()["state"].values()
+    return [
+        *(value for value in trainer.loss.state_dict().values()),
+        *(value for moments in adam for value in moments.values()),
+    ]
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_a_rounds_updates_never_wait_for_the_device(
+    agent, restaurant_folder, tmp_path, monkeypatch
+):
+    draw_as_on_a_device(monkeypatch)
+    trainer = make_trainer(agent, restaurant_folder, tmp_path)
+    trainer.begin()
+    trainer.train_round()
+    with NeverWaits():
+        trainer._update_all(1)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_a_captured_update_is_the_update(agent, restaurant_folder, tmp_path, monkeypatch):
+    draw_as_on_a_device(monkeypatch)
+    plain = make_trainer(agent, restaurant_folder, tmp_path / "plain", "cuda_graph=false")
+    plain_rows = plain.train()
+    graphs = use_tapes(monkeypatch)
+    captured = make_trainer(agent, restaurant_folder, tmp_path / "captured")
+    rows = captured.train()
+
+    turns, *updates = graphs
+    assert turns.launches > 0
+    # a graph for the batches that the dynamics learn on, and one for the others
+    config = config_of(agent, restaurant_folder)
+    assert len(updates) == min(2, getattr(config.intrinsic, "dynamics_every", 1))
+    launched = sum(graph.launches for graph in updates)
+    # The buffers differ in length, so some batches are not active for all replicas.
+    assert 0 < launched < max(sum(row["updates"] for row in rows[r::3]) for r in range(3))
+    for one, other in zip(state(plain), state(captured), strict=True):
+        assert torch.equal(one, other)
+    for one, other in zip(plain_rows, rows, strict=True):
+        assert {k: v for k, v in one.items() if "seconds" not in k} == {
+            k: v for k, v in other.items() if "seconds" not in k
+        }
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_everything_that_an_update_uses_is_on_its_device(agent, restaurant_folder, tmp_path):
+    trainer = make_trainer(agent, restaurant_folder, tmp_path)
+    trainer.begin()
+    trainer._compute_targets()
+    batch = next(trainer.replay.epoch(8)).transitions.to("meta")
+    # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
+    # tensors of the CPU, fails.
+    env, config = trainer.env, config_of(agent, restaurant_folder)
+    spec, device = env.action_spec_unbatched, torch.device("meta")
+    around = Surroundings(env.layout.size, spec, (3,), None, None, device)
+    q_loss = agent_parts(config.agent, around).loss
+    loss, _ = with_intrinsic_reward(config.intrinsic, q_loss, around)
+    loss._has_update_associated.update(dict.fromkeys(loss._has_update_associated, True))
+    if hasattr(loss, "set_num_data"):
+        loss.set_num_data(10)
+    with NeverWaits():
+        loss(batch)["loss"].backward()
+    gradients = [p.grad for p in loss.parameters() if p.requires_grad]
+    assert {gradient.device for gradient in gradients} == {device}
