@@ -204,6 +204,11 @@ def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, li
         jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
     except HydraException as error:
         raise ConfigError(explain(error, arguments, options)) from error
+    if not jobs:
+        raise ConfigError(
+            f"{' '.join(arguments)} is a sweep without a job: a glob() names no option "
+            "(globs of a folder of options stand behind its name: '+experiment/agents=glob(*)')"
+        )
     return compose_raw(jobs[0], with_hydra=True), jobs
 
 

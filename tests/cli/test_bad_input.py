@@ -201,3 +201,9 @@ def test_the_public_corpus_is_evaluated_with_files_and_difficulty_of_choice(caps
     assert (answer["domain"], answer["dialogues"]) == ("miulab", 40)
     # The scripted policy succeeds in about two thirds of the dialogues at this difficulty.
     assert answer["success_rate"] > 0.2
+
+
+def test_a_sweep_whose_glob_names_nothing(refused):
+    line = refused("--multirun", "+experiment=glob(agents/*)", "protocol=quick")
+    assert "sweep without a job" in line
+    assert "+experiment/agents=glob(*)" in line
