@@ -162,6 +162,7 @@ def use_tapes(monkeypatch) -> list[TapeModule]:
 
 
 def draw_as_on_a_device(monkeypatch) -> None:
-    """Has noise drawn by torch's generator and nothing held, as on a CUDA device."""
+    """Has noise drawn by torch's generator and nothing held or put off, as on a CUDA device."""
     monkeypatch.setattr("bbq_torchrl.modules.posterior.fill_normal_", lambda out: out.normal_())
     monkeypatch.setattr(BBQNLoss, "_holds", lambda loss: False)
+    monkeypatch.setattr("bbq_torchrl.trainers.learn._AT_ONCE", 1)

@@ -20,8 +20,14 @@ if TYPE_CHECKING:
 __all__ = ["LossSums", "Update", "learn_epoch"]
 
 
+_AT_ONCE = 64
+
+
 class LossSums:
     """Sums over updates of every per-replica entry that a loss returns, kept on the device.
+
+    On a CPU, where handling a few numbers costs as much as a small matrix product, the entries of
+    several updates are added at once; the sums are the same bit for bit.
 
     Args:
         replicas (int): the number of replicas.
@@ -31,15 +37,16 @@ class LossSums:
         self._replicas = replicas
         self._names: tuple[str, ...] = ()
         self._sums: Tensor | None = None
+        self._pending: list[Tensor] = []
         self.updates = [0] * replicas
 
     def reset(self) -> None:
         """Starts again from 0, in the same memory."""
+        self._pending.clear()
         if self._sums is not None:
             self._sums.zero_()
         self.updates = [0] * self._replicas
 
-    @torch.no_grad()
     def add(self, losses: TensorDictBase, active: Tensor | None = None) -> None:
         """Adds what a loss returned for an update; nothing here runs on the host.
 
@@ -61,10 +68,27 @@ class LossSums:
             self._sums = losses["loss_value"].new_zeros(
                 len(self._names), self._replicas, dtype=torch.float64
             )
-        values = torch.stack([losses.get(name) for name in self._names])
+        values = [losses.get(name) for name in self._names]
         if active is not None:
-            values = torch.where(active, values, 0.0)
-        self._sums += values
+            values = [torch.where(active, value.detach(), 0.0) for value in values]
+        self._pending += values
+        limit = _AT_ONCE if self._sums.device.type == "cpu" else 1
+        if len(self._pending) >= limit * len(self._names):
+            self._add_pending()
+
+    @torch.no_grad()
+    def _add_pending(self) -> None:
+        if self._sums is None or not self._pending:
+            return
+        values = torch.stack(self._pending).view(-1, *self._sums.shape)
+        self._pending.clear()
+        if len(values) == 1:
+            self._sums += values[0]
+        else:
+            # One after the other: a sum of a block would depend, in its last bits, on which
+            # updates happen to be in it.
+            rows = torch.cat([self._sums.unsqueeze(0), values.double()])
+            self._sums.copy_(rows.cumsum(0)[-1])
 
     def count(self, active: Iterable[bool]) -> None:
         """Counts an update of the active replicas."""
@@ -72,6 +96,7 @@ class LossSums:
 
     def means(self) -> list[dict[str, float]]:
         """Returns the means over each replica's updates; one synchronisation with the device."""
+        self._add_pending()
         assert self._sums is not None
         columns = self._sums.t().tolist()
         return [

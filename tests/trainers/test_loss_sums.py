@@ -1,0 +1,52 @@
+"""Sums of what a loss reports: exact, in order, and each replica's own."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.trainers.learn import LossSums
+
+
+def reported(values: torch.Tensor) -> TensorDict:
+    return TensorDict({"loss_value": values[0], "kl": values[1], "loss": values.sum()})
+
+
+@pytest.mark.parametrize("updates", [1, 63, 64, 65, 200])
+def test_sums_of_many_updates_are_those_of_one_after_the_other(updates):
+    values = torch.randn(updates, 2, 3) * 10.0 ** torch.randint(-6, 6, (updates, 2, 3))
+    sums = LossSums(3)
+    expected = torch.zeros(2, 3, dtype=torch.float64)
+
+    for update in values:
+        sums.add(reported(update))
+        sums.count((True,) * 3)
+        expected += update
+
+    exact = [row["loss_value"] for row in sums.means()]
+    assert exact == [float(total) / updates for total in expected[0]]
+
+
+def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
+    values = torch.randn(150, 2, 2)
+    alone, beside = LossSums(2), LossSums(2)
+    for number, update in enumerate(values):
+        is_active = number < 100
+        if is_active:
+            alone.add(reported(update))
+            alone.count((True, True))
+        beside.add(reported(update), torch.tensor([is_active, True]))
+        beside.count((is_active, True))
+    assert beside.means()[0] == alone.means()[0]
+    assert beside.updates == [100, 150]
+
+
+def test_resetting_forgets_what_was_not_added_yet():
+    sums = LossSums(2)
+    for _ in range(10):
+        sums.add(reported(torch.ones(2, 2)))
+    sums.reset()
+    sums.add(reported(torch.full((2, 2), 3.0)))
+    sums.count((True, True))
+    assert sums.means() == [{"loss_value": 3.0, "kl": 3.0}] * 2
