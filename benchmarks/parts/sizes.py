@@ -42,7 +42,7 @@ class Sizes:
     run_rounds: int = 400
     memory_replicas: int = 5
     memory_rounds: int = 3
-    spike: int = 2_000
+    spike: int = 500
     eval_dialogues: int = 10_000
     imports: bool = True
     overrides: tuple[str, ...] = ()
