@@ -91,7 +91,7 @@ def _evaluated(
     env = build_env(
         config.env,
         training_env.domain,
-        (config.replicas, min(protocol.eval_batch, protocol.eval_dialogues)),
+        (config.replicas, min(_evaluation_places(config), protocol.eval_dialogues)),
         device=config.device,
         cuda_graph=config.cuda_graph,
     )
@@ -124,6 +124,14 @@ def _evaluated(
         wall_seconds=trained + time.perf_counter() - started,
         versions=_versions(),
     )
+
+
+def _evaluation_places(config: Config) -> int:
+    """Returns how many dialogues of a replica are played side by side.
+
+    A rollout holds every turn's observations: of 12,500 dialogues they fill two gigabytes.
+    """
+    return max(1, config.protocol.eval_batch // config.replicas)
 
 
 def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> None:

@@ -78,7 +78,7 @@ class ProtocolConfig:
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
     capacity: int = setting(10_000, COUNT, "transitions a replica's buffer holds")
     eval_dialogues: int = setting(10_000, COUNT, "dialogues of the final evaluation of a replica")
-    eval_batch: int = setting(2_500, COUNT, "evaluation dialogues that run side by side")
+    eval_batch: int = setting(2_500, COUNT, "evaluation dialogues of all replicas side by side")
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
 
 
@@ -98,7 +98,7 @@ class QuickProtocolConfig(ProtocolConfig):
     epochs: int = setting(3, COUNT, "passes over the buffer after each freeze")
     capacity: int = setting(5_000, COUNT, "transitions a replica's buffer holds")
     eval_dialogues: int = setting(2_000, COUNT, "dialogues of the final evaluation of a replica")
-    eval_batch: int = setting(2_000, COUNT, "evaluation dialogues that run side by side")
+    eval_batch: int = setting(2_000, COUNT, "evaluation dialogues of all replicas side by side")
 
 
 @dataclass
