@@ -9,7 +9,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from bbq_torchrl.modules import CudaGraph
-from bbq_torchrl.objectives import BBQNLoss
+from bbq_torchrl.objectives.held import Holds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -164,5 +164,5 @@ def use_tapes(monkeypatch) -> list[TapeModule]:
 def draw_as_on_a_device(monkeypatch) -> None:
     """Has noise drawn by torch's generator and nothing held or put off, as on a CUDA device."""
     monkeypatch.setattr("bbq_torchrl.modules.posterior.fill_normal_", lambda out: out.normal_())
-    monkeypatch.setattr(BBQNLoss, "_holds", lambda loss: False)
+    monkeypatch.setattr(Holds, "_holds", lambda loss, tensors: False)
     monkeypatch.setattr("bbq_torchrl.trainers.learn._AT_ONCE", 1)

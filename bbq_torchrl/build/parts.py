@@ -138,9 +138,12 @@ def _dqn(config: DQNConfig, around: Surroundings) -> AgentParts:
     else:
         network = MLP(*sizes, stack=around.stack, dropout=config.dropout, device=around.device)
     actor = _actor(network, around)
-    loss_type = NoisyDQNLoss if config.noisy else DropoutDQNLoss
     gamma = over_replicas(config.gamma, around.replicas)
-    loss = loss_type(actor, gamma=gamma, double_dqn=config.double)
+    loss: DropoutDQNLoss | NoisyDQNLoss
+    if config.noisy:
+        loss = NoisyDQNLoss(actor, gamma=gamma, double_dqn=config.double)
+    else:
+        loss = DropoutDQNLoss(actor, gamma=gamma, double_dqn=config.double, hold=True)
     greedy = Greedy(actor)
     return AgentParts(actor, loss, greedy, _only(config, "greedy", greedy))
 

@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from bbq_torchrl.modules.noise import fill_kept_
+from bbq_torchrl.modules.noise_pool import active_noise_pool
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -143,16 +146,10 @@ def _run(
 
 
 def _kept_units(x: Tensor, units: int, dropout: float) -> Tensor:
-    """Returns 1 with probability 1 - dropout, else 0, for all hidden units: [*rows, units].
-
-    16 random bits decide on a unit, four units to a number of torch's generator, which makes a
-    uniform float for each in four times the time; so dropout is rounded to a multiple of 2⁻¹⁶.
-    """
-    shape = (*x.shape[:-1], units)
-    bits = torch.empty(-(-prod(shape) // 4), dtype=torch.int64, device=x.device)
-    uniform = bits.random_(-(2**63), None).view(torch.int16)[: prod(shape)].view(shape)
-    least = min(round(dropout * 2**16), 2**16 - 1) - 2**15
-    return torch.ge(uniform, least, out=x.new_empty(shape))
+    """Returns 1 with probability 1 - dropout, else 0, for all hidden units: [*rows, units]."""
+    pool = active_noise_pool()
+    kept = None if pool is None else pool.kept_units(x, units, dropout)
+    return fill_kept_(x.new_empty((*x.shape[:-1], units)), dropout) if kept is None else kept
 
 
 def _dropout_scale(dropout: float) -> float:

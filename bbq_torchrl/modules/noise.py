@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["fill_normal_"]
+__all__ = ["fill_kept_", "fill_normal_"]
 
 _LEVELS = 2**16  # 16 random bits a number
 _WORTHWHILE = 2**13  # below this many numbers torch's own generator is as fast
@@ -64,3 +64,25 @@ def fill_normal_(out: Tensor) -> Tensor:
     index = torch.from_numpy(words.view(np.uint16))[:count].to(torch.int32)
     torch.index_select(_table(), 0, index, out=out.view(-1))
     return out
+
+
+def fill_kept_(out: Tensor, dropout: float) -> Tensor:
+    """Fills ``out`` with 1 with probability 1 - dropout, else 0, in place and returns it.
+
+    16 random bits decide on a number, four numbers to one of torch's generator, which makes a
+    uniform float for each in four times the time; so dropout is rounded to a multiple of 2⁻¹⁶.
+
+    Args:
+        out: any shape.
+        dropout: from 0 to below 1.
+
+    Example:
+        >>> import torch
+        >>> bool(abs(fill_kept_(torch.empty(5, 100_000), 0.2).mean() - 0.8) < 0.01)
+        True
+    """
+    count = out.numel()
+    bits = torch.empty(-(-count // 4), dtype=torch.int64, device=out.device)
+    uniform = bits.random_(-(2**63), None).view(torch.int16)[:count].view(out.shape)
+    least = min(round(dropout * 2**16), 2**16 - 1) - 2**15
+    return torch.ge(uniform, least, out=out)

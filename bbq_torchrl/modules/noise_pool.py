@@ -1,4 +1,4 @@
-"""Noise for many weight draws out of one pool of normal numbers."""
+"""Random numbers for many batches, weight noise and dropout, out of one pool."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.modules.noise import fill_normal_
+from bbq_torchrl.modules.noise import fill_kept_, fill_normal_
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Sequence
     from types import TracebackType
 
     from torch import Tensor
@@ -29,7 +30,7 @@ _active = _Active()
 
 
 class noise_pool:
-    """Makes the weight draws inside of each ``with`` block take their noise from a pool.
+    """Makes weight draws and dropout inside of each ``with`` block take their noise from a pool.
 
     Normal numbers for all weights are a fifth of the time of a Bayes-by-Backprop update on a CPU.
     Here every network of a stack has a pool of its own, ``draws`` times as many numbers as it has
@@ -37,6 +38,8 @@ class noise_pool:
     of it at a random place (the noise table of Salimans et al. 2017, "Evolution Strategies as a
     Scalable Alternative to Reinforcement Learning"). Each draw is of independent standard normal
     numbers; two draws may share some of them, at different weights. Networks share none.
+    Dropout (of :class:`~bbq_torchrl.modules.MLP`), a tenth of the time of a DQN update, takes what
+    it keeps from a pool of as many batches in the same way.
 
     Draws with more dimensions than the stack (one for each dialogue, say) are not concerned, nor
     are devices other than the CPU, where noise costs little.
@@ -60,7 +63,7 @@ class noise_pool:
         if draws < 2:
             raise ValueError(f"draws must be at least 2, got {draws}")
         self.draws = draws
-        self._pools: dict[GaussianPosterior, Tensor] = {}
+        self._pools: dict[Hashable, Tensor] = {}
 
     def clear(self) -> None:
         """Drops the pools; the next draw makes new ones, from torch's global generator."""
@@ -71,12 +74,43 @@ class noise_pool:
         mu = posterior.mu
         if shape != mu.shape or mu.device.type != "cpu":
             return None
-        pool = self._pools.get(posterior)
+        return self._window(posterior, mu, shape[:-1], shape[-1], fill_normal_)
+
+    def kept_units(self, x: Tensor, units: int, dropout: float) -> Tensor | None:
+        """Returns 1 for the units that dropout keeps, else 0, a view; None off the CPU.
+
+        Args:
+            x: a batch of one network, [rows, *], or of a stack of them, [networks, rows, *].
+            units: of the network.
+            dropout: probability with which a unit is dropped.
+
+        Returns:
+            shape [rows, units] or [networks, rows, units].
+        """
+        if x.device.type != "cpu":
+            return None
+        *networks, rows, _ = x.shape
+
+        def fill_(pool: Tensor) -> Tensor:
+            return fill_kept_(pool, dropout)
+
+        key = (*networks, rows, units, dropout, x.dtype)
+        return self._window(key, x, networks, rows * units, fill_).unflatten(-1, (rows, units))
+
+    def _window(
+        self,
+        key: Hashable,
+        like: Tensor,
+        lead: Sequence[int],
+        count: int,
+        fill_: Callable[[Tensor], Tensor],
+    ) -> Tensor:
+        """Returns a view [*lead, count] at a random place of a pool, which is made if need be."""
+        pool = self._pools.get(key)
         if pool is None:
-            pool = mu.new_empty((*shape[:-1], self.draws * shape[-1]))
-            self._pools[posterior] = fill_normal_(pool)
-        start = int(torch.randint((self.draws - 1) * shape[-1] + 1, ()))
-        return pool[..., start : start + shape[-1]]
+            pool = self._pools[key] = fill_(like.new_empty((*lead, self.draws * count)))
+        start = int(torch.randint((self.draws - 1) * count + 1, ()))
+        return pool[..., start : start + count]
 
     def __enter__(self) -> noise_pool:
         self._outer = _active.pool

@@ -11,10 +11,10 @@ from torchrl.envs.utils import ExplorationType
 from bbq_torchrl.modules.exploration import bayesian_layers
 from bbq_torchrl.modules.held_std import held_std
 from bbq_torchrl.modules.kl import collect_kl
-from bbq_torchrl.modules.noise_pool import noise_pool
 from bbq_torchrl.modules.shared_noise import shared_noise
 from bbq_torchrl.modules.stack_values import stack_values
 from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind
+from bbq_torchrl.objectives.held import Holds
 from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
@@ -39,7 +39,7 @@ _TARGET_NOISES: dict[Target, tuple[TargetNoise, ...]] = {
 }
 
 
-class BBQNLoss(NumData, OneStepQLoss):
+class BBQNLoss(NumData, Holds, OneStepQLoss):
     """Expected squared TD error under the posterior, plus its KL from the prior.
 
     For N transitions in the buffer each network's loss is
@@ -154,8 +154,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         self.target_noise = target_noise or _TARGET_NOISES[target][0]
         self._online_noise: shared_noise | None = None
         self.kl = kl
-        self.hold = hold
-        self._pool = noise_pool()
+        self._register_hold(hold)
         self._held_std = held_std()
         self._held_kl: dict[GaussianPosterior, Tensor] = {}
         self._set("noise_std", noise_std)
@@ -188,27 +187,25 @@ class BBQNLoss(NumData, OneStepQLoss):
         return self.target == "map" and super().has_fixed_targets
 
     def begin_epoch(self) -> None:
-        """Has what is held computed anew, where ``hold`` is set."""
-        self._pool.clear()
+        """Has what is held made anew, where ``hold`` is set."""
+        super().begin_epoch()
         self._held_kl.clear()
         self._held_std.clear()
 
-    def _holds(self) -> bool:
-        return self.hold and self.num_data.device.type == "cpu"
-
     def __getstate__(self) -> dict[str, Any]:
-        empty = {"_pool": noise_pool(), "_held_kl": {}, "_held_std": held_std()}
-        return {**super().__getstate__(), **empty}
+        return {**super().__getstate__(), "_held_kl": {}, "_held_std": held_std()}
 
     def _predict(
         self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
     ) -> tuple[Tensor, dict[str, Tensor]]:
         self._check_num_data()
         noise = shared_noise() if self.target_noise == "shared" else None
-        holds = self._holds()
-        held = self._held_kl if holds and self.kl == "closed" else None
-        pool = self._pool if holds else nullcontext()
-        with pool, noise or nullcontext(), collect_kl(self.kl, held) as collector:
+        held = self._held_kl if self._holds(tensors) and self.kl == "closed" else None
+        with (
+            self._random_numbers(tensors),
+            noise or nullcontext(),
+            collect_kl(self.kl, held) as collector,
+        ):
             values = self._function(tensors, inputs, "draw")
         self._online_noise = noise
         return values, {"kl": collector.total()}
@@ -218,8 +215,6 @@ class BBQNLoss(NumData, OneStepQLoss):
         noise, self._online_noise = self._online_noise, None
         if self.target == "map":
             return self._function(tensors, inputs, "mean")
-        if not self._holds():
-            with noise or nullcontext():
-                return self._function(tensors, inputs, "draw")
-        with self._pool, noise or nullcontext(), self._held_std:
+        std = self._held_std if self._holds(tensors) else nullcontext()
+        with self._random_numbers(tensors), noise or nullcontext(), std:
             return self._function(tensors, inputs, "draw")

@@ -7,7 +7,14 @@ import torch
 from scipy import stats
 from torch import nn
 
-from bbq_torchrl.modules import BayesLinear, BayesMLP, noise_pool, set_weight_mode, shared_noise
+from bbq_torchrl.modules import (
+    MLP,
+    BayesLinear,
+    BayesMLP,
+    noise_pool,
+    set_weight_mode,
+    shared_noise,
+)
 
 # A test of chance fails by chance with this probability.
 RARE = 1e-6
@@ -104,3 +111,34 @@ def test_shared_noise_shares_what_comes_from_a_pool():
 def test_a_pool_of_one_draw_is_refused():
     with pytest.raises(ValueError, match="draws must be at least 2, got 1"):
         noise_pool(1)
+
+
+@pytest.mark.parametrize("stack", [(), (3,)], ids=str)
+@pytest.mark.parametrize("dropout", [0.2, 0.5])
+def test_dropout_keeps_units_with_its_probability_and_changes_from_batch_to_batch(stack, dropout):
+    # Inputs and weights of 1 leave the share of the units that are kept in the output.
+    net = MLP(1, 1, (200,), stack=stack, dropout=dropout)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.fill_(1.0)
+    x = torch.ones(*stack, 64, 1)
+
+    with noise_pool(), torch.no_grad():
+        kept = torch.stack([(net(x, "draw") - 1) * (1 - dropout) / 2 for _ in range(20)])
+
+    rows, units = kept.numel(), 200
+    mean, error = (1 - dropout) * units, (dropout * (1 - dropout) * units / rows) ** 0.5
+    # windows overlap: twenty batches are of the numbers of eight
+    assert abs(float(kept.mean()) - mean) < 6 * error * (20 / 8) ** 0.5
+    assert abs(float(kept.std()) / (error * rows**0.5) - 1) < 0.1
+    assert len(kept.reshape(20, -1).unique(dim=0)) == 20
+
+
+def test_networks_drop_units_of_their_own():
+    net = MLP(1, 1, (200,), stack=(2,), dropout=0.5)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.copy_(parameter[:1].expand_as(parameter))
+    with noise_pool():
+        first, second = net(torch.ones(2, 64, 1), "draw")
+    assert not torch.equal(first, second)
