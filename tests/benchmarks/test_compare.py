@@ -54,7 +54,7 @@ def test_memory_is_that_of_a_run_with_full_buffers(no_processes: list[tuple[str,
     (row,) = PARTS["memory"](FULL, Timer())
     assert (row.measured, row.target, row.reached) == (1.0, 1.5, True)
     (command,) = no_processes
-    assert {"agent=bbqn", "env=full", "replicas=5", "spike.dialogues=2000"} <= set(command)
+    assert {"agent=bbqn", "env=full", "replicas=5", "spike.dialogues=500"} <= set(command)
 
 
 def test_start_is_the_median_of_processes() -> None:
