@@ -39,7 +39,8 @@ class Batch(NamedTuple):
 
     Attributes:
         transitions: batch size [replicas, batch_size]; the entry ``valid`` [replicas, batch_size]
-            tells the rows that count from the padding, which repeats a row of the same replica.
+            tells the rows that count from the padding, which repeats a row of the same replica,
+            and ``row_weight`` [replicas, batch_size] is one over their number, 0 for padding.
         active: for each replica, whether the batch holds a row of it that counts (on the host).
         active_mask: the same on the device, shape [replicas].
     """
@@ -291,7 +292,11 @@ class ReplicaReplay:
         rows = rows.set("valid", valid)
         if self.transform is not None:
             rows = self.transform(rows)
-        return rows.unflatten(1, (batches, batch_size))
+        rows = rows.unflatten(1, (batches, batch_size))
+        # Once for all batches: a few numbers a batch cost as much as a small matrix product.
+        weight = rows["valid"].to(torch.get_default_dtype())
+        tiny = torch.finfo(weight.dtype).tiny
+        return rows.set("row_weight", weight / weight.sum(-1, keepdim=True).clamp_min_(tiny))
 
     def _memory(self, rows: int) -> TensorDict:
         """Returns the memory that epochs are gathered into, batch size [replicas, rows].

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["active_noise_pool", "noise_pool"]
 
 _DRAWS = 8
+_PLACES = 512  # drawn at a time: one random number alone costs as much as hundreds
 
 
 class _Active(threading.local):
@@ -63,7 +64,7 @@ class noise_pool:
         if draws < 2:
             raise ValueError(f"draws must be at least 2, got {draws}")
         self.draws = draws
-        self._pools: dict[Hashable, Tensor] = {}
+        self._pools: dict[Hashable, tuple[Tensor, list[int]]] = {}
 
     def clear(self) -> None:
         """Drops the pools; the next draw makes new ones, from torch's global generator."""
@@ -106,11 +107,13 @@ class noise_pool:
         fill_: Callable[[Tensor], Tensor],
     ) -> Tensor:
         """Returns a view [*lead, count] at a random place of a pool, which is made if need be."""
-        pool = self._pools.get(key)
-        if pool is None:
-            pool = self._pools[key] = fill_(like.new_empty((*lead, self.draws * count)))
-        start = int(torch.randint((self.draws - 1) * count + 1, ()))
-        return pool[..., start : start + count]
+        found = self._pools.get(key)
+        if found is None:
+            found = self._pools[key] = fill_(like.new_empty((*lead, self.draws * count))), []
+        pool, places = found
+        if not places:
+            places += torch.randint((self.draws - 1) * count + 1, (_PLACES,)).tolist()
+        return pool.narrow(-1, places.pop(), count)
 
     def __enter__(self) -> noise_pool:
         self._outer = _active.pool

@@ -6,12 +6,34 @@ from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
+from torch.optim.adam import adam
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 __all__ = ["ReplicaAdam"]
+
+
+class _GroupState:
+    """What Adam keeps of a group of views, in lists as its functional form takes them."""
+
+    names = ("exp_avg", "exp_avg_sq", "step")
+
+    def __init__(
+        self,
+        views: list[Tensor],
+        exp_avgs: list[Tensor],
+        exp_avg_sqs: list[Tensor],
+        steps: list[Tensor],
+        *,
+        lr: float,
+    ) -> None:
+        self.views = views
+        self.exp_avgs = exp_avgs
+        self.exp_avg_sqs = exp_avg_sqs
+        self.steps = steps
+        self.lr = lr
 
 
 class ReplicaAdam:
@@ -70,6 +92,7 @@ class ReplicaAdam:
         self._adam = torch.optim.Adam(
             groups, betas=betas, eps=eps, fused=True, capturable=self._capturable
         )
+        self._states: list[_GroupState] = []
 
     @property
     def device(self) -> torch.device:
@@ -103,6 +126,13 @@ class ReplicaAdam:
             active (sequence of bool, optional): for each replica, whether the last batch concerned
                 it. Default: all.
         """
+        if (
+            (active is None or all(active))
+            and all(parameter.grad is not None for parameter in self.parameters)
+            and (self._states or self._has_states())
+        ):
+            self._step_all()
+            return
         flags = (True,) * self.replicas if active is None else active
         for parameter_number, parameter in enumerate(self.parameters):
             gradients = (None,) * self.replicas if parameter.grad is None else parameter.grad
@@ -110,12 +140,59 @@ class ReplicaAdam:
                 views[parameter_number].grad = gradient if is_active else None
         self._adam.step()
 
+    def _has_states(self) -> bool:
+        """Whether every view has moments; notes where they are."""
+        state = self._adam.state
+        if not all("exp_avg" in state[view] for views in self._views for view in views):
+            return False
+        self._states = [
+            _GroupState(
+                group["params"],
+                *([state[view][name] for view in group["params"]] for name in _GroupState.names),
+                lr=group["lr"],
+            )
+            for group in self._adam.param_groups
+        ]
+        return True
+
+    @torch.no_grad()
+    def _step_all(self) -> None:
+        """What ``Adam.step`` does, without looking up again what it finds at each step.
+
+        Hooks, groups and states cost as much as the step itself where the networks are small.
+        """
+        parts = [parameter.grad.unbind(0) for parameter in self.parameters]  # type: ignore[union-attr]
+        gradients = [part[replica] for replica in range(self.replicas) for part in parts]
+        options = self._adam.defaults
+        first = 0
+        for group in self._states:
+            last = first + len(group.views)
+            adam(
+                group.views,
+                gradients[first:last],
+                group.exp_avgs,
+                group.exp_avg_sqs,
+                [],
+                group.steps,
+                fused=True,
+                capturable=self._capturable,
+                amsgrad=False,
+                beta1=options["betas"][0],
+                beta2=options["betas"][1],
+                lr=group.lr,
+                weight_decay=0.0,
+                eps=options["eps"],
+                maximize=False,
+            )
+            first = last
+
     def state_dict(self) -> dict[str, Any]:
         """Returns moments and step counts, as :meth:`torch.optim.Adam.state_dict` does."""
         return self._adam.state_dict()
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Restores a copy of what :meth:`state_dict` returned, in the memory that there is."""
+        self._states = []
         before = {view: dict(state) for view, state in self._adam.state.items()}
         # torch's own would go on in the very tensors of the state that it is given.
         self._adam.load_state_dict(deepcopy(dict(state_dict)))

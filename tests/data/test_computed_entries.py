@@ -106,3 +106,13 @@ def test_a_replicas_values_do_not_depend_on_anothers_length():
 def test_computing_for_nothing_is_refused():
     with pytest.raises(ValueError, match="every replica needs a transition"):
         ReplicaReplay(10, keys=KEYS).compute(KEY, square)
+
+
+def test_weights_of_a_batchs_rows_add_up_to_one_over_those_that_count():
+    replay = filled(70, 9)
+    for number, batch in enumerate(replay.epoch(32)):
+        weight, valid = batch.transitions["row_weight"], batch.transitions["valid"]
+        assert torch.equal(weight > 0, valid)
+        expected = [1.0, float(number == 0)]
+        torch.testing.assert_close(weight.sum(-1), torch.tensor(expected))
+        assert all(len(own[own > 0].unique()) <= 1 for own in weight)

@@ -281,3 +281,28 @@ def test_held_dropout_has_the_same_mean_gradient():
 
     (mean, error), (held, held_error) = mean_and_error(False), mean_and_error(True)
     assert ((mean - held).abs() < 6 * (error + held_error) + 1e-6).all()
+
+
+@pytest.mark.parametrize("name", FIXED)
+@pytest.mark.parametrize("stack", [(), (3,)], ids=str)
+def test_row_weights_at_hand_are_those_of_the_mask(name, stack):
+    loss, _ = FIXED[name](stack, dtype=torch.double)
+    td = transitions(stack, dtype=torch.double)
+    td["valid"] = torch.rand(td.shape) < 0.7
+    expected = gradients(loss, td)
+    td["row_weight"] = td["valid"] / td["valid"].sum(-1, keepdim=True).double()
+    td["valid"].zero_()  # not read any more
+
+    found = gradients(loss, td)
+
+    torch.testing.assert_close(found[0]["loss_value"], expected[0]["loss_value"])
+    torch.testing.assert_close(found[1], expected[1])
+
+
+def test_row_weights_and_priority_weights_multiply():
+    loss, _ = plain_loss(dtype=torch.double)
+    td = transitions(dtype=torch.double)
+    td["priority_weight"] = torch.rand(td.shape).double()
+    expected = loss(td)["loss"]
+    td["row_weight"] = torch.full(td.shape, 1 / 32).double()
+    torch.testing.assert_close(loss(td)["loss"], expected)

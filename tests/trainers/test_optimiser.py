@@ -154,3 +154,31 @@ def test_a_state_is_restored_in_the_memory_that_a_captured_step_uses():
         restored = optimiser.state_dict()["state"]
         assert [v.data_ptr() for s in restored.values() for v in s.values()] == where
         assert [float(s["step"]) for s in restored.values()] == expected
+
+
+def test_steps_are_bitwise_adams_with_and_without_inactive_replicas_between():
+    weight = nn.Parameter(torch.randn(3, 50))
+    bias = nn.Parameter(torch.randn(3, 7))
+    twins = [[p.detach()[r].clone().requires_grad_() for p in (weight, bias)] for r in range(3)]
+    ours = ReplicaAdam([weight, bias], 3, lr=[1e-2, 1e-2, 1e-3])
+    theirs = [
+        torch.optim.Adam(twin, lr=lr, fused=True)
+        for twin, lr in zip(twins, (1e-2, 1e-2, 1e-3), strict=True)
+    ]
+
+    for number in range(12):
+        active = (True, number % 4 != 3, True)
+        has_bias = number % 5 != 4
+        weight.grad, bias.grad = torch.randn(3, 50), torch.randn(3, 7) if has_bias else None
+        for replica, (twin, adam) in enumerate(zip(twins, theirs, strict=True)):
+            if active[replica]:
+                twin[0].grad = weight.grad[replica].clone()
+                twin[1].grad = bias.grad[replica].clone() if has_bias else None
+                adam.step()
+        ours.step(active)
+        if number == 6:
+            ours.load_state_dict(ours.state_dict())
+
+    for replica, twin in enumerate(twins):
+        assert torch.equal(weight.detach()[replica], twin[0].detach())
+        assert torch.equal(bias.detach()[replica], twin[1].detach())
