@@ -86,7 +86,8 @@ def test_only_the_chosen_entries_are_stored():
 
     batch = next(replay.epoch(2)).transitions
 
-    assert set(batch.keys(True, True)) == {"observation", ("next", "reward"), "valid"}
+    expected = {"observation", ("next", "reward"), "valid", "row_weight"}
+    assert set(batch.keys(True, True)) == expected
 
 
 def test_epochs_and_replicas_are_shuffled_differently():
