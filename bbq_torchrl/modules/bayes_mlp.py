@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.modules.functional import FlatLayout, init_linear_, mlp, mlp_local
-from bbq_torchrl.modules.kl import active_kl_collector
+from bbq_torchrl.modules.kl import collect_kl
 from bbq_torchrl.modules.posterior import GaussianPosterior
 from bbq_torchrl.modules.weight_mode import (
     WeightMode,
@@ -149,7 +149,7 @@ class BayesMLP(nn.Module):
             return mlp(x, weights, self.layout)
         mode = resolve_weight_mode(mode)
         posterior = self.posterior
-        collector = active_kl_collector()
+        collector = collect_kl.active()
         if mode == "draw":
             weights = posterior.sample() if collector is None else collector.draw(posterior)
             return mlp(x, weights, self.layout)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from bbq_torchrl.modules.noise import fill_kept_
-from bbq_torchrl.modules.noise_pool import active_noise_pool
+from bbq_torchrl.modules.noise_pool import noise_pool
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -147,7 +147,7 @@ def _run(
 
 def _kept_units(x: Tensor, units: int, dropout: float) -> Tensor:
     """Returns 1 with probability 1 - dropout, else 0, for all hidden units: [*rows, units]."""
-    pool = active_noise_pool()
+    pool = noise_pool.active()
     kept = None if pool is None else pool.kept_units(x, units, dropout)
     return fill_kept_(x.new_empty((*x.shape[:-1], units)), dropout) if kept is None else kept
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from types import TracebackType
+from bbq_torchrl.modules.context import Context
 
+if TYPE_CHECKING:
     from torch import Tensor
 
     from bbq_torchrl.modules.posterior import GaussianPosterior
@@ -15,14 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["held_std", "std_of"]
 
 
-class _Active(threading.local):
-    held: held_std | None = None
-
-
-_active = _Active()
-
-
-class held_std:
+class held_std(Context):
     """Makes the weight draws inside of each ``with`` block on this object use the same σ.
 
     softplus(ρ) of all weights costs as much as their noise, and that of a frozen posterior is
@@ -56,19 +48,6 @@ class held_std:
             std = self._stds[posterior] = posterior.sigma.detach()
         return std
 
-    def __enter__(self) -> held_std:
-        self._outer = _active.held
-        _active.held = self
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        _active.held = self._outer
-
 
 def std_of(posterior: GaussianPosterior) -> Tensor:
     """Returns a posterior's standard deviations [*stack, P]; those held inside of `held_std`.
@@ -76,4 +55,5 @@ def std_of(posterior: GaussianPosterior) -> Tensor:
     Args:
         posterior: outside of :class:`held_std` the result is differentiable in its rho.
     """
-    return posterior.sigma if _active.held is None else _active.held.of(posterior)
+    held = held_std.active()
+    return posterior.sigma if held is None else held.of(posterior)

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.modules.context import Context
 from bbq_torchrl.modules.posterior import GaussianPosterior
 from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from torch import Tensor, nn
 
 __all__ = ["collect_kl", "kl_divergence"]
 
 
-class _Active(threading.local):
-    collector: collect_kl | None = None
-
-
-_active = _Active()
-
-
-def active_kl_collector() -> collect_kl | None:
-    """Returns the innermost :class:`collect_kl`, None outside of one."""
-    return _active.collector
-
-
-class collect_kl:
+class collect_kl(Context):
     """Collects the KL from the prior of each Bayesian layer that runs inside of the context.
 
     A layer that draws its weights there computes its KL along with the draw and shares σ with
@@ -101,19 +87,6 @@ class collect_kl:
         for term in others:
             first = first + term
         return first
-
-    def __enter__(self) -> collect_kl:
-        self._outer = _active.collector
-        _active.collector = self
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        _active.collector = self._outer
 
 
 def kl_divergence(module: nn.Module) -> Tensor:

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.modules.context import Context
 from bbq_torchrl.modules.noise import fill_kept_, fill_normal_
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
-    from types import TracebackType
 
     from torch import Tensor
 
     from bbq_torchrl.modules.posterior import GaussianPosterior
 
-__all__ = ["active_noise_pool", "noise_pool"]
+__all__ = ["noise_pool"]
 
 _DRAWS = 8
 _PLACES = 512  # drawn at a time: one random number alone costs as much as hundreds
 
 
-class _Active(threading.local):
-    pool: noise_pool | None = None
-
-
-_active = _Active()
-
-
-class noise_pool:
+class noise_pool(Context):
     """Makes weight draws and dropout inside of each ``with`` block take their noise from a pool.
 
     Normal numbers for all weights are a fifth of the time of a Bayes-by-Backprop update on a CPU.
@@ -114,21 +106,3 @@ class noise_pool:
         if not places:
             places += torch.randint((self.draws - 1) * count + 1, (_PLACES,)).tolist()
         return pool.narrow(-1, places.pop(), count)
-
-    def __enter__(self) -> noise_pool:
-        self._outer = _active.pool
-        _active.pool = self
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        _active.pool = self._outer
-
-
-def active_noise_pool() -> noise_pool | None:
-    """Returns the innermost :class:`noise_pool`, None outside of one."""
-    return _active.pool

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.modules.noise_pool import active_noise_pool
+from bbq_torchrl.modules.context import Context
+from bbq_torchrl.modules.noise_pool import noise_pool
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     import torch
     from torch import Tensor
 
@@ -18,14 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["noise_for", "shared_noise"]
 
 
-class _Active(threading.local):
-    noise: shared_noise | None = None
-
-
-_active = _Active()
-
-
-class shared_noise:
+class shared_noise(Context):
     """Makes the weight draws inside of each ``with`` block on this object use the same noise.
 
     The n-th draw of a posterior in a block uses the noise of its n-th draw in the first block
@@ -69,18 +60,8 @@ class shared_noise:
         return drawn[number], True
 
     def __enter__(self) -> shared_noise:
-        self._outer = _active.noise
         self._used = {}
-        _active.noise = self
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        _active.noise = self._outer
+        return super().__enter__()
 
 
 def noise_for(posterior: GaussianPosterior, shape: torch.Size) -> tuple[Tensor, bool]:
@@ -93,14 +74,13 @@ def noise_for(posterior: GaussianPosterior, shape: torch.Size) -> tuple[Tensor, 
         posterior: what is drawn from.
         shape: of the draw.
     """
-    if _active.noise is None:
-        return _new_noise(posterior, shape)
-    return _active.noise.next(posterior, shape)
+    noise = shared_noise.active()
+    return _new_noise(posterior, shape) if noise is None else noise.next(posterior, shape)
 
 
 def _new_noise(posterior: GaussianPosterior, shape: torch.Size) -> tuple[Tensor, bool]:
     """Returns a tensor for noise that no draw has used, and whether it holds numbers already."""
-    pool = active_noise_pool()
+    pool = noise_pool.active()
     noise = None if pool is None else pool.window(posterior, shape)
     if noise is None:
         return posterior.mu.new_empty(shape), False
