@@ -62,7 +62,9 @@ def build_agent(config: Config, env: DialogueEnv) -> Agent:
         device=env.device,
     )
     parts = agent_parts(config.agent, around)
-    policy, gauges = exploring_policy(config.explore, parts, spec, config.replicas)
+    policy, gauges = exploring_policy(
+        config.explore, parts, spec, config.replicas, config.protocol.rounds
+    )
     loss, transforms = with_intrinsic_reward(config.intrinsic, parts.loss, around)
     transforms = [*parts.transforms, *transforms]
     return Agent(

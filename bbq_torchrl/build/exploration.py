@@ -40,7 +40,7 @@ Policy = tuple[TensorDictModuleBase, dict[str, Callable[[], float | Tensor]]]
 
 
 def exploring_policy(
-    config: ExploreConfig, parts: AgentParts, spec: TensorSpec, replicas: int
+    config: ExploreConfig, parts: AgentParts, spec: TensorSpec, replicas: int, rounds: int
 ) -> Policy:
     """Returns the policy that explores, and its gauges: what of it is worth a metric.
 
@@ -49,8 +49,16 @@ def exploring_policy(
         parts: the agent's.
         spec: of one action.
         replicas: the first dimension of the batch that is acted on; the other one is dialogues.
+        rounds: of the training, which schedules take a share of.
     """
-    return _POLICIES[type(config)](config, parts, spec, replicas)
+    return _POLICIES[type(config)](config, parts, spec, replicas, rounds)
+
+
+def _annealed_rounds(
+    config: EpsilonGreedyConfig | ThompsonEpsilonConfig | BoltzmannConfig, rounds: int
+) -> int:
+    """Returns the length of a schedule; a share of 0 is over after the first round."""
+    return max(1, round(config.anneal_fraction * rounds))
 
 
 def _beside_dialogues(value: Values, replicas: int) -> float | Tensor:
@@ -59,11 +67,15 @@ def _beside_dialogues(value: Values, replicas: int) -> float | Tensor:
     return over.unsqueeze(-1) if isinstance(over, Tensor) else over
 
 
-def _greedy(config: GreedyConfig, parts: AgentParts, spec: TensorSpec, replicas: int) -> Policy:
+def _greedy(
+    config: GreedyConfig, parts: AgentParts, spec: TensorSpec, replicas: int, rounds: int
+) -> Policy:
     return parts.greedy, {}
 
 
-def _thompson(config: ThompsonConfig, parts: AgentParts, spec: TensorSpec, replicas: int) -> Policy:
+def _thompson(
+    config: ThompsonConfig, parts: AgentParts, spec: TensorSpec, replicas: int, rounds: int
+) -> Policy:
     return ThompsonSampling(parts.actor, per=config.per, shared=config.shared), {}  # type: ignore[arg-type]
 
 
@@ -72,6 +84,7 @@ def _epsilon_greedy(
     parts: AgentParts,
     spec: TensorSpec,
     replicas: int,
+    rounds: int,
 ) -> Policy:
     base = parts.greedy
     if isinstance(config, ThompsonEpsilonConfig):
@@ -82,19 +95,19 @@ def _epsilon_greedy(
         spec,
         eps_init=start,
         eps_end=end,
-        annealing_num_steps=config.anneal_rounds,
+        annealing_num_steps=_annealed_rounds(config, rounds),
         action_mask_key="action_mask",
     )
     return TensorDictSequential(base, epsilon), {"epsilon": lambda: epsilon.eps.squeeze(-1)}
 
 
 def _boltzmann(
-    config: BoltzmannConfig, parts: AgentParts, spec: TensorSpec, replicas: int
+    config: BoltzmannConfig, parts: AgentParts, spec: TensorSpec, replicas: int, rounds: int
 ) -> Policy:
     boltzmann = Boltzmann(
         _beside_dialogues(config.temperature_init, replicas),
         _beside_dialogues(config.temperature_end, replicas),
-        config.anneal_rounds,
+        _annealed_rounds(config, rounds),
     )
     return (
         TensorDictSequential(parts.greedy, boltzmann),
@@ -103,16 +116,18 @@ def _boltzmann(
 
 
 def _bootstrap(
-    config: BootstrapSamplingConfig, parts: AgentParts, spec: TensorSpec, replicas: int
+    config: BootstrapSamplingConfig, parts: AgentParts, spec: TensorSpec, replicas: int, rounds: int
 ) -> Policy:
     return BootstrapSampling(parts.actor, per=config.per), {}  # type: ignore[arg-type]
 
 
-def _noisy(config: NoisyConfig, parts: AgentParts, spec: TensorSpec, replicas: int) -> Policy:
+def _noisy(
+    config: NoisyConfig, parts: AgentParts, spec: TensorSpec, replicas: int, rounds: int
+) -> Policy:
     return NoisySampling(parts.actor, shared=config.shared), {}
 
 
-_POLICIES: dict[type[ExploreConfig], Callable[[Any, AgentParts, TensorSpec, int], Policy]] = {
+_POLICIES: dict[type[ExploreConfig], Callable[[Any, AgentParts, TensorSpec, int, int], Policy]] = {
     GreedyConfig: _greedy,
     ThompsonConfig: _thompson,
     ThompsonEpsilonConfig: _epsilon_greedy,

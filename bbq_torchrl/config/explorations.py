@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from bbq_torchrl.config.settings import (
     BOOLEAN,
-    COUNT,
     POSITIVE,
     PROBABILITY,
     REQUIRED,
@@ -56,7 +55,9 @@ class EpsilonGreedyConfig(ExploreConfig):
     eps_end: Values = setting(
         0.01, per_replica(PROBABILITY), "epsilon from the last annealed round on"
     )
-    anneal_rounds: int = setting(100, COUNT, "rounds over which epsilon falls, linearly")
+    anneal_fraction: float = setting(
+        0.5, PROBABILITY, "share of the rounds over which epsilon falls, linearly"
+    )
 
 
 @dataclass
@@ -72,7 +73,9 @@ class ThompsonEpsilonConfig(ExploreConfig):
     eps_end: Values = setting(
         0.01, per_replica(PROBABILITY), "epsilon from the last annealed round on"
     )
-    anneal_rounds: int = setting(100, COUNT, "rounds over which epsilon falls, linearly")
+    anneal_fraction: float = setting(
+        0.5, PROBABILITY, "share of the rounds over which epsilon falls, linearly"
+    )
 
 
 @dataclass
@@ -93,7 +96,9 @@ class BoltzmannConfig(ExploreConfig):
     temperature_end: Values = setting(
         1.0, per_replica(POSITIVE), "temperature from the last annealed round on"
     )
-    anneal_rounds: int = setting(100, COUNT, "rounds over which the temperature moves, linearly")
+    anneal_fraction: float = setting(
+        0.5, PROBABILITY, "share of the rounds over which the temperature falls, linearly"
+    )
 
 
 @dataclass

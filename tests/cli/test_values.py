@@ -62,15 +62,15 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, list[float]]]] = {
         {"intrinsic.eta": [0.0, 3.0]},
     ),
     "epsilon": (
-        ("agent=dqn", "explore.anneal_rounds=2"),
+        ("agent=dqn", "explore.anneal_fraction=1"),
         {"explore.eps_init": [0.9, 0.3], "explore.eps_end": [0.2, 0.3]},
     ),
     "epsilon, one end": (
-        ("agent=bbqn", "explore=thompson_epsilon", "explore.anneal_rounds=2"),
+        ("agent=bbqn", "explore=thompson_epsilon", "explore.anneal_fraction=1"),
         {"explore.eps_init": [0.9, 0.3]},
     ),
     "temperature": (
-        ("agent=dqn", "explore=boltzmann", "explore.anneal_rounds=2"),
+        ("agent=dqn", "explore=boltzmann", "explore.anneal_fraction=1"),
         {"explore.temperature_init": [5.0, 0.5], "explore.temperature_end": [1.0, 0.1]},
     ),
 }
