@@ -39,7 +39,7 @@ class AgentConfig:
 
     name: str = REQUIRED
     hidden: list[int] = setting([256, 256], COUNTS, "units of each hidden layer")
-    lr: Values = setting(1e-3, per_replica(POSITIVE), "step size of Adam")
+    lr: Values = setting("${protocol.lr}", per_replica(POSITIVE), "step size of Adam")
     gamma: Values = setting(0.9, per_replica(PROBABILITY), "discount of a turn")
 
 

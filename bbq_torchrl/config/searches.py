@@ -141,9 +141,9 @@ def compose_search(arguments: Sequence[str]) -> Search:
         ConfigError: one sentence that names the key that is wrong and what it may be.
 
     Example:
-        >>> search = compose_search(["search=bbqn", "search.trials=9", "agent.lr=.001"])
+        >>> search = compose_search(["search=bbqn", "search.trials=9", "agent.prior_std=.1"])
         >>> [parameter.name for parameter in search.space], search.settings.trials
-        (['agent.prior_std', 'agent.noise_std'], 9)
+        (['agent.mean_init', 'agent.std_init', 'agent.kl_temperature'], 9)
     """
     chosen = [text.partition("=")[2] for text in arguments if text.partition("=")[0] == SEARCH]
     if len(chosen) != 1:

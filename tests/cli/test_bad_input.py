@@ -149,6 +149,24 @@ def test_a_run_folder_that_is_none_or_has_no_checkpoint(capsys, tmp_path):
     assert "has no checkpoint yet" in message
 
 
+@pytest.mark.parametrize(
+    ("fraction", "epsilons"),
+    [(0, [0.5, 0.1, 0.1, 0.1]), (0.5, [0.5, 0.3, 0.1, 0.1]), (1, [0.5, 0.4, 0.3, 0.2])],
+)
+def test_a_schedule_falls_over_its_share_of_the_rounds(fraction, epsilons):
+    given = ["explore.eps_init=.5", "explore.eps_end=.1", f"explore.anneal_fraction={fraction}"]
+    config = compose(["agent=dqn", "protocol.rounds=4", *given])
+    env = build.build_env(config.env, build.build_domain(config.domain), (1, 2))
+    agent = build.build_agent(config, env)
+    seen = []
+    for _ in range(4):
+        seen.append(float(agent.gauges["epsilon"]()))
+        for module in agent.policy.modules():
+            if hasattr(module, "step"):
+                module.step(1)
+    assert seen == pytest.approx(epsilons)
+
+
 def test_an_agent_without_a_posterior_has_no_modes():
     config = compose(["agent=dqn"])
     env = build.build_env(config.env, build.build_domain(config.domain), (1, 2))

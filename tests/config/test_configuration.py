@@ -103,12 +103,35 @@ def test_rounds_follow_the_environment_unless_given():
     assert compose(["env=domain_ext", "protocol.rounds=20"]).protocol.rounds == 20
 
 
+BEYOND_AGENTS = [n for n in options("experiment") if "/" not in n and n != "paper_start"]
+
+
 @pytest.mark.parametrize("agent", EXPLORATIONS)
-@pytest.mark.parametrize("experiment", [name for name in options("experiment") if "/" not in name])
+@pytest.mark.parametrize("experiment", BEYOND_AGENTS)
 def test_an_experiment_leaves_the_agent_to_the_command_line(experiment, agent):
-    config = compose([f"+experiment={experiment}", f"agent={agent}", "protocol.rounds=7"])
+    files = ["domain.path=corpus"] if experiment == "tcbot" else []
+    config = compose([f"+experiment={experiment}", f"agent={agent}", "protocol.rounds=7", *files])
     assert (config.agent.name, config.explore.name) == (agent, EXPLORATIONS[agent][0])
     assert config.protocol.rounds == 7
+
+
+def test_the_papers_start_is_the_prior_with_the_kl_at_full_weight():
+    agent = compose(["+experiment=paper_start"]).agent
+    assert (agent.mean_init, agent.std_init, agent.kl_temperature) == ("zero", None, 1.0)
+
+
+def test_the_public_setting_has_no_errors_and_the_goals_of_the_first_template():
+    config = compose(["+experiment=tcbot", "domain.path=corpus"])
+    assert config.env.slot_error_prob == config.env.intent_error_prob == 0
+    assert config.domain.goals == "user_goals_first_turn_template.part.movie.v1.p"
+    assert config.protocol.rounds * config.protocol.dialogues == 2_000
+
+
+@pytest.mark.parametrize("agent", EXPLORATIONS)
+def test_the_learning_rate_goes_with_the_batch_size_unless_given(agent):
+    assert compose([f"agent={agent}"]).agent.lr == 1e-3
+    assert compose([f"agent={agent}", "protocol=quick"]).agent.lr == 2e-3
+    assert compose([f"agent={agent}", "protocol=quick", "agent.lr=.1"]).agent.lr == 0.1
 
 
 def own_conf(tmp_path, monkeypatch):
@@ -207,6 +230,8 @@ REFUSED = {
     "agent=dqn replicas=2 agent.dropout=[.1,.2]": "agent.dropout must be a number from 0 to below",
     "replicas=2 agent.target=[map,mc]": "agent.target must be one of map, mc, got '[map,mc]'",
     "replicas=2 seed=[0,1]": "seed must be an integer of at least 0, got '[0,1]'",
+    "agent=dqn explore.anneal_fraction=1.5": "explore.anneal_fraction must be a number between",
+    "agent=dqn explore.anneal_fraction=-.1": "explore.anneal_fraction must be a number between",
     "agent=dqn explore.eps_init=.005": "explore.eps_init must be at least explore.eps_end (0.01)",
     "agent=dqn replicas=2 explore.eps_end=[.1,.2]": "explore.eps_init must be at least explore.eps",
     "intrinsic=nope": "intrinsic must be one of none, vime, got 'nope'",

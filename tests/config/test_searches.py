@@ -26,7 +26,12 @@ def test_each_agent_is_searched_over_what_it_has():
         name: {item.name for item in compose_search([f"search={name}"]).space}
         for name in options("search")
     }
-    assert spaces["bbqn"] == {"agent.prior_std", "agent.noise_std", "agent.lr"}
+    assert spaces["bbqn"] == {
+        "agent.mean_init",
+        "agent.std_init",
+        "agent.prior_std",
+        "agent.kl_temperature",
+    }
     assert "explore.temperature_init" in spaces["dqn_boltzmann"]
     assert "agent.prior_std" not in spaces["dqn_boltzmann"]
 
@@ -43,7 +48,9 @@ def test_the_command_line_changes_settings_space_and_what_is_fixed():
             "search.trials=7",
             "search.objective=final",
             "search.space.agent.prior_std.high=.5",
-            "search.space.agent.noise_std=null",
+            "search.space.agent.mean_init=null",
+            "search.space.agent.std_init=null",
+            "search.space.agent.kl_temperature=null",
             "search.space.agent.target={type: categorical, choices: [map, mc]}",
             "agent.lr=2e-3",
             "replicas=3",
@@ -51,7 +58,7 @@ def test_the_command_line_changes_settings_space_and_what_is_fixed():
     )
     assert (search.settings.trials, search.settings.objective) == (7, "final")
     assert {item.name: item.probes() for item in search.space} == {
-        "agent.prior_std": (0.01, 0.5),
+        "agent.prior_std": (0.03, 0.5),
         "agent.target": ("map", "mc"),
     }
     config = search.config({"agent.prior_std": 0.25, "agent.target": "mc"})
@@ -81,10 +88,10 @@ def test_a_search_can_be_anybodys_yaml_file(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("", "search must be given once, as one of bbqn, dqn"),
+        ("", "search must be given once, as one of bbqn, bootstrap, dqn"),
         (
             "search=nope",
-            "search must be one of bbqn, dqn, dqn_boltzmann or a YAML file, got 'nope'",
+            "dqn, dqn_boltzmann, vime or a YAML file, got 'nope'",
         ),
         ("search=nowhere.yaml", "nowhere.yaml cannot be read"),
         ("search=bbqn search.trails=3", "search.trails is not a key; there are folder, trials"),
@@ -92,16 +99,19 @@ def test_a_search_can_be_anybodys_yaml_file(tmp_path):
         ("search=bbqn search.trials=many", "search.trials must be an integer of at least 1"),
         ("search=bbqn search.objective=best", "search.objective must be one of training, final"),
         ("search=bbqn agent.priorstd=1", "did you mean agent.prior_std?"),
-        ("search=bbqn agent=dqn", "agent.prior_std is not a key"),
+        ("search=bbqn agent=dqn", "agent.mean_init is not a key"),
         ("search=dqn replicas=0", "replicas must be an integer of at least 1, got 0"),
         ("search=dqn resume=runs/x", "resume=runs/x cannot be part of a search"),
         ("search=dqn hydra/launcher=cores", "hydra/launcher=cores cannot be part of a search"),
-        ("search=dqn search.space.agent.lr.low=0", "search.space.agent.lr.low must be positive"),
-        ("search=dqn search.space.agent.lr.hihg=1", "search.space.agent.lr.hihg is not a key"),
+        ("search=dqn search.space.explore.eps_init.low=0", "explore.eps_init.low must be positive"),
+        ("search=dqn search.space.explore.eps_init.hihg=1", "explore.eps_init.hihg is not a key"),
         ("search=dqn search.space.agent.gamma.high=1", "agent.gamma does not vary"),
         ("search=dqn search.space.agent.gamma=null", "search.space.agent.gamma does not vary"),
         ("search=dqn search.space.explore.eps_init.high=1.5", "explore.eps_init must be a number"),
-        ("search=dqn agent.lr=.1 explore.eps_init=.1", "search.space must have a key that varies"),
+        (
+            "search=vime intrinsic.eta=1 intrinsic.weights=mc",
+            "search.space must have a key that varies",
+        ),
         (
             "search=dqn 'search.space.agent.gama={type: float, low: 0, high: 1}'",
             "did you mean agent.gamma?",
