@@ -10,6 +10,7 @@ from scripts.docs_blocks.dialogues import dialogues_blocks
 from scripts.docs_blocks.domain import domain_blocks
 from scripts.docs_blocks.floor import floor_blocks
 from scripts.docs_blocks.growth import draw_growth, growth_blocks
+from scripts.docs_blocks.learning import learning_blocks
 from scripts.docs_blocks.policies import policies_blocks
 from scripts.docs_blocks.results import draw_figures as draw_learning_curves
 from scripts.docs_blocks.results import results_blocks
@@ -25,6 +26,7 @@ BLOCKS = (
     domain_blocks,
     floor_blocks,
     growth_blocks,
+    learning_blocks,
     policies_blocks,
     results_blocks,
     speed_blocks,

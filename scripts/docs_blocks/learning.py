@@ -1,0 +1,94 @@
+"""The tables of docs/learning_starts.md: the plateau, the searches, and what was tried."""
+
+from __future__ import annotations
+
+import csv
+from collections import defaultdict
+from pathlib import Path
+from statistics import fmean, median
+from typing import TYPE_CHECKING
+
+from scipy import stats
+
+from scripts.docs_blocks.markdown import table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+__all__ = ["learning_blocks"]
+
+RESULTS = Path(__file__).resolve().parents[2] / "results"
+
+
+def learning_blocks() -> dict[str, Callable[[], str]]:
+    """Returns the blocks of the page."""
+    return {"learning.plateau": _plateau, "learning.search": _search, "learning.tried": _tried}
+
+
+def _read(name: str) -> list[dict[str, str]]:
+    with (RESULTS / name).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def _plateau() -> str:
+    """Returns the median over seeds of what is predicted, a line for each start."""
+    cells: dict[str, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for line in _read("plateau.csv"):
+        cells[line["start"]][int(line["updates"])].append(float(line["q_value"]))
+    # Seeds differ in the length of an epoch by an update or two: the columns are the first start's.
+    columns = [f"{updates:,}" for updates in next(iter(cells.values()))]
+    rows = [
+        (start, *(f"{median(values):.1f}" for values in by_updates.values()))
+        for start, by_updates in cells.items()
+    ]
+    return table(("start, after updates", *columns), rows, numbers=len(columns))
+
+
+def _search() -> str:
+    """Returns the trials of every search, the best one first."""
+    parts = []
+    for file in sorted((RESULTS / "search").glob("*.csv")):
+        lines = _read(f"search/{file.name}")
+        keys = [key for key in lines[0] if "." in key]
+        done = sorted(lines, key=lambda line: -float(line["value"] or 0))
+        rows = [
+            (*(_short(line[key]) for key in keys), f"{float(line['value']):.3f}", line["rounds"])
+            for line in done
+        ]
+        head = (*(f"`{key}`" for key in keys), "training success", "rounds")
+        parts.append(f"`search={file.stem}`\n\n{table(head, rows, numbers=2)}")
+    return "\n\n".join(parts)
+
+
+def _short(value: str) -> str:
+    try:
+        return f"{float(value):.3g}"
+    except ValueError:
+        return value
+
+
+def _tried() -> str:
+    """Returns each variant's difference from the first one, by pairs of seeds."""
+    runs: dict[str, list[dict[str, str]]] = defaultdict(list)
+    for line in _read("tried.csv"):
+        runs[line["variant"]].append(line)
+    base, *_ = runs
+    rows = []
+    for variant, lines in runs.items():
+        row = [variant, str(len(lines))]
+        for key in ("cumulative_success", "success_rate"):
+            own = [float(line[key]) for line in lines]
+            row.append(f"{fmean(own):.3f}")
+            if variant != base:
+                other = [float(line[key]) for line in runs[base]]
+                row.append(_difference([a - b for a, b in zip(own, other, strict=True)]))
+            else:
+                row.append("–")
+        rows.append(row)
+    head = ("variant", "seeds", "cumulative", "paired difference", "final", "paired difference")
+    return table(head, rows, numbers=5)
+
+
+def _difference(values: Sequence[float]) -> str:
+    interval = stats.ttest_1samp(values, 0).confidence_interval()
+    return f"{fmean(values):+.3f} [{interval.low:+.3f}, {interval.high:+.3f}]"
