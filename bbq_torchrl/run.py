@@ -100,7 +100,7 @@ def _result_line(config: Config, result: RunResult) -> str:
     """Returns how well the agent does, beside the scripted policies."""
     rates = [item.success_rate for item in result.per_replica]
     spread = (
-        f" ({_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas)"
+        f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
         if len(rates) > 1
         else ""
     )
@@ -108,7 +108,7 @@ def _result_line(config: Config, result: RunResult) -> str:
         f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in result.scripted.items()
     )
     name = agent_name(dataclasses.asdict(config))
-    return f"{name} books {_short(result.success_rate)} of dialogues{spread}; scripted: {others}"
+    return f"{name} books {_short(result.success_rate)} of dialogues{spread} ({others})"
 
 
 def _short(rate: float) -> str:

@@ -83,7 +83,7 @@ class ProtocolConfig:
         5, NON_NEGATIVE_INTEGER, "rounds between two evaluations while training; 0: never"
     )
     eval_every_dialogues: int = setting(
-        500, COUNT, "dialogues of an evaluation while training, of a replica"
+        400, COUNT, "dialogues of an evaluation while training, of a replica"
     )
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
 
@@ -105,9 +105,6 @@ class QuickProtocolConfig(ProtocolConfig):
     capacity: int = setting(5_000, COUNT, "transitions a replica's buffer holds")
     eval_dialogues: int = setting(2_000, COUNT, "dialogues of the final evaluation of a replica")
     eval_batch: int = setting(2_000, COUNT, "evaluation dialogues of all replicas side by side")
-    eval_every: int = setting(
-        4, NON_NEGATIVE_INTEGER, "rounds between two evaluations while training; 0: never"
-    )
     eval_every_dialogues: int = setting(
         200, COUNT, "dialogues of an evaluation while training, of a replica"
     )
