@@ -174,14 +174,15 @@ class Group:
 
     @property
     def evaluation(self) -> Any | None:
-        """Success rate of each round's evaluation, shape [rounds, seeds]; NaN in rounds without.
+        """Success rate of each round's evaluation, shape [rounds, seeds].
 
-        None where the runs were not evaluated while training.
+        NaN in rounds in which not all seeds were evaluated; None where there are no others.
         """
         if any(EVALUATION not in run.metrics.columns for run in self.runs):
             return None
         curves = self._curves(EVALUATION)
-        return curves if np.isfinite(curves).any(0).all() else None
+        is_evaluated = np.isfinite(curves).all(1, keepdims=True)
+        return np.where(is_evaluated, curves, np.nan) if is_evaluated.any() else None
 
     def _curves(self, name: str) -> Any:
         return np.concatenate([run.metrics[name] for run in self.runs], 1)

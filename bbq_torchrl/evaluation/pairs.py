@@ -47,8 +47,8 @@ class Pairing:
         one: the one group.
         other: the group that is subtracted.
         pairs: how many replicas of the one have a partner in the other.
-        differences: of ``final_success``, ``training_success`` and, where both were evaluated in
-            the same rounds of training, ``evaluation_area``; empty if there are no pairs.
+        differences: of ``final_success``, ``training_success`` and, over the rounds in which both
+            were evaluated while training, ``evaluation_area``; empty if there are no pairs.
         remark: why there are no pairs, or how many replicas have no partner; empty if all have one.
     """
 
@@ -121,7 +121,10 @@ def _compared(one: Group, other: Group) -> dict[str, tuple[Sequence[float], Sequ
     }
     first, second = one.evaluation, other.evaluation
     if first is not None and second is not None:
-        evaluated = [np.isfinite(curve).any(1) for curve in (first, second)]
-        if np.array_equal(evaluated[0], evaluated[1]):
-            quantities["evaluation_area"] = (areas(first), areas(second))
+        in_both = np.isfinite(first[:, :1]) & np.isfinite(second[:, :1])
+        if in_both.any():
+            quantities["evaluation_area"] = (
+                areas(np.where(in_both, first, np.nan)),
+                areas(np.where(in_both, second, np.nan)),
+            )
     return quantities

@@ -152,21 +152,30 @@ def test_evaluation_while_training_has_a_row_of_its_own(tmp_path):
     assert row.endswith("| 2 (100) | 4 (200) | 4 (200) | 6 (300) |")
 
 
-def test_evaluations_are_compared_by_pairs_where_they_were_in_the_same_rounds(tmp_path, capsys):
-    make_run(tmp_path / "runs" / "a", [0.8, 0.9], rounds=6, eval_every=2)
-    dqn = {"agent": "dqn", "explore": "epsilon_greedy", "rounds": 6}
-    make_run(tmp_path / "runs" / "b", [0.7, 0.7], eval_every=2, **dqn)
-    make_run(tmp_path / "runs" / "c", [0.7, 0.7], eval_every=3, dropout=0.0, **dqn)
-    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
-    rows = [
-        line
-        for line in capsys.readouterr().out.splitlines()
-        if line.startswith("| ") and " minus " in line
+def test_seeds_evaluated_in_different_rounds_have_those_in_common(tmp_path):
+    runs = [
+        make_run(tmp_path / "0", [0.8], rounds=6, eval_every=2),
+        make_run(tmp_path / "1", [0.9], rounds=6, eval_every=3, seed=1),
     ]
+    (group,) = read_groups(runs)
+    assert np.isfinite(group.evaluation).tolist() == [[False, False]] * 5 + [[True, True]]
+    (group,) = read_groups([*runs, make_run(tmp_path / "2", [0.9], rounds=6, seed=2)])
+    assert group.evaluation is None
+
+
+def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(tmp_path, capsys):
+    make_run(tmp_path / "runs" / "a", [0.8, 0.9], rounds=8, eval_every=2)
+    dqn = {"agent": "dqn", "explore": "epsilon_greedy", "rounds": 8}
+    make_run(tmp_path / "runs" / "b", [0.7, 0.7], eval_every=4, **dqn)
+    make_run(tmp_path / "runs" / "c", [0.7, 0.7], dropout=0.0, **dqn)
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    rows = [line for line in lines if line.startswith("| ") and " minus " in line]
     assert "| +0.150 |" in rows[0]
     assert [row.endswith("| – | – |") for row in rows] == [False, True, True]
     with (tmp_path / "report" / "pairs.csv").open(newline="") as stream:
         found = [line["evaluation_area_mean"] for line in csv.DictReader(stream)]
+    # Rounds 4 and 8 alone: .4 and .8, .5 and .9 against .3 and .7, twice.
     assert float(found[0]) == pytest.approx(0.15)
     assert found[1:] == ["", ""]
 
