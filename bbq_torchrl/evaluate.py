@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from tensordict.nn import TensorDictModuleBase
 
+    from bbq_torchrl.config import Config
     from bbq_torchrl.envs import DialogueEnv
 
 __all__ = ["evaluation", "main"]
@@ -32,7 +33,8 @@ dialogues, turns_per_second.
   dialogues=   how many; for each replica of a run folder
   batch=       how many run side by side
   env=, domain=  as in train.py; a run folder's own unless given
-  mode=        mean, average or draw, for a Bayesian agent
+  mode=        mean, average, draw or thompson, for a Bayesian agent
+  weights=     last, or best: each replica's at its best evaluation while training
   log=<file>   writes the first log_dialogues= dialogues as readable acts
   seed=, device=, threads=
 
@@ -95,6 +97,10 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
             )
         if config.mode is not None:
             raise ConfigError(f"mode must be null for policy={config.policy}, got {config.mode!r}")
+        if config.weights != "last":
+            raise ConfigError(
+                f"weights must be last for policy={config.policy}, got {config.weights!r}"
+            )
     replicas = 1 if run is None else run.replicas
     values = [] if run is None else replica_values(run)
     env = build_env(
@@ -108,7 +114,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     if run is None:
         policy = scripted_policy(config.policy, env)
     else:
-        mode, policy = _trained(run, folder, env, config.mode)
+        mode, policy = _trained(run, folder, env, config)
     if config.log is not None:
         _write_log(config, env, policy)
     started = time.perf_counter()
@@ -118,7 +124,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     turns = int(played.turns.sum())
     return {
         "policy": config.policy,
-        **({} if mode is None else {"mode": mode}),
+        **({} if mode is None else {"mode": mode, "weights": config.weights}),
         "env": config.env.name,
         "domain": config.domain.name,
         "seed": config.seed,
@@ -138,21 +144,33 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
 
 
 def _trained(
-    run: Any, folder: Path, env: DialogueEnv, mode: str | None
+    run: Config, folder: Path, env: DialogueEnv, config: EvaluateConfig
 ) -> tuple[str, TensorDictModuleBase]:
     """Returns the policy of a run's newest readable checkpoint; ``env`` enters its round."""
     from bbq_torchrl.build import build_agent
-    from bbq_torchrl.trainers import CheckpointFolder
+    from bbq_torchrl.trainers import BestWeights, CheckpointFolder
 
     agent = build_agent(run, env)
-    checkpoints = CheckpointFolder(folder / "checkpoint", loss=agent.loss)
+    mode, policy = agent.evaluation(config.mode)
+    best = None
+    if config.weights == "best":
+        if not run.protocol.eval_every:
+            raise ConfigError(
+                f"weights must be last for {folder}, which was not evaluated while it was trained "
+                "(protocol.eval_every=0), got 'best'"
+            )
+        best = BestWeights(policy, run.replicas)
+    saved = {"loss": agent.loss} if best is None else {"best": best}
+    checkpoints = CheckpointFolder(folder / "checkpoint", **saved)
     found = checkpoints.newest()
     if found is None:
         raise ConfigError(f"{folder} has no checkpoint yet")
     path, metadata = found
     checkpoints.load(path)
     env.set_round(max(int(metadata["round"]) - 1, 0))
-    return agent.evaluation(mode)
+    if best is not None:
+        best.put_back()
+    return mode, policy
 
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:

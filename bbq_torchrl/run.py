@@ -14,18 +14,22 @@ import numpy as np
 import torch
 
 import bbq_torchrl
-from bbq_torchrl.build import build_env, build_trainer
+from bbq_torchrl.build import build_env, build_trainer, evaluation_places
 from bbq_torchrl.config.resume import RUN_CONFIG
 from bbq_torchrl.config.store import save_config
 from bbq_torchrl.config.values import replica_values
+from bbq_torchrl.envs import scripted_policy
+from bbq_torchrl.envs.policies import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import Curves, draw_run
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.evaluation.results import (
     RESULT_FILE,
     RunResult,
+    TrainingEvaluation,
     read_metrics,
     replica_result,
+    training_evaluation,
     write_json,
 )
 from bbq_torchrl.trainers import keep_freed_memory
@@ -37,11 +41,15 @@ if TYPE_CHECKING:
     from bbq_torchrl.build import Agent
     from bbq_torchrl.config import Config
     from bbq_torchrl.envs import DialogueEnv
+    from bbq_torchrl.trainers import RoundTrainer
     from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 __all__ = ["run"]
 
 _LOG = logging.getLogger(__name__)
+
+SCRIPTED_DIALOGUES = 2_000
+"""Dialogues of each scripted policy, to set the agent's beside."""
 
 
 def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -> RunResult:
@@ -61,15 +69,51 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
     _quieten_torchrl()
     save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
     trainer, agent = build_trainer(config, folder, callbacks)
+    _tell_of_evaluations(config)
     rows = trainer.train(resume=config.resume is not None)
     trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
     started = time.perf_counter()
     _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
-    result = _evaluated(config, folder, agent, trainer.env, trained, started)
+    result = _evaluated(config, folder, agent, trainer, trained, started)
     write_json(result, folder / RESULT_FILE)
     _draw(config, folder, result, trainer.env)
+    _LOG.info("%s", _result_line(config, result))
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     return result
+
+
+def _tell_of_evaluations(config: Config) -> None:
+    """Says so where there will be no evaluation while training."""
+    protocol = config.protocol
+    if not protocol.eval_every:
+        _LOG.info("no evaluation while training: protocol.eval_every is 0")
+    elif protocol.eval_every > protocol.rounds:
+        _LOG.info(
+            "no evaluation while training: protocol.eval_every (%d) is more than "
+            "protocol.rounds (%d)",
+            protocol.eval_every,
+            protocol.rounds,
+        )
+
+
+def _result_line(config: Config, result: RunResult) -> str:
+    """Returns how well the agent does, beside the scripted policies."""
+    rates = [item.success_rate for item in result.per_replica]
+    spread = (
+        f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
+        if len(rates) > 1
+        else ""
+    )
+    others = ", ".join(
+        f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in result.scripted.items()
+    )
+    name = agent_name(dataclasses.asdict(config))
+    return f"{name} books {_short(result.success_rate)} of dialogues{spread} ({others})"
+
+
+def _short(rate: float) -> str:
+    """Returns a rate with two decimals and no leading zero, such as ``.64``; ``0`` for none."""
+    return f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}"
 
 
 def _quieten_torchrl() -> None:
@@ -82,7 +126,7 @@ def _evaluated(
     config: Config,
     folder: Path,
     agent: Agent,
-    training_env: DialogueEnv,
+    trainer: RoundTrainer,
     trained: float,
     started: float,
 ) -> RunResult:
@@ -90,15 +134,26 @@ def _evaluated(
     protocol = config.protocol
     env = build_env(
         config.env,
-        training_env.domain,
-        (config.replicas, min(_evaluation_places(config), protocol.eval_dialogues)),
+        trainer.env.domain,
+        (config.replicas, evaluation_places(config, protocol.eval_dialogues)),
         device=config.device,
         cuda_graph=config.cuda_graph,
     )
     env.set_round(max(protocol.rounds - 1, 0))
     name, policy = agent.evaluation(None)
     played = evaluate(env, policy, protocol.eval_dialogues, seed=config.seed)
-    training_success = read_metrics(folder).training_success
+    metrics = read_metrics(folder)
+    training_success = metrics.training_success
+    evaluated: list[TrainingEvaluation | None] = [None] * config.replicas
+    if trainer.evaluator is not None:
+        rates = metrics["eval_success_rate"]
+        best = trainer.evaluator.best
+        evaluated = [
+            training_evaluation(rates[:, replica], float(rate), int(number))
+            for replica, (rate, number) in enumerate(
+                zip(best.success_rate.tolist(), best.round.tolist(), strict=True)
+            )
+        ]
     values = replica_values(config)
     per_replica = [
         replica_result(
@@ -108,6 +163,7 @@ def _evaluated(
             played.turns[replica].tolist(),
             float(training_success[replica]),
             values[replica],
+            evaluated[replica],
         )
         for replica in range(config.replicas)
     ]
@@ -123,21 +179,30 @@ def _evaluated(
         rounds=protocol.rounds,
         wall_seconds=trained + time.perf_counter() - started,
         versions=_versions(),
+        scripted=_scripted(config, env),
     )
 
 
-def _evaluation_places(config: Config) -> int:
-    """Returns how many dialogues of a replica are played side by side.
-
-    A rollout holds every turn's observations: of 12,500 dialogues they fill two gigabytes.
-    """
-    return max(1, config.protocol.eval_batch // config.replicas)
+def _scripted(config: Config, env: DialogueEnv) -> dict[str, float]:
+    """Returns success rates of the scripted policies with the users of the final evaluation."""
+    dialogues = min(config.protocol.eval_dialogues, -(-SCRIPTED_DIALOGUES // config.replicas))
+    return {
+        name: evaluate(env, scripted_policy(name, env), dialogues, seed=config.seed)
+        .success.double()
+        .mean()
+        .item()
+        for name in (*env.domain.policies, RANDOM_POLICY)
+    }
 
 
 def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> None:
     spike = config.spike
     name = f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}"
-    success = read_metrics(folder)["success_rate"]
+    metrics = read_metrics(folder)
+    success = metrics["success_rate"]
+    evaluated = metrics.columns.get("eval_success_rate")
+    if evaluated is None or np.isnan(evaluated).all():
+        evaluated = None
     final = np.array([item.success_rate for item in result.per_replica])
     together: dict[str, list[int]] = {}
     for replica, values in enumerate(replica_values(config)):
@@ -145,8 +210,16 @@ def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> 
         together.setdefault(label, []).append(replica)
     draw_run(
         folder / "curve.png",
-        [Curves(label, success[:, same], final[same]) for label, same in together.items()],
-        title=f"Training success: env={config.env.name}, domain={config.domain.name}",
+        [
+            Curves(
+                label,
+                success[:, same],
+                final[same],
+                None if evaluated is None else evaluated[:, same],
+            )
+            for label, same in together.items()
+        ],
+        title=f"Success: env={config.env.name}, domain={config.domain.name}",
         spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
         if spike.dialogues
         else None,

@@ -7,8 +7,8 @@ It runs ``benchmarks/bench_*.py`` (results/speed.json), ``benchmarks/floor.py`` 
 ``benchmarks/compare.py`` (compare.json) and ``benchmarks/growth.py`` (growth.csv). With ``--label``
 the comparison's figures that have a target become the measured ones of that version in
 speed_history.csv; what was predicted for it, in the same file, stays. Then
-``scripts/write_docs.py`` makes tables and figures. About three quarters of an hour on one core,
-which nothing else should use.
+``scripts/write_docs.py`` makes tables and figures. About an hour on one core, which nothing
+else should use.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bbq_torchrl.build.agents import Agent, build_agent
 from bbq_torchrl.build.checks import check, check_device
-from bbq_torchrl.build.training import build_trainer
+from bbq_torchrl.build.training import build_trainer, evaluation_places
 from bbq_torchrl.build.worlds import build_domain, build_env
 
 __all__ = [
@@ -15,4 +15,5 @@ __all__ = [
     "build_trainer",
     "check",
     "check_device",
+    "evaluation_places",
 ]

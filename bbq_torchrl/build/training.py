@@ -13,6 +13,7 @@ from bbq_torchrl.config.protocols import WandbLoggerConfig
 from bbq_torchrl.config.values import replica_values, spread
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.envs import scripted_policy
+from bbq_torchrl.evaluation.while_training import RoundEvaluator
 from bbq_torchrl.trainers import (
     ReplicaAdam,
     RoundSettings,
@@ -26,9 +27,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.config.schema import Config
+    from bbq_torchrl.domains import Domain
     from bbq_torchrl.trainers.round_trainer import RoundCallback
 
-__all__ = ["build_trainer"]
+__all__ = ["build_trainer", "evaluation_places"]
 
 
 def build_trainer(
@@ -88,9 +90,39 @@ def build_trainer(
             **({"wandb_project": logger.project} if isinstance(logger, WandbLoggerConfig) else {}),
         ),
         callbacks=callbacks,
+        evaluator=_evaluator(config, env.domain, agent),
         gauges={**agent.gauges, **_own_values(config)},
     )
     return trainer, agent
+
+
+def evaluation_places(config: Config, dialogues: int) -> int:
+    """Returns how many of a replica's evaluation dialogues are played side by side.
+
+    A rollout holds every turn's observations: of 12,500 dialogues they fill two gigabytes.
+    """
+    return min(dialogues, max(1, config.protocol.eval_batch // config.replicas))
+
+
+def _evaluator(config: Config, domain: Domain, agent: Agent) -> RoundEvaluator | None:
+    """Returns what evaluates the agent while it is trained, if anything does."""
+    protocol = config.protocol
+    if not protocol.eval_every:
+        return None
+    places = evaluation_places(config, protocol.eval_every_dialogues)
+    return RoundEvaluator(
+        build_env(
+            config.env,
+            domain,
+            (config.replicas, places),
+            device=config.device,
+            cuda_graph=config.cuda_graph,
+        ),
+        lambda: agent.evaluation(None)[1],
+        every=protocol.eval_every,
+        dialogues=protocol.eval_every_dialogues,
+        seed=config.seed,
+    )
 
 
 def _own_values(config: Config) -> dict[str, Callable[[], torch.Tensor]]:

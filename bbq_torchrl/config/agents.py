@@ -26,11 +26,15 @@ from bbq_torchrl.config.settings import (
 )
 
 __all__ = [
+    "EVALUATION_MODES",
     "AgentConfig",
     "BBQNConfig",
     "BootstrapConfig",
     "DQNConfig",
 ]
+
+EVALUATION_MODES = ("mean", "average", "draw", "thompson")
+"""The policies that a Bayesian agent can be evaluated by."""
 
 
 @dataclass
@@ -72,8 +76,8 @@ class BBQNConfig(AgentConfig):
     )
     evaluate: str = setting(
         "mean",
-        one_of("mean", "average", "draw"),
-        "policy evaluated: mean network, average of draws, draw",
+        one_of(*EVALUATION_MODES),
+        "policy evaluated: mean network, average of draws, one draw, new draws at every step",
     )
     evaluate_draws: int = setting(10, COUNT, "draws that evaluate=average takes the mean of")
 

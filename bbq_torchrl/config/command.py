@@ -33,11 +33,11 @@ from bbq_torchrl.config.resume import (
     RUN_CONFIG,
     restarted_config,
     resumed_config,
-    what_is_unfinished,
 )
 from bbq_torchrl.config.schema import EXPERIMENT, Config
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
+from bbq_torchrl.config.sweeps import table_of_runs
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -99,11 +99,9 @@ def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callabl
                 hydra.main(
                     version_base="1.3", config_path=str(conf_folder()), config_name="config"
                 )(job)()
-            except SystemExit as end:
-                if sweep is not None and end.code:
-                    sys.stderr.write(f"{what_is_unfinished(sweep.folder, sweep.jobs)}\n")
-                raise
             finally:
+                if sweep is not None:
+                    sys.stderr.write(f"{table_of_runs(sweep.folder, sweep.jobs)}\n")
                 sys.argv[1:] = arguments
 
         return main

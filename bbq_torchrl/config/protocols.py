@@ -81,6 +81,12 @@ class ProtocolConfig:
     capacity: int = setting(10_000, COUNT, "transitions a replica's buffer holds")
     eval_dialogues: int = setting(10_000, COUNT, "dialogues of the final evaluation of a replica")
     eval_batch: int = setting(2_500, COUNT, "evaluation dialogues of all replicas side by side")
+    eval_every: int = setting(
+        5, NON_NEGATIVE_INTEGER, "rounds between two evaluations while training; 0: never"
+    )
+    eval_every_dialogues: int = setting(
+        400, COUNT, "dialogues of an evaluation while training, of a replica"
+    )
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
 
 
@@ -103,6 +109,9 @@ class QuickProtocolConfig(ProtocolConfig):
     capacity: int = setting(5_000, COUNT, "transitions a replica's buffer holds")
     eval_dialogues: int = setting(2_000, COUNT, "dialogues of the final evaluation of a replica")
     eval_batch: int = setting(2_000, COUNT, "evaluation dialogues of all replicas side by side")
+    eval_every_dialogues: int = setting(
+        200, COUNT, "dialogues of an evaluation while training, of a replica"
+    )
 
 
 @dataclass

@@ -21,7 +21,6 @@ __all__ = [
     "restarted_config",
     "resumed_config",
     "run_config",
-    "what_is_unfinished",
 ]
 
 RUN_CONFIG = "config.yaml"
@@ -99,23 +98,6 @@ def restarted_config(config: Config, folder: Path) -> Config:
             f"sweep a folder of its own"
         )
     return dataclasses.replace(config, resume=str(folder))
-
-
-def what_is_unfinished(sweep: Path, jobs: int) -> str:
-    """Lines that say which runs of a sweep have no result.
-
-    Args:
-        sweep: the sweep's folder.
-        jobs: how many jobs it has; 0 where only the sweeper knows.
-    """
-    started = sorted(item.parent for item in sweep.rglob(".hydra"))
-    without = [folder for folder in started if not (folder / RESULT).is_file()]
-    total = max(jobs, len(started))
-    lines = [f"{len(started) - len(without)} of {total} runs in {sweep} are finished"]
-    lines += [f"  not finished: {folder} (train.log in it says why)" for folder in without]
-    if total > len(started):
-        lines.append(f"  never started: {total - len(started)}")
-    return "\n".join(lines)
 
 
 def _extended(saved: Config, given: Config, folder: Path) -> int:

@@ -10,7 +10,13 @@ from __future__ import annotations
 from dataclasses import MISSING as _ABSENT
 from dataclasses import dataclass, fields
 
-from bbq_torchrl.config.agents import AgentConfig, BBQNConfig, BootstrapConfig, DQNConfig
+from bbq_torchrl.config.agents import (
+    EVALUATION_MODES,
+    AgentConfig,
+    BBQNConfig,
+    BootstrapConfig,
+    DQNConfig,
+)
 from bbq_torchrl.config.explorations import (
     BoltzmannConfig,
     BootstrapSamplingConfig,
@@ -66,8 +72,6 @@ DEVICE = Allowed(
     ),
 )
 
-EVALUATION_MODES = ("mean", "average", "draw")
-
 
 @dataclass
 class Config:
@@ -107,7 +111,13 @@ class EvaluateConfig:
     mode: str | None = setting(
         None,
         optional(one_of(*EVALUATION_MODES), "the agent's own"),
-        "policy of a Bayesian agent: mean network, average of draws, or one draw",
+        "policy of a Bayesian agent: mean network, average of draws, one draw, or new draws at "
+        "every step",
+    )
+    weights: str = setting(
+        "last",
+        one_of("last", "best"),
+        "a run's weights: the newest, or each replica's at its best evaluation while training",
     )
     log: str | None = setting(None, optional(ANY_TEXT, "none"), "file for readable dialogues")
     log_dialogues: int = setting(10, COUNT, "dialogues written to log")

@@ -57,6 +57,9 @@ ROOTS = {"config": Config, "evaluate": EvaluateConfig}
 _ADDED = {"intrinsic": "none"}
 """Groups that configurations of earlier versions lack, and the option that those versions were."""
 
+_ADDED_KEYS = {"protocol": {"eval_every": 0}}
+"""Keys that configurations of earlier versions lack, and what those versions did."""
+
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -245,6 +248,11 @@ def load_config(file: Path) -> Config:
     for group, option in _ADDED.items():
         if group not in plain and "agent" in plain:
             plain[group] = {"name": option}
+    for group, keys in _ADDED_KEYS.items():
+        if OmegaConf.is_dict(plain.get(group)):
+            for key, value in keys.items():
+                if key not in plain[group]:
+                    plain[group][key] = value
     try:
         return _typed(plain, Config)
     except ConfigError as error:

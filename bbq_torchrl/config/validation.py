@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bbq_torchrl.config.agents import BBQNConfig, BootstrapConfig, DQNConfig
+from bbq_torchrl.config.evaluation_cost import check_evaluation
 from bbq_torchrl.config.explorations import NoisyConfig
 from bbq_torchrl.config.pairs import EXPLORATIONS
 from bbq_torchrl.config.schema import Config, EvaluateConfig
@@ -31,6 +32,7 @@ def validate(config: Config | EvaluateConfig) -> None:
         _check_extension(config)
         _check_spike(config)
         _check_protocol(config)
+        check_evaluation(config)
 
 
 def _check_pair(config: Config) -> None:

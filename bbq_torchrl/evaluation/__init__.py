@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.evaluation.learning import areas, rounds_to_reach
 from bbq_torchrl.evaluation.results import (
     Metrics,
     ReplicaResult,
@@ -11,10 +12,13 @@ from bbq_torchrl.evaluation.results import (
 )
 from bbq_torchrl.evaluation.statistics import (
     Estimate,
+    Summary,
     binomial_standard_error,
     estimate,
     interquartile_mean,
+    paired_differences,
     probability_of_improvement,
+    summarise,
 )
 
 __all__ = [
@@ -22,10 +26,15 @@ __all__ = [
     "Metrics",
     "ReplicaResult",
     "RunResult",
+    "Summary",
+    "areas",
     "binomial_standard_error",
     "estimate",
     "interquartile_mean",
+    "paired_differences",
     "probability_of_improvement",
     "read_metrics",
     "read_result",
+    "rounds_to_reach",
+    "summarise",
 ]

@@ -30,11 +30,14 @@ class Curves:
         label: its name in the legend.
         success: training success, shape [rounds, seeds].
         final: success of the final evaluation, shape [seeds]; empty if there was none.
+        evaluated: success of the evaluations while training, shape [rounds, seeds], NaN in a round
+            without one; None if there were none.
     """
 
     label: str
     success: Any
     final: Any
+    evaluated: Any = None
 
 
 def moving_average(values: Any, window: int = WINDOW) -> Any:
@@ -61,6 +64,9 @@ def draw_run(
 ) -> None:
     """Draws the learning curve of one run into a PNG file.
 
+    The main line is that of the evaluations while training, with training success lighter behind
+    it; of a run without them it is training success.
+
     Args:
         file: the file.
         curves: the run's replicas; several where they have values of their own.
@@ -72,7 +78,10 @@ def draw_run(
     groups = [curves] if isinstance(curves, Curves) else list(curves)
     rounds = np.arange(len(groups[0].success))
     for group, colour in zip(groups, _colours(len(groups)), strict=True):
-        _draw_group(axes, group, colour, band=False)
+        if group.evaluated is None:
+            _draw_group(axes, group, colour, band=False)
+        else:
+            _draw_evaluated(axes, group, colour)
         # Of one group the final evaluation stands out, of several it belongs to the group.
         final = COLOURS[1] if len(groups) == 1 else colour
         if group.final.size:
@@ -139,6 +148,22 @@ def _draw_group(axes: Any, group: Curves, colour: str, *, band: bool) -> None:
     if band and seeds >= MIN_BOOTSTRAP:
         bounds = np.array([_bounds(row) for row in smooth])
         axes.fill_between(rounds, bounds[:, 0], bounds[:, 1], color=colour, alpha=0.15, lw=0)
+
+
+def _draw_evaluated(axes: Any, group: Curves, colour: Any) -> None:
+    success = np.asarray(group.success, dtype=float)
+    training = moving_average(success).mean(1)
+    label = f"training, with exploration (mean of {WINDOW} rounds)"
+    axes.plot(np.arange(len(success)), training, color=colour, lw=1, alpha=0.4, label=label)
+    rates = np.asarray(group.evaluated, dtype=float)
+    rounds = np.flatnonzero(~np.isnan(rates[:, 0]))
+    seeds = rates.shape[1]
+    # What is evaluated has learned from the round already: it stands at the round's end.
+    if seeds > 1:
+        axes.plot(rounds + 1, rates[rounds], color=colour, lw=0.7, alpha=0.35)
+    noun = "1 seed" if seeds == 1 else f"{seeds} seeds"
+    label = f"{group.label} ({noun}, evaluated)"
+    axes.plot(rounds + 1, rates[rounds].mean(1), "o-", ms=3, color=colour, lw=2.2, label=label)
 
 
 def _bounds(row: Any) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -22,14 +22,42 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["Group", "Run", "find_results", "read_groups", "read_run"]
+__all__ = ["Group", "Member", "Run", "find_results", "read_groups", "read_run"]
 
 CONFIG_FILE = "config.yaml"
+
+EVALUATION = "eval_success_rate"
+"""Column of the metrics: success of an evaluation while training, empty in rounds without."""
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
 
-_OF_A_MACHINE = ("protocol.checkpoint_every", "protocol.eval_batch")
+_OF_A_MACHINE = (
+    "protocol.checkpoint_every",
+    "protocol.eval_batch",
+    # Evaluating while training leaves no trace in what is trained.
+    "protocol.eval_every",
+    "protocol.eval_every_dialogues",
+)
+
+_OF_AN_AGENT = ("agent", "explore", "intrinsic")
+"""Groups that make up an agent: what is compared."""
+
+
+class Member(NamedTuple):
+    """Which random numbers a replica has trained with: members that are equal, with the same ones.
+
+    Attributes:
+        seed: of its run.
+        replicas: of its run: random numbers are drawn for all of them together.
+        device: type of its run's device, such as ``cpu``.
+        replica: its number.
+    """
+
+    seed: int
+    replicas: int
+    device: str
+    replica: int
 
 
 @dataclass(frozen=True)
@@ -58,6 +86,16 @@ class Run:
             if key.partition(".")[0] not in _OF_A_SEED and key not in _OF_A_MACHINE
         }
         return flat | {"protocol.rounds": self.result.rounds}
+
+    @property
+    def members(self) -> list[Member]:
+        """A key for each replica, in order."""
+        replicas = int(self.config.get("replicas", self.result.replicas))
+        device = str(self.config.get("device", "cpu")).partition(":")[0]
+        return [
+            Member(self.result.seed, replicas, device, entry.replica)
+            for entry in self.result.per_replica
+        ]
 
     def by_values(self) -> list[Run]:
         """The replicas that have the same values, where keys have a list; else the run itself."""
@@ -120,9 +158,34 @@ class Group:
         return float(np.mean(self._per_seed("turns")))
 
     @property
+    def members(self) -> list[Member]:
+        """A key for each seed, in the order of the values."""
+        return [member for run in self.runs for member in run.members]
+
+    @property
+    def round_dialogues(self) -> int:
+        """Training dialogues of a round and seed."""
+        return int(self.runs[0].metrics["dialogues"][0, 0])
+
+    @property
     def success(self) -> Any:
         """Success rate of the training dialogues of each round, shape [rounds, seeds]."""
-        return np.concatenate([run.metrics["success_rate"] for run in self.runs], 1)
+        return self._curves("success_rate")
+
+    @property
+    def evaluation(self) -> Any | None:
+        """Success rate of each round's evaluation, shape [rounds, seeds].
+
+        NaN in rounds in which not all seeds were evaluated; None where there are no others.
+        """
+        if any(EVALUATION not in run.metrics.columns for run in self.runs):
+            return None
+        curves = self._curves(EVALUATION)
+        is_evaluated = np.isfinite(curves).all(1, keepdims=True)
+        return np.where(is_evaluated, curves, np.nan) if is_evaluated.any() else None
+
+    def _curves(self, name: str) -> Any:
+        return np.concatenate([run.metrics[name] for run in self.runs], 1)
 
     def _per_seed(self, name: str) -> list[float]:
         return [
@@ -192,11 +255,12 @@ def read_groups(folders: Sequence[Path]) -> list[Group]:
                 )
         same.append(run)
     names = [runs[0].agent for _, runs in together]
+    settings = [setting for setting, _ in together]
     settings_of: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
-    for name, (setting, _) in zip(names, together, strict=True):
+    for name, setting in zip(names, settings, strict=True):
         settings_of[name].append(setting)
     return [
-        Group(_label(name, setting, settings_of[name]), tuple(runs))
+        Group(_label(name, setting, settings_of[name], settings), tuple(runs))
         for name, (setting, runs) in zip(names, together, strict=True)
     ]
 
@@ -219,10 +283,25 @@ def _with_values(config: Mapping[str, Any], values: Mapping[str, float]) -> dict
     return changed
 
 
-def _label(name: str, setting: Mapping[str, Any], same_name: Sequence[Mapping[str, Any]]) -> str:
-    """Returns the name, and the keys in which settings of the same name differ."""
+def _label(
+    name: str,
+    setting: Mapping[str, Any],
+    same_name: Sequence[Mapping[str, Any]],
+    settings: Sequence[Mapping[str, Any]],
+) -> str:
+    """Returns the name, and the keys in which the setting differs from others.
+
+    What makes up an agent is told where agents of the same name differ in it; all else also where
+    agents of other names do.
+    """
     keys = [
-        key for key, value in setting.items() if any(other.get(key) != value for other in same_name)
+        key
+        for key, value in setting.items()
+        if any(other.get(key) != value for other in same_name)
+        or (
+            key.partition(".")[0] not in _OF_AN_AGENT
+            and any(other.get(key, value) != value for other in settings)
+        )
     ]
     # Two options of a group differ in many keys: the option says enough.
     options = {key.partition(".")[0] for key in keys if key.endswith(".name")}

@@ -10,107 +10,30 @@ import argparse
 import csv
 import math
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.figures import COLOURS, Curves, draw_comparison
 from bbq_torchrl.evaluation.groups import Group, find_results, read_groups
-from bbq_torchrl.evaluation.markdown import table
-from bbq_torchrl.evaluation.statistics import (
-    MIN_BOOTSTRAP,
-    Estimate,
-    estimate,
-    interquartile_mean,
-    probability_of_improvement,
+from bbq_torchrl.evaluation.learning import learning
+from bbq_torchrl.evaluation.pairs import Pairing, pairings
+from bbq_torchrl.evaluation.statistics import Summary, summarise
+from bbq_torchrl.evaluation.tables import (
+    LEARNING_NOTE,
+    NOTE,
+    PAIRS_NOTE,
+    Improvement,
+    improvement_table,
+    improvements,
+    learning_table,
+    pairs_table,
+    success_table,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
-__all__ = [
-    "Improvement",
-    "Summary",
-    "curves",
-    "improvement_table",
-    "improvements",
-    "main",
-    "setting_of",
-    "success_table",
-    "summarise",
-    "write_report",
-]
-
-NOTE = """\
-The unit is the training seed, never the dialogue. Means over seeds with their 95 % bootstrap
-interval in brackets (BCa; none below five seeds), and beside it the 95 % Student t interval: of few
-seeds the bootstrap interval is too narrow, the t interval is not. IQM: interquartile mean over
-seeds. Cumulative training success: share of all training dialogues that succeeded.
-"""
-
-_NONE = "–"
-
-
-@dataclass(frozen=True)
-class Summary:
-    """A quantity over the seeds of a group.
-
-    Attributes:
-        bootstrap: the mean with its bootstrap interval; the interval is NaN below five seeds.
-        t: the mean with its Student t interval; the interval is NaN for one seed.
-        iqm: interquartile mean with its bootstrap interval; the interval is NaN below five seeds.
-    """
-
-    bootstrap: Estimate
-    t: Estimate
-    iqm: Estimate
-
-
-@dataclass(frozen=True)
-class Improvement:
-    """How often a seed of one group does better than one of another.
-
-    Attributes:
-        better: the one group.
-        worse: the other.
-        final: by success of the final evaluation.
-        cumulative: by share of successful training dialogues.
-    """
-
-    better: Group
-    worse: Group
-    final: Estimate
-    cumulative: Estimate
-
-
-def summarise(values: Sequence[float]) -> Summary:
-    """Sums up a quantity over seeds, one value for each.
-
-    Example:
-        >>> summary = summarise([0.7, 0.72, 0.74, 0.76, 0.78])
-        >>> print(summary.bootstrap, summary.t)
-        0.740 [0.716, 0.764] 0.740 [0.701, 0.779]
-    """
-    t = estimate(values, method="t")
-    if len(values) >= MIN_BOOTSTRAP:
-        return Summary(estimate(values), t, estimate(values, "iqm"))
-    nothing = (math.nan, math.nan, len(values), "none")
-    iqm = float(interquartile_mean(values))
-    return Summary(Estimate(t.value, *nothing), t, Estimate(iqm, *nothing))
-
-
-def improvements(groups: Sequence[Group]) -> list[Improvement]:
-    """Compares each group with each that comes after it."""
-    return [
-        Improvement(
-            one,
-            other,
-            probability_of_improvement(one.final, other.final),
-            probability_of_improvement(one.cumulative, other.cumulative),
-        )
-        for number, one in enumerate(groups)
-        for other in groups[number + 1 :]
-    ]
+__all__ = ["curves", "main", "setting_of", "write_report"]
 
 
 def setting_of(groups: Sequence[Group]) -> str:
@@ -119,68 +42,18 @@ def setting_of(groups: Sequence[Group]) -> str:
     return ", ".join(f"{name}={'|'.join(sorted(values))}" for name, values in common.items())
 
 
-def success_table(groups: Iterable[Group]) -> str:
-    """Returns a Markdown table, a row for each group."""
-    head = (
-        "agent",
-        "explore",
-        "seeds",
-        "rounds",
-        "final success",
-        "t interval",
-        "IQM",
-        "cumulative training success",
-        "t interval",
-        "reward",
-        "turns",
-    )
-    rows = []
-    for group in groups:
-        final, training = summarise(group.final), summarise(group.cumulative)
-        rows.append(
-            (
-                group.label,
-                group.first.explore,
-                len(group.final),
-                group.first.rounds,
-                final.bootstrap,
-                _interval(final.t),
-                final.iqm,
-                training.bootstrap,
-                _interval(training.t),
-                f"{group.reward:.2f}",
-                f"{group.turns:.2f}",
-            )
-        )
-    return table(head, rows, numbers=len(head) - 2)
-
-
-def improvement_table(groups: Sequence[Group]) -> str:
-    """Returns a Markdown table, a row for each pair of groups; empty for a single group."""
-    rows = [
-        (item.better.label, item.worse.label, item.final, item.cumulative)
-        for item in improvements(groups)
-    ]
-    if not rows:
-        return ""
-    head = (
-        "P(a seed of ...",
-        "... beats one of ...)",
-        "by final success",
-        "by cumulative training success",
-    )
-    return table(head, rows, numbers=2)
-
-
 def curves(group: Group) -> Curves:
     """Returns what is drawn of a group."""
     return Curves(group.label, group.success, group.final)
 
 
-def write_report(groups: Sequence[Group], folder: Path) -> None:
-    """Writes ``report.md``, ``report.csv``, ``improvements.csv`` and the learning curves.
+def write_report(groups: Sequence[Group], folder: Path) -> str:
+    """Writes ``report.md``, a CSV file of each of its tables, and the learning curves.
 
-    A figure shows at most seven groups: ``curves.png``, then ``curves_2.png`` and so on.
+    Returns the tables as Markdown.
+
+    The files: ``report.csv`` (success), ``improvements.csv``, ``pairs.csv``, ``learning.csv``. A
+    figure shows at most seven groups: ``curves.png``, then ``curves_2.png`` and so on.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures = []
@@ -190,24 +63,27 @@ def write_report(groups: Sequence[Group], folder: Path) -> None:
         title = f"Training success: {setting_of(drawn)}"
         draw_comparison(figures[-1], [curves(group) for group in drawn], title=title)
     pictures = [f"![Training success by round]({figure.name})" for figure in figures]
-    (folder / "report.md").write_text(_markdown(groups, pictures), encoding="utf-8")
+    compared = pairings(groups)
+    text = _markdown(groups, compared)
+    (folder / "report.md").write_text("\n".join([text, *pictures, ""]), encoding="utf-8")
     _write_csv(folder / "report.csv", [_row(group) for group in groups])
-    _write_csv(folder / "improvements.csv", [_pair(item) for item in improvements(groups)])
+    _write_csv(folder / "improvements.csv", [_improvement(item) for item in improvements(groups)])
+    _write_csv(folder / "pairs.csv", [_pair_row(item) for item in compared])
+    _write_csv(folder / "learning.csv", _learning_rows(groups))
+    return text
 
 
-def _markdown(groups: Sequence[Group], pictures: Sequence[str] = ()) -> str:
+def _markdown(groups: Sequence[Group], compared: Sequence[Pairing]) -> str:
     parts = [
         f"# {setting_of(groups)}",
         success_table(groups),
         NOTE.strip(),
         improvement_table(groups),
-        *pictures,
+        *([pairs_table(compared), PAIRS_NOTE.strip()] if compared else []),
+        learning_table(groups),
+        LEARNING_NOTE.strip(),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def _interval(value: Estimate) -> str:
-    return _NONE if math.isnan(value.low) else f"[{value.low:.3f}, {value.high:.3f}]"
 
 
 def _row(group: Group) -> dict[str, Any]:
@@ -222,25 +98,60 @@ def _row(group: Group) -> dict[str, Any]:
         "rounds": group.first.rounds,
     }
     for name, values in (("final_success", group.final), ("training_success", group.cumulative)):
-        summary = summarise(values)
-        row |= {
-            f"{name}_mean": summary.t.value,
-            f"{name}_bootstrap_low": summary.bootstrap.low,
-            f"{name}_bootstrap_high": summary.bootstrap.high,
-            f"{name}_t_low": summary.t.low,
-            f"{name}_t_high": summary.t.high,
-            f"{name}_iqm": summary.iqm.value,
-            f"{name}_iqm_low": summary.iqm.low,
-            f"{name}_iqm_high": summary.iqm.high,
-        }
+        row |= _summary(name, summarise(values))
     return row | {"reward": group.reward, "turns": group.turns}
 
 
-def _pair(item: Improvement) -> dict[str, Any]:
+def _summary(name: str, summary: Summary) -> dict[str, float]:
+    return {
+        f"{name}_mean": summary.t.value,
+        f"{name}_bootstrap_low": summary.bootstrap.low,
+        f"{name}_bootstrap_high": summary.bootstrap.high,
+        f"{name}_t_low": summary.t.low,
+        f"{name}_t_high": summary.t.high,
+        f"{name}_iqm": summary.iqm.value,
+        f"{name}_iqm_low": summary.iqm.low,
+        f"{name}_iqm_high": summary.iqm.high,
+    }
+
+
+def _improvement(item: Improvement) -> dict[str, Any]:
     row: dict[str, Any] = {"better": item.better.label, "worse": item.worse.label}
     for name, value in (("final_success", item.final), ("training_success", item.cumulative)):
         row |= {name: value.value, f"{name}_low": value.low, f"{name}_high": value.high}
     return row
+
+
+def _pair_row(item: Pairing) -> dict[str, Any]:
+    row: dict[str, Any] = {"one": item.one.label, "other": item.other.label, "pairs": item.pairs}
+    for name, difference in item.differences.items():
+        row |= _summary(name, difference)
+    return row | {"remark": item.remark}
+
+
+def _learning_rows(groups: Sequence[Group]) -> list[dict[str, Any]]:
+    """Returns what learning.csv holds: a row for each learning curve; infinite is empty."""
+    rows = []
+    for group in groups:
+        for curve in learning(group):
+            row: dict[str, Any] = {
+                "label": group.label,
+                "success_in": curve.success_in,
+                "seeds": len(group.final),
+                "rounds": group.first.rounds,
+                **_summary("area", curve.area),
+            }
+            for item in curve.reach:
+                low, high = item.interval
+                row |= {
+                    f"reached_{item.level}": item.reached,
+                    f"rounds_{item.level}": item.median,
+                    f"rounds_{item.level}_low": low,
+                    f"rounds_{item.level}_high": high,
+                    f"dialogues_{item.level}": item.median * group.round_dialogues,
+                }
+            rows.append(row)
+    return rows
 
 
 def _write_csv(file: Path, rows: Sequence[dict[str, Any]]) -> None:
@@ -248,11 +159,16 @@ def _write_csv(file: Path, rows: Sequence[dict[str, Any]]) -> None:
     if not rows:
         file.unlink(missing_ok=True)
         return
+    names = max(rows, key=len)  # rows without pairs lack columns of those with
     with file.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(stream, fieldnames=list(names), lineterminator="\n")
         writer.writeheader()
         for row in rows:
-            writer.writerow({name: "" if value != value else value for name, value in row.items()})
+            writer.writerow({name: value for name, value in row.items() if not _is_none(value)})
+
+
+def _is_none(value: object) -> bool:
+    return isinstance(value, float) and not math.isfinite(value)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -265,17 +181,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "folders", nargs="+", type=Path, help="run folders, or folders with run folders below them"
     )
     parser.add_argument(
-        "--out", type=Path, help="folder for report.md, report.csv, improvements.csv, curves.png"
+        "--out", type=Path, help="folder for report.md, its tables as CSV files, and curves.png"
     )
     given = parser.parse_args(arguments)
     try:
         groups = read_groups(find_results(given.folders))
         if given.out is not None:
-            write_report(groups, given.out)
+            text = write_report(groups, given.out)
+        else:
+            text = _markdown(groups, pairings(groups))
     except (ValueError, OSError) as error:
         sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
         return 2
-    sys.stdout.write(_markdown(groups))
+    sys.stdout.write(text)
     return 0
 
 

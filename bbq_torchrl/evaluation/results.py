@@ -27,6 +27,7 @@ __all__ = [
     "Metrics",
     "ReplicaResult",
     "RunResult",
+    "TrainingEvaluation",
     "read_metrics",
     "read_result",
     "write_json",
@@ -34,6 +35,28 @@ __all__ = [
 
 RESULT_FILE = "result.json"
 METRICS_FILE = "metrics.csv"
+
+
+LAST = 5
+"""Evaluations while training that ``last_five`` is the mean of."""
+
+
+@dataclass(frozen=True)
+class TrainingEvaluation:
+    """What the evaluations while training say, as success rates.
+
+    Attributes:
+        last: of the last of them.
+        last_five: mean of the last five, or of as many as there are.
+        best: of the best one: the largest of many noisy rates, so rather too high.
+        best_round: the round at whose end that was, from 0. With domain extension only rounds
+            since the domain last grew count.
+    """
+
+    last: float
+    last_five: float
+    best: float
+    best_round: float
 
 
 @dataclass(frozen=True)
@@ -49,6 +72,7 @@ class ReplicaResult:
         dialogues: number of dialogues evaluated.
         training_success: share of all training dialogues that succeeded (cumulative success).
         values: dotted key to value, of the keys that have a list with a value for each replica.
+        while_training: of the evaluations while training; None where there were none.
     """
 
     replica: int
@@ -59,6 +83,7 @@ class ReplicaResult:
     dialogues: int
     training_success: float
     values: dict[str, float] = field(default_factory=dict)
+    while_training: TrainingEvaluation | None = None
 
 
 @dataclass(frozen=True)
@@ -67,7 +92,8 @@ class RunResult:
 
     Attributes:
         agent: option of the group, such as ``bbqn``; likewise ``explore``, ``env``, ``domain``.
-        policy: how the agent acted when evaluated: ``mean``, ``average``, ``draw`` or ``greedy``.
+        policy: how the agent acted when evaluated: ``mean``, ``average``, ``draw``, ``thompson``,
+            ``greedy`` or ``vote``.
         seed: of the run.
         rounds: rounds trained.
         replicas: independent seeds trained side by side.
@@ -80,6 +106,10 @@ class RunResult:
         wall_seconds: of training and evaluation together, without the time of killed processes.
         versions: of the packages that decide the numbers.
         intrinsic: option of the group; ``none`` in results of versions without it.
+        while_training: of the evaluations while training: means over the replicas, of the round of
+            the best too; None where there were none.
+        scripted: success rates of the scripted policies in the environment of the final
+            evaluation, by name; empty in results of versions without it.
     """
 
     agent: str
@@ -100,6 +130,8 @@ class RunResult:
     wall_seconds: float
     versions: dict[str, str]
     intrinsic: str = "none"
+    while_training: TrainingEvaluation | None = None
+    scripted: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, per_replica: Sequence[ReplicaResult], **described: Any) -> RunResult:
@@ -119,13 +151,14 @@ class RunResult:
             dialogues=dialogues,
             training_success=mean("training_success"),
             per_replica=tuple(per_replica),
+            while_training=_mean_evaluation([item.while_training for item in per_replica]),
             **described,
         )
 
     def only(self, replicas: Sequence[int]) -> RunResult:
         """The result of some of the replicas."""
         computed = {"replicas", "standard_error", "dialogues", "per_replica"}
-        computed |= {"success_rate", "reward", "turns", "training_success"}
+        computed |= {"success_rate", "reward", "turns", "training_success", "while_training"}
         names = [item.name for item in fields(self) if item.name not in computed]
         return RunResult.of(
             [self.per_replica[replica] for replica in replicas],
@@ -140,6 +173,7 @@ def replica_result(
     turns: Sequence[float],
     training_success: float,
     values: Mapping[str, float] | None = None,
+    while_training: TrainingEvaluation | None = None,
 ) -> ReplicaResult:
     """Sums up the dialogues of one replica: one entry of each sequence for each dialogue."""
     dialogues = len(success)
@@ -153,6 +187,37 @@ def replica_result(
         dialogues=dialogues,
         training_success=training_success,
         values=dict(values or {}),
+        while_training=while_training,
+    )
+
+
+def training_evaluation(
+    rates: Sequence[float], best: float, best_round: int
+) -> TrainingEvaluation | None:
+    """Sums up the evaluations of one replica; None if there are none.
+
+    Args:
+        rates: success rate by round; NaN where a round had no evaluation.
+        best: of the best weights that were kept.
+        best_round: their round.
+    """
+    found = [float(rate) for rate in rates if not math.isnan(rate)]
+    if not found:
+        return None
+    return TrainingEvaluation(
+        found[-1], math.fsum(found[-LAST:]) / len(found[-LAST:]), best, best_round
+    )
+
+
+def _mean_evaluation(
+    of_replicas: Sequence[TrainingEvaluation | None],
+) -> TrainingEvaluation | None:
+    """Returns the mean of every field; None if a replica has no evaluation."""
+    found = [asdict(item) for item in of_replicas if item is not None]
+    if len(found) < len(of_replicas):
+        return None
+    return TrainingEvaluation(
+        **{name: math.fsum(item[name] for item in found) / len(found) for name in found[0]}
     )
 
 
@@ -175,16 +240,36 @@ def read_result(folder: Path) -> RunResult:
         raise ValueError(f"{folder} has no {RESULT_FILE}: it is no run folder, or not finished")
     try:
         plain = json.loads(file.read_text(encoding="utf-8"))
-        per_replica = tuple(ReplicaResult(**_only(ReplicaResult, e)) for e in plain["per_replica"])
-        return RunResult(**{**_only(RunResult, plain), "per_replica": per_replica})
+        per_replica = tuple(
+            ReplicaResult(**_only(ReplicaResult, _with_evaluation(item)))
+            for item in plain["per_replica"]
+        )
+        plain = _only(RunResult, _with_evaluation(plain))
+        return RunResult(**{**plain, "per_replica": per_replica})
     except (ValueError, TypeError, KeyError) as error:
         raise ValueError(f"{file} is damaged: {error}") from error
+
+
+def _with_evaluation(plain: dict[str, Any]) -> dict[str, Any]:
+    """The same with the evaluations while training, if it has any, as an object."""
+    found = plain.get("while_training")
+    if found is None:
+        return plain
+    return plain | {"while_training": TrainingEvaluation(**_only(TrainingEvaluation, found))}
 
 
 def _only(schema: type, plain: dict[str, Any]) -> dict[str, Any]:
     """The keys that a dataclass has; a newer version's further keys are left out."""
     names = {item.name for item in fields(schema)}
     return {key: value for key, value in plain.items() if key in names}
+
+
+_NEEDED = ("round", "replica", "dialogues", "success_rate")
+
+
+def _number(text: str, column: str) -> float:
+    """Returns a value of metrics.csv: NaN for an empty one, which no needed column may have."""
+    return math.nan if text == "" and column not in _NEEDED else float(text)
 
 
 class Metrics:
@@ -226,6 +311,8 @@ class Metrics:
 def read_metrics(folder: Path) -> Metrics:
     """Reads the metrics.csv of a result folder; a last round that is not complete is left out.
 
+    What is empty, such as an evaluation in a round that had none, is NaN.
+
     Raises:
         ValueError: there is none, or a line is damaged; the message names file and line.
     """
@@ -236,7 +323,7 @@ def read_metrics(folder: Path) -> Metrics:
     complete = text[: text.rfind("\n") + 1]
     reader = csv.DictReader(complete.splitlines())
     names = list(reader.fieldnames or ())
-    for needed in ("round", "replica", "dialogues", "success_rate"):
+    for needed in _NEEDED:
         if needed not in names:
             raise ValueError(f"{file} must have the column {needed}, got {', '.join(names)}")
     rows: list[list[float]] = []
@@ -244,7 +331,7 @@ def read_metrics(folder: Path) -> Metrics:
         try:
             if None in row:
                 raise ValueError("more values than columns")
-            rows.append([float(row[name]) for name in names])
+            rows.append([_number(row[name], name) for name in names])
         except (TypeError, ValueError) as error:
             raise ValueError(f"{file}, line {reader.line_num}, is damaged: {row}") from error
     replicas = 1 + int(max((row[names.index("replica")] for row in rows), default=0))

@@ -2,7 +2,8 @@
 
 Dialogues of one trained agent only tell how well *that* agent was measured
 (:func:`binomial_standard_error`); what another training would give is told by the spread over seeds
-(:func:`estimate`).
+(:func:`estimate`). Where seeds of two agents belong together in pairs, what they have in common
+cancels out of their differences (:func:`paired_differences`).
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ import numpy as np
 from scipy import stats
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
 __all__ = [
     "Estimate",
+    "Summary",
     "binomial_standard_error",
     "estimate",
     "interquartile_mean",
+    "paired_differences",
     "probability_of_improvement",
+    "summarise",
 ]
 
 Statistic = Literal["mean", "iqm"]
@@ -56,10 +60,34 @@ class Estimate:
     count: int
     method: str
 
+    def interval(self, spec: str = ".3f") -> str:
+        """Returns the interval alone: ``[0.701, 0.779]``, or a dash where there is none."""
+        return "–" if math.isnan(self.low) else f"[{self.low:{spec}}, {self.high:{spec}}]"
+
     def __str__(self) -> str:
+        return format(self)
+
+    def __format__(self, spec: str) -> str:
+        """Formats each number by ``spec``: ``f"{difference:+.3f}"`` shows the signs."""
+        spec = spec or ".3f"
         if math.isnan(self.low):
-            return f"{self.value:.3f}"
-        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]"
+            return format(self.value, spec)
+        return f"{self.value:{spec}} {self.interval(spec)}"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A quantity over seeds.
+
+    Attributes:
+        bootstrap: the mean with its bootstrap interval; the interval is NaN below five seeds.
+        t: the mean with its Student t interval; the interval is NaN for one seed.
+        iqm: interquartile mean with its bootstrap interval; the interval is NaN below five seeds.
+    """
+
+    bootstrap: Estimate
+    t: Estimate
+    iqm: Estimate
 
 
 def binomial_standard_error(rate: float, dialogues: int) -> float:
@@ -144,6 +172,35 @@ def estimate(
         return Estimate(value, value - half, value + half, data.size, "t")
     low, high = _bootstrap((data,), function, seed)
     return Estimate(value, low, high, data.size, "bootstrap")
+
+
+def summarise(values: Sequence[float]) -> Summary:
+    """Sums up a quantity over seeds, one value for each.
+
+    Example:
+        >>> summary = summarise([0.7, 0.72, 0.74, 0.76, 0.78])
+        >>> print(summary.bootstrap, summary.t)
+        0.740 [0.716, 0.764] 0.740 [0.701, 0.779]
+    """
+    t = estimate(values, method="t")
+    if len(values) >= MIN_BOOTSTRAP:
+        return Summary(estimate(values), t, estimate(values, "iqm"))
+    nothing = (math.nan, math.nan, len(values), "none")
+    iqm = float(interquartile_mean(values))
+    return Summary(Estimate(t.value, *nothing), t, Estimate(iqm, *nothing))
+
+
+def paired_differences(one: Mapping[Any, float], other: Mapping[Any, float]) -> list[float]:
+    """Returns ``one`` minus ``other`` for every key that both have, in the order of the keys.
+
+    The order is that of the keys whatever the order of the mappings, so that a bootstrap of the
+    differences does not depend on it.
+
+    Example:
+        >>> paired_differences({"b": 0.75, "a": 0.5}, {"a": 0.25, "b": 0.25, "c": 0.9})
+        [0.25, 0.5]
+    """
+    return [one[key] - other[key] for key in sorted(one.keys() & other.keys())]
 
 
 def probability_of_improvement(

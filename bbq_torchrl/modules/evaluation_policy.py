@@ -1,4 +1,4 @@
-"""Three policies that one posterior gives: its mean network, an average, one draw."""
+"""Four policies that one posterior gives: its mean network, an average, one draw, many draws."""
 
 from __future__ import annotations
 
@@ -20,22 +20,24 @@ if TYPE_CHECKING:
 
 __all__ = ["EvaluationMode", "EvaluationPolicy"]
 
-EvaluationMode = Literal["mean", "average", "draw"]
+EvaluationMode = Literal["mean", "average", "draw", "thompson"]
 
 
 class EvaluationPolicy(TensorDictModuleBase):
     """Acts greedily on what is to be reported, whatever the exploration type.
 
     ReLU of noise has a positive mean, so that Q at the mean weights is not the mean of Q: these
-    are three different policies.
+    are different policies.
 
     Args:
         actor: a Q-value actor: a network and the choice of the action behind it.
 
     Keyword Args:
         mode: "mean", Q at the mean weights (and without dropout); "average", the mean of Q over
-            ``num_draws`` weight draws; "draw", Q at one weight draw. Draws are made at the first
-            call, for each element of the stack, and stay until :meth:`resample`.
+            ``num_draws`` weight draws; "draw", Q at one weight draw; "thompson", Q at new draws at
+            every call, for each row its own, as ThompsonSampling(per="step") trains. The draws of
+            "average" and "draw" are made at the first call, for each element of the stack, and
+            stay until :meth:`resample`.
         num_draws: number of draws for "average". Defaults to 10.
 
     Raises:
@@ -83,8 +85,8 @@ class EvaluationPolicy(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the greedy action and the values it comes from."""
-        if self.mode == "mean":
-            with set_weight_mode("mean"):
+        if self.mode in ("mean", "thompson"):
+            with set_weight_mode("mean" if self.mode == "mean" else "local"):
                 return self.actor(tensordict)
         if not self._held:
             layers = bayesian_layers(self.actor)

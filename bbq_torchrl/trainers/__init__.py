@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.trainers.best_weights import BestWeights
 from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
 from bbq_torchrl.trainers.collect import Outcomes, Policy, outcomes, play, play_dialogues
 from bbq_torchrl.trainers.errors import NonFiniteLossError
@@ -10,13 +11,15 @@ from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimiser import ReplicaAdam
 from bbq_torchrl.trainers.progress import RoundProgress
-from bbq_torchrl.trainers.round_trainer import RoundTrainer
+from bbq_torchrl.trainers.round_trainer import Evaluator, RoundTrainer
 from bbq_torchrl.trainers.seeding import derive_seed
 from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
 
 __all__ = [
+    "BestWeights",
     "CheckpointDamagedError",
     "CheckpointFolder",
+    "Evaluator",
     "LoggerName",
     "MetricRow",
     "MetricsFile",

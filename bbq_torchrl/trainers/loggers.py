@@ -101,12 +101,12 @@ def _remove_if_empty(folder: Path) -> None:
 
 
 def log_rows(loggers: Sequence[Logger], rows: Sequence[MetricRow]) -> None:
-    """Logs a round's rows as ``<metric>/replica_<r>``, at the step of the round."""
+    """Logs a round's rows as ``<metric>/replica_<r>``, at the step of the round, but for NaN."""
     for logger in loggers:
         for row in rows:
             step, replica = int(row["round"]), int(row["replica"])
             for name, value in row.items():
-                if name not in ("round", "replica"):
+                if name not in ("round", "replica") and value == value:
                     logger.log_scalar(f"{name}/replica_{replica}", float(value), step=step)
 
 

@@ -31,6 +31,8 @@ def replace_text(path: Path, text: str) -> None:
 class MetricsFile:
     """The metrics of a run, in memory and in a tidy CSV file that grows round by round.
 
+    What a round has not (NaN) is empty in the file.
+
     The file is a copy: what counts is in the checkpoint. A process killed while it writes, or
     between two checkpoints, leaves rows that a resumed run replaces (:meth:`load_state_dict`).
 
@@ -100,5 +102,7 @@ def _csv(rows: Sequence[MetricRow], *, header: bool) -> str:
     writer = csv.DictWriter(buffer, fieldnames=list(rows[0]), lineterminator="\n")
     if header:
         writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(
+        {name: "" if value != value else value for name, value in row.items()} for row in rows
+    )
     return buffer.getvalue()

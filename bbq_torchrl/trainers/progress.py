@@ -1,7 +1,9 @@
-"""A progress bar over rounds, on stderr."""
+"""How a training goes: a progress bar on a terminal, lines in the log elsewhere."""
 
 from __future__ import annotations
 
+import logging
+import math
 import multiprocessing
 from datetime import datetime, timedelta
 from statistics import fmean
@@ -16,19 +18,34 @@ if TYPE_CHECKING:
 
 __all__ = ["RoundProgress"]
 
+_LOG = logging.getLogger(__name__)
+
+LINES = 40
+"""So many lines at most tell of a training that has no progress bar."""
+
 
 class RoundProgress:
     """Shows success, reward, KL, seconds a round and the expected end; means over the replicas.
+
+    Where no bar is shown, the log gets a line after every round, of a training of more than 40
+    rounds after every so many that it is at most 40 lines: means over the rounds since the last.
 
     Args:
         rounds (int): how many rounds the training has.
         done (int): how many of them are done already (a resumed run). Default: 0.
         visible (bool, optional): whether the bar is shown. Default: ``None``, where stderr is a
             terminal and no other process of a sweep draws on it.
+        name (str): begins each line of the log. Default: none.
     """
 
-    def __init__(self, rounds: int, *, done: int = 0, visible: bool | None = None) -> None:
+    def __init__(
+        self, rounds: int, *, done: int = 0, visible: bool | None = None, name: str = ""
+    ) -> None:
+        self._rounds = rounds
         self._left = rounds - done
+        self._name = f"{name}: " if name else ""
+        self._evaluated = math.nan
+        self._unsaid: list[dict[str, float]] = []
         if visible is None and multiprocessing.parent_process() is not None:
             visible = False
         self._bar = tqdm(
@@ -44,19 +61,46 @@ class RoundProgress:
     def update(self, rows: Sequence[MetricRow]) -> None:
         """Takes in the rows of one round, one for each replica."""
         self._left -= 1
-        if self._bar.disable:
-            return
         means = {name: fmean(row[name] for row in rows) for name in rows[0]}
+        if self._bar.disable:
+            self._tell(means)
+            return
         # The last rounds predict the next ones: rounds get longer until the buffer is full.
         self._seconds = [*self._seconds[-9:], means["seconds"]]
         left = timedelta(seconds=self._left * fmean(self._seconds))
         end = datetime.now().astimezone() + left
         shown = {"success": f"{means['success_rate']:.2f}", "reward": f"{means['reward']:.1f}"}
+        evaluated = means.get("eval_success_rate", math.nan)
+        self._evaluated = self._evaluated if math.isnan(evaluated) else evaluated
+        if not math.isnan(self._evaluated):
+            shown["eval"] = f"{self._evaluated:.2f}"
         if "kl" in means:
             shown["kl"] = f"{means['kl']:.0f}"
         shown |= {"s/round": f"{means['seconds']:.1f}", "end": f"{end:%H:%M:%S}"}
         self._bar.set_postfix(shown, refresh=False)
         self._bar.update()
+
+    def _tell(self, means: dict[str, float]) -> None:
+        """Logs a line if enough rounds have passed since the last one."""
+        self._unsaid.append(means)
+        done = self._rounds - self._left
+        if done % math.ceil(self._rounds / LINES) and self._left:
+            return
+        names = ("success_rate", "reward", "seconds")
+        success, reward, seconds = (fmean(row[name] for row in self._unsaid) for name in names)
+        found = [row.get("eval_success_rate", math.nan) for row in self._unsaid]
+        found = [rate for rate in found if not math.isnan(rate)]
+        _LOG.info(
+            "%sround %d of %d: success %.2f%s, reward %.1f, %.1f s a round",
+            self._name,
+            done,
+            self._rounds,
+            success,
+            f", evaluation {found[-1]:.2f}" if found else "",
+            reward,
+            seconds,
+        )
+        self._unsaid = []
 
     def close(self) -> None:
         """Leaves the bar as it is and ends its line."""

@@ -35,9 +35,10 @@ if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.data import ReplicaReplay
+    from bbq_torchrl.trainers.best_weights import BestWeights
     from bbq_torchrl.trainers.optimiser import ReplicaAdam
 
-__all__ = ["RoundCallback", "RoundTrainer"]
+__all__ = ["Evaluator", "RoundCallback", "RoundTrainer"]
 
 
 class TargetUpdater(Protocol):
@@ -52,6 +53,21 @@ class RoundCallback(Protocol):
 
     def __call__(self, trainer: RoundTrainer, rows: Sequence[MetricRow], /) -> None:
         """Takes in the round's rows, one for each replica."""
+
+
+class Evaluator(Protocol):
+    """Plays the policy that is to be reported, after every round."""
+
+    @property
+    def best(self) -> BestWeights:
+        """The best weights so far; they are saved in every checkpoint."""
+
+    def __call__(self, round_number: int) -> Sequence[Mapping[str, float]]:
+        """Returns columns of the round's metrics for each replica, the same in every round.
+
+        NaN stands for a round without an evaluation. It may use torch's global generator, but
+        nothing else of the training's.
+        """
 
 
 class RoundTrainer:
@@ -90,6 +106,8 @@ class RoundTrainer:
         loggers (sequence of Logger): TorchRL loggers; see
             :func:`~bbq_torchrl.trainers.make_loggers`.
         callbacks (sequence of callable): called after every round.
+        evaluator (Evaluator, optional): evaluates the policy at the end of a round, without a
+            trace in the training: metrics and weights are bitwise those of one without it.
         gauges (mapping): metrics read at the start of each round, such as an exploration rate:
             each returns one number, or a tensor [replicas].
         progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
@@ -113,6 +131,7 @@ class RoundTrainer:
         spike: SpikeSettings | None = None,
         loggers: Sequence[Logger] = (),
         callbacks: Sequence[RoundCallback] = (),
+        evaluator: Evaluator | None = None,
         gauges: Mapping[str, Callable[[], float | Tensor]] | None = None,
         success_key: NestedKey = "success",
         progress: bool | None = None,
@@ -141,12 +160,14 @@ class RoundTrainer:
         self.spike_policy = spike_policy
         self.loggers = tuple(loggers)
         self.callbacks = tuple(callbacks)
+        self.evaluator = evaluator
         self.gauges = dict(gauges or {})
         self.success_key = success_key
         self.progress = progress
         self.rounds_done = 0
         self._update = Update(loss, optimiser, cuda_graph=settings.cuda_graph)
         self.metrics = MetricsFile(self.run_folder / "metrics.csv")
+        best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
         self.checkpoints = CheckpointFolder(
             self.run_folder / "checkpoint",
             loss=loss,
@@ -154,6 +175,7 @@ class RoundTrainer:
             optimiser=optimiser,
             replay=replay,
             metrics=self.metrics,
+            **best,
         )
 
     @property
@@ -175,7 +197,12 @@ class RoundTrainer:
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
         """
         self.begin(resume=resume)
-        bar = RoundProgress(self.settings.rounds, done=self.rounds_done, visible=self.progress)
+        bar = RoundProgress(
+            self.settings.rounds,
+            done=self.rounds_done,
+            visible=self.progress,
+            name=self.run_folder.name,
+        )
         try:
             while self.rounds_done < self.settings.rounds:
                 bar.update(self.train_round())
@@ -248,10 +275,15 @@ class RoundTrainer:
         learned, updates = self._learn(round_number)
         self._step_schedules()
         learned_at = time.perf_counter()
+        evaluated: Sequence[Mapping[str, float]] = [{}] * self.replicas
+        if self.evaluator is not None:
+            evaluated = self.evaluator(round_number)
+        ended = time.perf_counter()
         shared = {
-            "seconds": learned_at - started,
+            "seconds": ended - started,
             "seconds_collect": collected_at - started,
             "seconds_learn": learned_at - collected_at,
+            **({} if self.evaluator is None else {"seconds_eval": ended - learned_at}),
         }
         rows: list[MetricRow] = []
         for replica, length in enumerate(self.replay.lengths):
@@ -265,6 +297,7 @@ class RoundTrainer:
                     "replica": replica,
                     "dialogues": self.settings.dialogues,
                     **collected[replica],
+                    **evaluated[replica],
                     **losses,
                     "buffer": length,
                     "updates": updates[replica],

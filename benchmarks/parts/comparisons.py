@@ -17,6 +17,7 @@ from benchmarks.parts.accounts import RoundAccounts
 from benchmarks.parts.dialogues import PUBLIC_RANDOM, PUBLIC_RULE, play_simulator
 from benchmarks.parts.learning import AGENTS, Learner, full_trainer
 from benchmarks.parts.rows import Row
+from benchmarks.parts.time_to_learn import time_to_learn
 from benchmarks.parts.timing import interleaved
 from benchmarks.parts.yardstick import bare_block
 
@@ -261,6 +262,7 @@ PARTS: dict[str, Part] = {
         evaluation,
         memory,
         start,
+        time_to_learn,
     )
 }
 """Name -> what measures it, in the order of the table."""

@@ -24,6 +24,8 @@ class Row:
         measured: the figure.
         target: what it is to reach; None where it only informs.
         better: whether ``target`` is the least or the most that it may be.
+        is_bound: whether ``measured`` is only a lower bound, the rest having been cut off.
+        remark: shown behind ``what``.
     """
 
     part: str
@@ -32,6 +34,8 @@ class Row:
     measured: float
     target: float | None = None
     better: Literal["higher", "lower"] = "lower"
+    is_bound: bool = False
+    remark: str = ""
 
     @property
     def reached(self) -> bool | None:
@@ -40,7 +44,7 @@ class Row:
             return None
         if self.better == "higher":
             return self.measured >= self.target
-        return self.measured <= self.target
+        return self.measured <= self.target and not self.is_bound
 
     def as_json(self) -> dict[str, Any]:
         """Returns the row as JSON values."""
@@ -54,7 +58,9 @@ def as_table(rows: Sequence[Row]) -> str:
         sign = "≥" if row.better == "higher" else "≤"
         target = "–" if row.target is None else f"{sign} {number(row.target)}"
         reached = {None: "–", True: "yes", False: "no"}[row.reached]
-        lines.append((row.what, row.unit, number(row.measured), target, reached))
+        what = f"{row.what} ({row.remark})" if row.remark else row.what
+        measured = f"> {number(row.measured)}" if row.is_bound else number(row.measured)
+        lines.append((what, row.unit, measured, target, reached))
     return table(HEAD, lines)
 
 

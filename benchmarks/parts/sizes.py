@@ -26,6 +26,8 @@ class Sizes:
         memory_rounds: of that run.
         spike: dialogues that fill its buffers.
         eval_dialogues: of its evaluation, and of the measured one.
+        learning_seeds: trainings of each agent, until it has learned.
+        learning_overrides: of the configuration of these.
         imports: whether the sub-packages' import times are measured too.
         overrides: of every configuration.
     """
@@ -44,6 +46,8 @@ class Sizes:
     memory_rounds: int = 3
     spike: int = 500
     eval_dialogues: int = 10_000
+    learning_seeds: int = 5
+    learning_overrides: tuple[str, ...] = ()
     imports: bool = True
     overrides: tuple[str, ...] = ()
 
@@ -64,6 +68,13 @@ TINY = Sizes(
     memory_rounds=1,
     spike=2,
     eval_dialogues=8,
+    learning_seeds=1,
+    learning_overrides=(
+        "protocol.rounds=2",
+        "protocol.eval_every=1",
+        "protocol.eval_every_dialogues=4",
+        "spike.dialogues=4",
+    ),
     imports=False,
     overrides=TINY_OVERRIDES,
 )

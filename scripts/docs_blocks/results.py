@@ -13,7 +13,15 @@ import yaml
 
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.groups import Group, Run, read_groups
-from bbq_torchrl.evaluation.report import curves, improvement_table, success_table, summarise
+from bbq_torchrl.evaluation.pairs import pair, pairings
+from bbq_torchrl.evaluation.report import curves
+from bbq_torchrl.evaluation.statistics import summarise
+from bbq_torchrl.evaluation.tables import (
+    improvement_table,
+    learning_table,
+    pairs_table,
+    success_table,
+)
 from scripts.docs_blocks.markdown import table
 
 if TYPE_CHECKING:
@@ -73,6 +81,8 @@ def _experiment(experiment: str) -> str:
     parts = [
         success_table(kept),
         improvement_table(kept),
+        pairs_table(pairings(kept)),
+        learning_table(kept),
         f"![Training success by round](figures/{experiment}.png)",
         "```bash\n" + "\n".join(commands) + "\n```",
     ]
@@ -83,15 +93,9 @@ def _readme() -> str:
     """Returns the main results in a table, and a figure."""
     measured = {experiment: groups(experiment) for experiment in IN_README}
     rows = [
-        (
-            EXPERIMENTS[experiment],
-            group.label,
-            len(group.final),
-            summarise(group.final).bootstrap,
-            summarise(group.cumulative).bootstrap,
-        )
+        (EXPERIMENTS[experiment], *row)
         for experiment in EXPERIMENTS
-        for group in measured.get(experiment, [])
+        for row in _readme_rows(measured.get(experiment, []))
     ]
     if not rows:
         return "Not measured yet."
@@ -99,7 +103,26 @@ def _readme() -> str:
     head = ("trained on", "agent", "seeds", "final success", "cumulative training success")
     return (
         f"{table(head, rows, numbers=3)}\n\n"
-        "(Mean over seeds with its 95 % interval. Final success: 10,000 dialogues of each seed, "
+        "(Mean over seeds with its 95 % t interval; differences are by pairs, of replicas that saw "
+        "the same goals and noise. Final success: 10,000 dialogues of each seed, "
         "BBQN by the network at the mean weights.)\n\n"
         f"![{EXPERIMENTS[shown]}: training success by round](docs/figures/{shown}.png)"
     )
+
+
+def _readme_rows(kept: list[Group]) -> list[tuple[object, ...]]:
+    """Returns a row for each agent, and the first one's difference to each of the others."""
+    rows: list[tuple[object, ...]] = [
+        (
+            group.label,
+            len(group.final),
+            summarise(group.final).t,
+            summarise(group.cumulative).t,
+        )
+        for group in kept
+    ]
+    for item in (pair(kept[0], other) for other in kept[1:]):
+        if item.pairs:
+            found = (item.differences[name].t for name in ("final_success", "training_success"))
+            rows.append((item.label, item.pairs, *(f"{difference:+.3f}" for difference in found)))
+    return rows

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import csv
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,8 +35,8 @@ def _targets() -> str:
     if not COMPARED.is_file():
         return "Not measured yet; `python scripts/measure_speed.py compare` does."
     report = json.loads(COMPARED.read_text(encoding="utf-8"))
-    fields = ("part", "what", "unit", "measured", "target", "better")
-    rows = [Row(**{field: row[field] for field in fields}) for row in report["rows"]]
+    names = [item.name for item in fields(Row)]  # older files lack some, and hold `reached`
+    rows = [Row(**{name: row[name] for name in names if name in row}) for row in report["rows"]]
     return f"{as_table(rows)}\n\n{_machine(report)}\n\n```bash\n{report['command']}\n```"
 
 

@@ -16,7 +16,7 @@ from benchmarks.parts.sizes import FULL, TINY
 from benchmarks.parts.timing import Timer
 
 IN_THIS_PROCESS = ("simulator", "update", "bootstrap", "run", "evaluation")
-SLOW = ("replicas", "vime")
+SLOW = ("replicas", "vime", "time_to_learn")
 
 
 @pytest.fixture(autouse=True)
@@ -72,12 +72,14 @@ def test_json_is_all_that_is_printed(capsys: pytest.CaptureFixture[str]) -> None
 
 def test_table_says_what_is_reached() -> None:
     rows = [
+        Row("a", "bound", "s", 1.0, 2.0, is_bound=True, remark="1 of 5"),
         Row("a", "speed", "turns/s", 99.0, 100.0, "higher"),
         Row("a", "time", "s", 1.0, 1.0),
         Row("a", "other", "ms", 3.14159),
     ]
     lines = [line.strip("| ").split(" | ") for line in as_table(rows).splitlines()[2:]]
     assert lines == [
+        ["bound (1 of 5)", "s", "> 1", "≤ 2", "no"],
         ["speed", "turns/s", "99", "≥ 100", "no"],
         ["time", "s", "1", "≤ 1", "yes"],
         ["other", "ms", "3.14", "–", "–"],

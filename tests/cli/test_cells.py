@@ -27,6 +27,8 @@ SHRUNKEN = (
     "protocol.capacity=200",
     "protocol.eval_dialogues=6",
     "protocol.eval_batch=6",
+    "protocol.eval_every=1",
+    "protocol.eval_every_dialogues=4",
     "protocol.checkpoint_every=1",
     "spike.dialogues=4",
     "spike.policy=random",
@@ -88,11 +90,14 @@ def check_run(overrides: list[str], tmp_path: Path) -> None:
     for name in columns:
         assert (read_metrics(whole)[name] == read_metrics(parts)[name]).all(), name
 
-    line = evaluate.evaluation(
-        compose([f"policy={parts}", "dialogues=6", "batch=3"], EvaluateConfig)
-    )
-    assert line["dialogues"] == 12
-    assert 0 <= line["success_rate"] <= 1
+    for kept in ("last", "best"):
+        line = evaluate.evaluation(
+            compose(
+                [f"policy={parts}", "dialogues=6", "batch=3", f"weights={kept}"], EvaluateConfig
+            )
+        )
+        assert line["dialogues"] == 12
+        assert 0 <= line["success_rate"] <= 1
 
 
 @pytest.mark.parametrize(("agent", "explore", "env", "intrinsic"), CELLS)

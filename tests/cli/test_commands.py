@@ -22,6 +22,8 @@ SMALL = (
     "protocol.capacity=400",
     "protocol.eval_dialogues=30",
     "protocol.eval_batch=20",
+    "protocol.eval_every=1",
+    "protocol.eval_every_dialogues=10",
     "protocol.checkpoint_every=1",
     "spike.dialogues=8",
     "agent.hidden=[16,16]",
@@ -52,7 +54,7 @@ def train(*overrides, cwd, code=0):
     return call(str(ROOT / "train.py"), *overrides, cwd=cwd, code=code)
 
 
-def rows(folder, without=("seconds", "seconds_collect", "seconds_learn")):
+def rows(folder, without=("seconds", "seconds_collect", "seconds_learn", "seconds_eval")):
     with (folder / "metrics.csv").open() as file:
         return [
             {name: value for name, value in row.items() if name not in without}
@@ -149,7 +151,7 @@ def test_a_run_that_was_killed_ends_as_one_that_was_not(finished, tmp_path):
 
 def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, tmp_path):
     answers = {}
-    for mode in ("mean", "average"):
+    for mode in ("mean", "average", "thompson"):
         out, _ = call(
             "-m",
             "bbq_torchrl.evaluate",

@@ -253,7 +253,7 @@ def test_what_cannot_be_run_is_refused_in_one_sentence(command):
 REFUSED_EVALUATIONS = {
     "dialogues=5": "policy must be given, as policy=<value>",
     "policy=rule dialogues=0": "dialogues must be an integer of at least 1, got 0",
-    "policy=rule mode=nope": "mode must be one of mean, average, draw or null",
+    "policy=rule mode=nope": "mode must be one of mean, average, draw, thompson or null",
     "policy=rule agent=dqn": "agent is not a key; the keys of the configuration are env, domain",
     "policy=rule env.priorstd=1": "env.priorstd is not a key; the keys of env=full are name",
     "policy=rule +experiment=quick": "experiment is for training only",

@@ -24,6 +24,8 @@ TINY = [
     "protocol.rounds=1",
     "protocol.dialogues=2",
     "protocol.eval_dialogues=2",
+    "protocol.eval_every=1",
+    "protocol.eval_every_dialogues=2",
 ]
 
 

@@ -10,6 +10,7 @@ from bbq_torchrl.evaluation import RunResult
 from bbq_torchrl.evaluation.results import replica_result, write_json
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 DIALOGUES = 100
@@ -44,9 +45,17 @@ def run_result(
     return RunResult.of(replicas, **(given | described))
 
 
-def metrics_text(rates: list[float], rounds: int) -> str:
-    lines = ["round,replica,dialogues,success_rate"]
-    lines += [f"{r},{n},50,{rate / 2}" for r in range(rounds) for n, rate in enumerate(rates)]
+def metrics_text(rates: list[float], rounds: int, eval_every: int = 0) -> str:
+    """Training success half of the rates; an evaluation is by as many tenths below as rounds are
+    missing."""
+    lines = ["round,replica,dialogues,success_rate" + (",eval_success_rate" if eval_every else "")]
+    for r in range(rounds):
+        for n, rate in enumerate(rates):
+            line = f"{r},{n},50,{rate / 2}"
+            if eval_every:
+                is_due = (r + 1) % eval_every == 0
+                line += f",{rate - 0.1 * (rounds - 1 - r)}" if is_due else ","
+            lines.append(line)
     return "\n".join(lines) + "\n"
 
 
@@ -58,24 +67,34 @@ def make_run(
     explore: str = "thompson",
     seed: int = 0,
     rounds: int = 3,
+    eval_every: int = 0,
+    changes: Mapping[str, object] | None = None,
     values: list[dict[str, float]] | None = None,
     **agent_keys: object,
 ) -> Path:
-    """Writes what a finished run leaves behind. Returns the folder."""
+    """Writes what a finished run leaves behind. Returns the folder.
+
+    ``changes`` are of the configuration: dotted key to value.
+    """
     folder.mkdir(parents=True)
     keys = {"target": "map", "prior_std": 0.1} if agent == "bbqn" else {"dropout": 0.5}
     config = {
         "agent": {"name": agent, "lr": 0.001, **keys, **agent_keys},
         "explore": {"name": explore}
         | ({"eps_init": 0.1} if explore == "epsilon_greedy" else {"per": "step"}),
-        "env": {"name": "full"},
-        "protocol": {"rounds": rounds, "checkpoint_every": 10 + seed},
+        "env": {"name": "full", "max_turn": 40},
+        "domain": {"name": "movie"},
+        "spike": {"name": "rule", "dialogues": 100, "protect": True},
+        "protocol": {"rounds": rounds, "checkpoint_every": 10 + seed, "batch_size": 32},
         "logger": {"name": "csv" if seed else "tensorboard"},
         "seed": seed,
         "replicas": len(rates),
     }
+    for key, value in (changes or {}).items():
+        group, _, name = key.rpartition(".")
+        (config[group] if group else config)[name] = value
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
-    (folder / "metrics.csv").write_text(metrics_text(rates, rounds))
+    (folder / "metrics.csv").write_text(metrics_text(rates, rounds, eval_every))
     result = run_result(rates, values, agent=agent, explore=explore, seed=seed, rounds=rounds)
     write_json(result, folder / "result.json")
     return folder

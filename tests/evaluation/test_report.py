@@ -133,7 +133,8 @@ def test_the_report_has_the_statistics_of_each_group_and_pair(tmp_path, capsys):
     assert f"| BBQN-MAP | DQN | {pair} | {pair} |" in printed
 
     files = {file.name for file in (tmp_path / "report").iterdir()}
-    assert files == {"report.md", "report.csv", "improvements.csv", "curves.png"}
+    tables = {"report.csv", "improvements.csv", "pairs.csv", "learning.csv"}
+    assert files == {"report.md", "curves.png", *tables}
     assert printed.rstrip() in (tmp_path / "report" / "report.md").read_text()
     bbqn, dqn = read_csv(tmp_path / "report" / "report.csv")
     assert (bbqn["agent"], bbqn["explore"], bbqn["seeds"]) == ("bbqn", "thompson", "5")

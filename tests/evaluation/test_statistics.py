@@ -158,3 +158,10 @@ def test_groups_that_are_apart_are_told_apart_for_sure():
 def test_probability_of_improvement_needs_seeds():
     with pytest.raises(ValueError, match="both sides must have at least one seed"):
         probability_of_improvement([], [0.5])
+
+
+def test_an_estimate_is_shown_with_signs_where_asked():
+    found = estimate([0.7, 0.72, 0.74, 0.76, 0.78], method="t")
+    assert f"{found:+.2f}" == "+0.74 [+0.70, +0.78]"
+    assert (f"{found}", found.interval()) == (str(found), "[0.701, 0.779]")
+    assert (f"{estimate([0.5]):+.2f}", estimate([0.5]).interval()) == ("+0.50", "–")

@@ -1,4 +1,4 @@
-"""The three policies of one posterior: mean network, average of draws, one draw."""
+"""The policies of one posterior: mean network, average of draws, one draw, new draws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from q_actor import ACTIONS, all_legal, bayes_actor, observations
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl.modules import MLP, EvaluationPolicy, given_weights, q_network
+from bbq_torchrl.modules import MLP, EvaluationPolicy, ThompsonSampling, given_weights, q_network
 
 
 def values(policy, td):
@@ -63,6 +63,24 @@ def test_draws_stay_until_resampled(mode):
     assert not (values(policy, td)[legal] == first[legal]).any()
 
 
+@pytest.mark.parametrize("stack", [(), (3,)])
+def test_thompson_acts_as_the_policy_that_trains_whatever_the_exploration_type(stack):
+    actor, td = bayes_actor(stack), observations(*stack, 8)
+    policy = EvaluationPolicy(actor, mode="thompson")
+    torch.manual_seed(0)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        drawn = policy(td.clone())
+    torch.manual_seed(0)
+    trained = ThompsonSampling(actor)(td.clone())
+
+    assert torch.equal(drawn["action"], trained["action"])
+    assert torch.equal(drawn["action_value"], trained["action_value"])
+    assert not drawn["action_value"].requires_grad
+    legal = td["action_mask"]
+    assert not (values(policy, td)[legal] == drawn["action_value"][legal]).any()
+    assert all_legal(drawn)
+
+
 def test_the_mean_of_q_lies_above_q_at_the_mean():
     # at the prior the mean network is 0, and ReLU of noise is positive: with a positive bias of
     # the output weights' mean the average must be above it
@@ -79,7 +97,7 @@ def test_the_mean_of_q_lies_above_q_at_the_mean():
 
 def test_settings_that_make_no_policy_are_refused():
     actor = bayes_actor()
-    with pytest.raises(ValueError, match=r"mode must be one of \['mean', 'average', 'draw'\]"):
+    with pytest.raises(ValueError, match=r"mode must be one of \['mean', 'average', 'draw', 'th"):
         EvaluationPolicy(actor, mode="median")
     with pytest.raises(ValueError, match="num_draws must be at least 1, got 0"):
         EvaluationPolicy(actor, mode="average", num_draws=0)

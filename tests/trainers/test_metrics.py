@@ -58,13 +58,14 @@ def test_restoring_no_rows_removes_the_file(tmp_path):
     assert metrics.rows == []
 
 
-def test_numbers_that_are_not_finite_survive(tmp_path):
+def test_what_a_round_has_not_is_empty_and_survives(tmp_path):
     metrics = MetricsFile(tmp_path / "metrics.csv")
     metrics.append([{"round": 0, "replica": 0, "loss": math.nan, "kl": math.inf}])
 
     metrics.load_state_dict(metrics.state_dict())
 
-    assert metrics.path.read_text().splitlines()[1] == "0,0,nan,inf"
+    assert metrics.path.read_text().splitlines()[1] == "0,0,,inf"
+    assert math.isnan(metrics.rows[0]["loss"])
 
 
 def test_other_columns_are_refused_and_nothing_is_written(tmp_path):

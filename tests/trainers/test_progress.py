@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import math
 import multiprocessing
 import re
 import sys
@@ -62,3 +64,65 @@ def test_it_is_quiet_where_there_is_no_terminal(capsys):
         bar.close()
 
     assert capsys.readouterr().err == ""
+
+
+def test_the_bar_shows_the_last_evaluation_until_there_is_another(capsys):
+    bar = RoundProgress(3, visible=True)
+    for evaluated in (math.nan, 0.5, math.nan):
+        bar.update([row(0, eval_success_rate=evaluated)])
+    bar.close()
+
+    shown = capsys.readouterr().err.split("\r")
+    assert "eval=0.50" in shown[-1]
+    assert not any("nan" in text for text in shown)
+
+
+def lines(caplog, rounds: int, rows_of, **options) -> list[str]:
+    with caplog.at_level(logging.INFO, "bbq_torchrl"):
+        progress = RoundProgress(rounds, visible=False, **options)
+        for number in range(options.get("done", 0), rounds):
+            progress.update(rows_of(number))
+        progress.close()
+    return caplog.messages
+
+
+def test_a_short_training_without_a_bar_logs_every_round(caplog):
+    said = lines(
+        caplog,
+        3,
+        lambda number: [row(r, eval_success_rate=0.4 if number == 1 else math.nan) for r in (0, 1)],
+        name="a_run",
+    )
+    assert said == [
+        "a_run: round 1 of 3: success 0.50, reward -8.0, 2.0 s a round",
+        "a_run: round 2 of 3: success 0.50, evaluation 0.40, reward -8.0, 2.0 s a round",
+        "a_run: round 3 of 3: success 0.50, reward -8.0, 2.0 s a round",
+    ]
+
+
+def test_a_long_training_logs_at_most_forty_lines_with_means_of_the_rounds_between(caplog):
+    said = lines(
+        caplog,
+        82,
+        lambda number: [
+            row(
+                0, success_rate=(number % 3) / 2, eval_success_rate=0.2 if number == 3 else math.nan
+            )
+        ],
+    )
+    assert len(said) == 28  # after every third round, and after the last
+    # Rounds 1 to 3 have 0, .5 and 1; the evaluation of round 4 is in the line after round 6.
+    assert said[0].startswith("round 3 of 82: success 0.50, reward")
+    assert said[1].startswith("round 6 of 82: success 0.50, evaluation 0.20, reward")
+    assert said[-1].startswith("round 82 of 82: success 0.00")
+
+
+def test_a_resumed_training_logs_at_the_same_rounds(caplog):
+    said = lines(caplog, 82, lambda number: [row(0)], done=70)
+    assert [text.split(":")[0] for text in said] == [
+        "round 72 of 82",
+        "round 75 of 82",
+        "round 78 of 82",
+        "round 81 of 82",
+        "round 82 of 82",
+    ]

@@ -1,0 +1,154 @@
+"""When agents learned: rounds until a success rate is reached, and the area under the curve."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import median_low
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import integrate, stats
+
+from bbq_torchrl.evaluation.statistics import CONFIDENCE, Summary, summarise
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.evaluation.groups import Group
+
+__all__ = [
+    "LEVELS",
+    "WINDOW",
+    "Learning",
+    "Reach",
+    "areas",
+    "learning",
+    "reach",
+    "rounds_to_reach",
+]
+
+LEVELS = (0.5, 0.6, 0.7, 0.8)
+"""Success rates that are to be reached."""
+
+WINDOW = 5
+"""Rounds whose mean training success is to reach a level: 250 dialogues have an error of .03."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How long the seeds of a group took to a success rate.
+
+    Attributes:
+        level: the success rate.
+        rounds: of training until then, one value for each seed; infinite where it was not reached.
+        trained: rounds of training in all.
+    """
+
+    level: float
+    rounds: tuple[float, ...]
+    trained: int
+
+    @property
+    def reached(self) -> int:
+        """How many seeds reached it."""
+        return sum(map(math.isfinite, self.rounds))
+
+    @property
+    def median(self) -> float:
+        """The rounds after which half of the seeds had reached it; infinite if fewer did.
+
+        So a seed that did not reach it counts as one that takes longer than it was trained.
+        """
+        return median_low(self.rounds)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the median, from the order of the seeds alone; NaN below six seeds."""
+        found = stats.quantile_test(self.rounds, p=0.5).confidence_interval(CONFIDENCE)
+        return float(found.low), float(found.high)
+
+    def shown(self, rounds: float, unit: int = 1) -> str:
+        """Returns rounds as text, in units of so many dialogues: ``38``, or ``> 150``."""
+        if math.isinf(rounds):
+            return f"> {self.trained * unit:,}"
+        return f"{rounds * unit:,.0f}"
+
+
+@dataclass(frozen=True)
+class Learning:
+    """The learning curves of a group, summed up.
+
+    Attributes:
+        success_in: ``training``, with exploration, or ``evaluation``, without.
+        area: under the curve, see :func:`areas`.
+        reach: for each level.
+    """
+
+    success_in: str
+    area: Summary
+    reach: tuple[Reach, ...]
+
+
+def learning(group: Group) -> list[Learning]:
+    """Sums up the curve of training and, if there is one, that of evaluation while training."""
+    # The area under the training curve has a name of its own: it is the cumulative success.
+    found = [Learning("training", summarise(group.cumulative), reach(group.success))]
+    if (curve := group.evaluation) is not None:
+        found.append(Learning("evaluation", summarise(areas(curve)), reach(curve, window=1)))
+    return found
+
+
+def reach(
+    success: Any, levels: Sequence[float] = LEVELS, *, window: int = WINDOW
+) -> tuple[Reach, ...]:
+    """Returns for each level how long the seeds took; see :func:`rounds_to_reach`."""
+    return tuple(
+        Reach(level, tuple(rounds_to_reach(success, level, window).tolist()), len(success))
+        for level in levels
+    )
+
+
+def rounds_to_reach(success: Any, level: float, window: int = WINDOW) -> Any:
+    """The first round, counted from 1, after which the mean of the last rounds reaches a level.
+
+    Args:
+        success: success rates, shape [rounds, seeds]; NaN in rounds without.
+        level: the success rate to reach.
+        window: over how many rounds the mean is taken, none of them NaN.
+
+    Returns:
+        One value for each seed, shape [seeds]; infinite where the level is not reached.
+
+    Example:
+        >>> curve = np.array([[0.2], [0.4], [0.8], [0.6]])
+        >>> rounds_to_reach(curve, 0.6, window=2), rounds_to_reach(curve, 0.9, window=2)
+        (array([3.]), array([inf]))
+    """
+    success = np.asarray(success, dtype=float)
+    if len(success) < window:
+        return np.full(success.shape[1], np.inf)
+    means = np.lib.stride_tricks.sliding_window_view(success, window, axis=0).mean(-1)
+    # Rates of a few dialogues hit a level exactly, and must not miss it by rounding.
+    is_reached = means >= level - 1e-9
+    return np.where(is_reached.any(0), is_reached.argmax(0) + window, np.inf)
+
+
+def areas(curve: Any) -> list[float]:
+    """Area under each seed's curve between its first and last value, divided by their distance.
+
+    The mean height of the curve, its values joined by straight lines.
+
+    Args:
+        curve: success rates, shape [rounds, seeds]; NaN in rounds without, a value in at least one.
+
+    Example:
+        >>> areas(np.array([[0.0], [np.nan], [0.5], [0.5]]))
+        [0.3333333333333333]
+    """
+    found = []
+    for success in np.asarray(curve, dtype=float).T:
+        (rounds,) = np.isfinite(success).nonzero()
+        values, span = success[rounds], rounds[-1] - rounds[0]
+        found.append(float(integrate.trapezoid(values, rounds) / span if span else values[0]))
+    return found

@@ -1,0 +1,130 @@
+"""Groups compared by pairs: replicas that trained on the same dialogues, one minus the other.
+
+A replica of one agent and the replica of the same number in another agent's run of the same seed
+see the same spiked dialogues and, in every round, the same goals and the same noise of the
+simulator. So the luck that both share cancels out of their difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bbq_torchrl.evaluation.learning import areas
+from bbq_torchrl.evaluation.statistics import Summary, paired_differences, summarise
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bbq_torchrl.evaluation.groups import Group
+
+__all__ = ["Pairing", "pair", "pairings"]
+
+_OF_DIALOGUES = (
+    "env.",
+    "domain.",
+    "spike.dialogues",
+    "spike.policy",
+    "protocol.rounds",
+    "protocol.dialogues",
+)
+"""How keys begin that decide which dialogues are seen."""
+
+NO_PARTNER = (
+    "no replica has a partner (one of the same number in a run of the same seed, number of "
+    "replicas and device)"
+)
+"""The remark where all else fits."""
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """One group minus another, over replicas that trained on the same dialogues.
+
+    Attributes:
+        one: the one group.
+        other: the group that is subtracted.
+        pairs: how many replicas of the one have a partner in the other.
+        differences: of ``final_success``, ``training_success`` and, over the rounds in which both
+            were evaluated while training, ``evaluation_area``; empty if there are no pairs.
+        remark: why there are no pairs, or how many replicas have no partner; empty if all have one.
+    """
+
+    one: Group
+    other: Group
+    pairs: int = 0
+    differences: Mapping[str, Summary] = field(default_factory=dict)
+    remark: str = ""
+
+    @property
+    def label(self) -> str:
+        """Such as ``BBQN-MAP minus DQN``."""
+        return f"{self.one.label} minus {self.other.label}"
+
+
+def pairings(groups: Sequence[Group]) -> list[Pairing]:
+    """Compares each group with each that comes after it."""
+    return [pair(one, other) for number, one in enumerate(groups) for other in groups[number + 1 :]]
+
+
+def pair(one: Group, other: Group) -> Pairing:
+    """Compares two groups by pairs."""
+    if different := _different_dialogues(one, other):
+        return Pairing(one, other, remark=", ".join(different))
+    pairs = len({*one.members} & {*other.members})
+    if pairs == 0:
+        return Pairing(one, other, remark=NO_PARTNER)
+    differences = {
+        name: summarise(
+            paired_differences(
+                dict(zip(one.members, minuend, strict=True)),
+                dict(zip(other.members, subtrahend, strict=True)),
+            )
+        )
+        for name, (minuend, subtrahend) in _compared(one, other).items()
+    }
+    alone = [
+        f"{len(group.members) - pairs} of {len(group.members)} replicas of {group.label}"
+        for group in (one, other)
+        if len(group.members) > pairs
+    ]
+    return Pairing(one, other, pairs, differences, " and ".join(alone))
+
+
+def _different_dialogues(one: Group, other: Group) -> list[str]:
+    """Returns in which keys the dialogues of two groups differ: ``env.name differs (a, b)``.
+
+    A key that one of them lacks, being of another version, is not compared.
+    """
+    settings = [group.runs[0].setting for group in (one, other)]
+    different = {
+        key: (value, settings[1][key])
+        for key, value in settings[0].items()
+        if key.startswith(_OF_DIALOGUES) and settings[1].get(key, value) != value
+    }
+    # Two options of a group differ in many keys: the option says enough.
+    options = {key.partition(".")[0] for key in different if key.endswith(".name")}
+    return [
+        f"{key} differs ({values[0]}, {values[1]})"
+        for key, values in different.items()
+        if key.endswith(".name") or key.partition(".")[0] not in options
+    ]
+
+
+def _compared(one: Group, other: Group) -> dict[str, tuple[Sequence[float], Sequence[float]]]:
+    """Returns each quantity of both groups, a value for each seed."""
+    quantities: dict[str, tuple[Sequence[float], Sequence[float]]] = {
+        "final_success": (one.final, other.final),
+        "training_success": (one.cumulative, other.cumulative),
+    }
+    first, second = one.evaluation, other.evaluation
+    if first is not None and second is not None:
+        in_both = np.isfinite(first[:, :1]) & np.isfinite(second[:, :1])
+        if in_both.any():
+            quantities["evaluation_area"] = (
+                areas(np.where(in_both, first, np.nan)),
+                areas(np.where(in_both, second, np.nan)),
+            )
+    return quantities

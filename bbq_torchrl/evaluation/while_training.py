@@ -1,0 +1,71 @@
+"""Evaluating an agent while it is trained."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.evaluation.play import evaluate
+from bbq_torchrl.trainers import BestWeights, derive_seed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tensordict.nn import TensorDictModuleBase
+
+    from bbq_torchrl.envs import DialogueEnv
+
+__all__ = ["RoundEvaluator"]
+
+_COLUMNS = ("eval_success_rate", "eval_reward", "eval_turns")
+
+
+class RoundEvaluator:
+    """Plays the reported policy, without exploration, at the end of every few rounds.
+
+    The dialogues are of an environment and a seed of their own, one for each round, so that the
+    training does not notice, and two agents of one seed meet the same users. The domain is in the
+    state of the round.
+
+    Args:
+        env: batch size [replicas, places], not the training's.
+        policy: returns the policy, sharing the weights that are trained; called for each
+            evaluation, so that draws of weights are new ones.
+        every: rounds between two evaluations: the first is at the end of round ``every - 1``.
+        dialogues: of an evaluation, for each replica.
+        seed: the run's.
+
+    Attributes:
+        best: each replica's weights at its best evaluation. Where the domain has grown, what was
+            before does not count any more.
+    """
+
+    def __init__(
+        self,
+        env: DialogueEnv,
+        policy: Callable[[], TensorDictModuleBase],
+        *,
+        every: int,
+        dialogues: int,
+        seed: int,
+    ) -> None:
+        self.env = env
+        self.policy = policy
+        self.every = every
+        self.dialogues = dialogues
+        self.seed = seed
+        self.best = BestWeights(policy(), env.batch_size[0])
+
+    def __call__(self, round_number: int) -> list[dict[str, float]]:
+        """Returns each replica's mean outcomes; NaN in a round without an evaluation."""
+        if (round_number + 1) % self.every:
+            return [dict.fromkeys(_COLUMNS, math.nan) for _ in range(self.env.batch_size[0])]
+        self.env.set_round(round_number)
+        seed = derive_seed(self.seed, "evaluate while training", round_number)
+        played = evaluate(self.env, self.policy(), self.dialogues, seed=seed)
+        means = [outcome.double().mean(-1) for outcome in played]
+        schedule = self.env.schedule
+        since = 0 if schedule is None else schedule.last_addition(self.env.domain, round_number)
+        self.best.update(round_number, means[0], since=since)
+        columns = zip(*(mean.tolist() for mean in means), strict=True)
+        return [dict(zip(_COLUMNS, values, strict=True)) for values in columns]

@@ -1,0 +1,100 @@
+"""How long a user waits for an agent that books tickets, in seconds of one core."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+from statistics import median_low
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from bbq_torchrl.build import build_trainer
+from bbq_torchrl.config.store import compose
+from benchmarks.parts import processes
+from benchmarks.parts.learning import AGENTS
+from benchmarks.parts.rows import Row
+from benchmarks.parts.timing import CLOCKS, Timer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from benchmarks.parts.sizes import Sizes
+
+LEVEL = 0.6
+"""Success rate that an evaluation while training is to reach."""
+
+SECONDS = 60
+"""What it may take at most."""
+
+
+class Learned(NamedTuple):
+    """How one training went.
+
+    Attributes:
+        seconds: of processor time until the level was reached, or until training ended.
+        is_reached: whether it was.
+        rounds: of training until then.
+    """
+
+    seconds: float
+    is_reached: bool
+    rounds: int
+
+
+def time_to_learn(sizes: Sizes, _: Timer) -> list[Row]:
+    """Processor time of ``protocol=quick`` until evaluation success, whatever the clock asked for.
+
+    From the start of the process: imports, spiking, rounds, evaluations and checkpoints.
+    """
+    start = processes.python("-c", "import bbq_torchrl.run").cpu
+    rows = []
+    for name in ("bbqn-map", "dqn"):
+        overrides = (*AGENTS[name], "protocol=quick", *sizes.overrides, *sizes.learning_overrides)
+        learned = [train([*overrides, f"seed={seed}"]) for seed in range(sizes.learning_seeds)]
+        rows.append(_row(name, learned, start))
+    return rows
+
+
+def train(overrides: Sequence[str]) -> Learned:
+    """Trains one replica until it reaches the level, or to the end."""
+    now = CLOCKS["cpu"]
+    started = now()
+    with tempfile.TemporaryDirectory() as folder:
+        config = compose(overrides)
+        trainer, _ = build_trainer(config, Path(folder) / "run")
+        trainer.begin()
+        return until(trainer.train_round, config.protocol.rounds, now, started)
+
+
+def until(
+    train_round: Callable[[], Sequence[dict[str, Any]]],
+    rounds: int,
+    now: Callable[[], float],
+    started: float,
+) -> Learned:
+    """Trains rounds until the evaluation of one reaches the level, at most so many."""
+    for done in range(1, rounds + 1):
+        (row,) = train_round()
+        # NaN, in a round without an evaluation, is not above anything.
+        if row["eval_success_rate"] >= LEVEL:
+            return Learned(now() - started, True, done)
+    return Learned(now() - started, False, rounds)
+
+
+def _row(name: str, learned: Sequence[Learned], start: float) -> Row:
+    """Returns the median; of seeds that did not reach the level it is only known what they took."""
+    reached = sum(item.is_reached for item in learned)
+    median = median_low(item.seconds if item.is_reached else math.inf for item in learned)
+    is_bound = math.isinf(median)
+    if is_bound:
+        median = median_low(item.seconds for item in learned)
+    return Row(
+        "time_to_learn",
+        f"{name}, protocol=quick: processor time until evaluation success {LEVEL}, median of seeds",
+        "s",
+        start + median,
+        SECONDS,
+        is_bound=is_bound,
+        remark=f"{reached} of {len(learned)} reached it within {max(i.rounds for i in learned)} "
+        "rounds",
+    )

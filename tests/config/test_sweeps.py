@@ -1,0 +1,59 @@
+"""The table at the end of a sweep."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+
+from bbq_torchrl.config.sweeps import table_of_runs
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def make_run(folder: Path, overrides: list[str], result: str | None = None) -> None:
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
+    if result is not None:
+        (folder / "result.json").write_text(result)
+
+
+def cells(line: str) -> list[str]:
+    return [cell for cell in line.split("  ") if cell]
+
+
+def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
+    done = json.dumps({"success_rate": 0.71234})
+    make_run(tmp_path / "10_dqn", ["agent=dqn", "seed=1", "replicas=2"], done)
+    make_run(tmp_path / "2_bbqn", ["agent=bbqn", "seed=1", "replicas=2"])
+    make_run(tmp_path / "0_dqn", ["agent=dqn", "seed=0", "replicas=2"], "{}")
+
+    title, head, *rows = table_of_runs(tmp_path, jobs=5).splitlines()
+
+    assert title == f"1 of 5 runs in {tmp_path} are finished"
+    assert [cell.strip() for cell in cells(head)] == ["run", "overrides", "final success", "state"]
+    assert [[cell.strip() for cell in cells(row)] for row in rows] == [
+        ["0_dqn", "agent=dqn seed=0", "–", "result.json is damaged"],
+        ["2_bbqn", "agent=bbqn seed=1", "–", "not finished: train.log in it says why"],
+        ["10_dqn", "agent=dqn seed=1", "0.712", "finished"],
+        ["–", "–", "2 never started"],
+    ]
+    assert {row.index("agent") for row in rows[:3]} == {head.index("overrides")}
+
+
+@pytest.mark.parametrize("overrides", [["agent=dqn"], []])
+def test_a_single_run_shows_all_its_overrides(tmp_path, overrides):
+    make_run(tmp_path / "0", overrides, json.dumps({"success_rate": 0.5}))
+    title, _, row = table_of_runs(tmp_path, jobs=0).splitlines()
+    assert title.startswith("1 of 1 runs")
+    assert " ".join(overrides) in row
+    assert row.endswith("0.500          finished")
+
+
+def test_a_sweep_of_which_nothing_started_has_a_table_too(tmp_path):
+    title, _, row = table_of_runs(tmp_path, jobs=3).splitlines()
+    assert title.startswith("0 of 3 runs")
+    assert row.endswith("3 never started")

@@ -1,0 +1,199 @@
+"""When agents reached a success rate, and the area under their curves."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from result_folders import make_run
+from scipy import integrate, stats
+
+from bbq_torchrl.evaluation import areas, rounds_to_reach
+from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.evaluation.learning import Reach, learning
+from bbq_torchrl.evaluation.report import main
+from bbq_torchrl.evaluation.tables import learning_table
+
+curves = arrays(float, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(0, 1))
+INF = math.inf
+
+
+@given(curves, st.floats(0, 1), st.integers(1, 6))
+def test_a_level_is_reached_in_the_first_round_whose_last_rounds_mean_it(success, level, window):
+    found = rounds_to_reach(success, level, window)
+    for seed, rounds in enumerate(found):
+        means = {
+            end: math.fsum(success[end - window : end, seed]) / window
+            for end in range(window, len(success) + 1)
+        }
+        reached = [end for end, mean in means.items() if mean >= level - 1e-9]
+        assert rounds == (reached[0] if reached else INF)
+
+
+@given(curves, st.floats(0, 1), st.floats(0, 1))
+def test_a_higher_level_takes_no_fewer_rounds(success, one, other):
+    low, high = sorted((one, other))
+    assert (rounds_to_reach(success, low) <= rounds_to_reach(success, high)).all()
+
+
+def test_a_rate_that_hits_the_level_reaches_it_in_spite_of_rounding():
+    # Five rounds of 50 dialogues: 150 successes of 250 are .6, though not in floating point.
+    success = np.array([[0.86], [0.52], [0.34], [0.96], [0.32]])
+    assert success.mean() < 0.6
+    assert rounds_to_reach(success, 0.6).tolist() == [5]
+
+
+def test_fewer_rounds_than_the_mean_is_taken_of_reach_nothing():
+    assert rounds_to_reach(np.ones((4, 2)), 0.5).tolist() == [INF, INF]
+
+
+def test_rounds_without_an_evaluation_reach_nothing():
+    nan = math.nan
+    success = np.array([[nan, nan], [0.7, 0.2], [nan, nan], [0.5, 0.6]])
+    assert rounds_to_reach(success, 0.6, window=1).tolist() == [2, 4]
+
+
+@pytest.mark.parametrize(
+    ("rounds", "median", "reached"),
+    [
+        ([7.0], 7, 1),
+        ([30.0, 10, 20], 20, 3),
+        ([10.0, 20, INF, INF], 20, 2),
+        ([10.0, INF, INF], INF, 1),
+        ([INF, INF], INF, 0),
+    ],
+)
+def test_the_median_is_when_half_of_the_seeds_had_reached_it(rounds, median, reached):
+    found = Reach(0.6, tuple(rounds), trained=50)
+    assert (found.median, found.reached) == (median, reached)
+    # Kaplan and Meier's median: where at most half have not reached it.
+    data = stats.CensoredData.right_censored(np.minimum(rounds, 50), np.isinf(rounds))
+    survival = stats.ecdf(data).sf
+    done = survival.quantiles[survival.probabilities <= 0.5]
+    assert found.median == (done[0] if median < INF else INF)
+
+
+@pytest.mark.parametrize("seeds", [5, 6, 10, 17])
+def test_the_medians_interval_is_between_seeds_by_the_binomial_distribution(seeds):
+    rounds = np.random.default_rng(seeds).permutation(seeds) + 1.0
+    low, high = Reach(0.6, tuple(rounds.tolist()), trained=50).interval
+    if seeds < 6:
+        assert math.isnan(low)
+        assert math.isnan(high)
+        return
+    # Between the k-th smallest and k-th largest: k is the largest whose error is at most 5 %.
+    k = max(k for k in range(1, seeds) if 2 * stats.binom.cdf(k - 1, seeds, 0.5) <= 0.05)
+    assert (low, high) == (k, seeds + 1 - k)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [6, 10])
+def test_the_medians_interval_holds_it_at_least_as_often_as_it_says(seeds):
+    generator, repeats, hits = np.random.default_rng(7), 1000, 0
+    for _ in range(repeats):
+        rounds = np.ceil(generator.exponential(40, seeds)) + 5
+        rounds[rounds > 60] = INF
+        low, high = Reach(0.6, tuple(rounds.tolist()), trained=60).interval
+        # The median of the exponential distribution, up to the next whole round.
+        hits += low <= math.ceil(40 * math.log(2)) + 5 <= high
+    # Four standard errors of a share of 1000 around .95.
+    assert hits / repeats > 0.95 - 0.028
+
+
+@given(curves)
+def test_area_of_a_whole_curve_is_the_integral_over_its_length(curve):
+    found = areas(curve)
+    rounds, seeds = curve.shape
+    assert len(found) == seeds
+    expected = integrate.trapezoid(curve, axis=0) / (rounds - 1) if rounds > 1 else curve[0]
+    assert found == pytest.approx(expected.tolist())
+
+
+@given(curves, st.data())
+def test_area_of_a_straight_line_needs_not_every_round(curve, data):
+    rounds, seeds = curve.shape
+    line = np.linspace(0.1, 0.9, rounds)[:, None].repeat(seeds, 1)
+    inner = data.draw(st.sets(st.integers(1, rounds)))
+    line[[number for number in inner if number < rounds - 1]] = np.nan
+    assert areas(line) == pytest.approx([line[[0, -1], 0].mean()] * seeds)
+
+
+def test_area_is_weighed_by_the_rounds_between_evaluations():
+    nan = math.nan
+    # From 0 to .8 in one round, then .8 for three: (.4 + 3 * .8) / 4.
+    curve = np.array([[nan], [0.0], [0.8], [nan], [nan], [0.8], [nan]])
+    assert areas(curve) == pytest.approx([0.7])
+
+
+def test_runs_without_evaluation_have_the_training_curve_alone(tmp_path):
+    (group,) = read_groups([make_run(tmp_path / "run", [0.8, 1.0, 0.9], rounds=6)])
+    (training,) = learning(group)
+    assert training.success_in == "training"
+    assert training.area.t.value == pytest.approx(0.45)
+    assert [item.rounds for item in training.reach] == [(INF, 5, INF), *[(INF,) * 3] * 3]
+
+
+def test_evaluation_while_training_has_a_row_of_its_own(tmp_path):
+    folder = make_run(tmp_path / "run", [0.8, 0.9], rounds=6, eval_every=2)
+    (group,) = read_groups([folder])
+    _, evaluation = learning(group)
+    # Evaluated after rounds 2, 4 and 6: .4, .6, .8 and .5, .7, .9.
+    assert evaluation.success_in == "evaluation"
+    assert evaluation.area.t.value == pytest.approx(0.65)
+    assert [item.rounds for item in evaluation.reach] == [(4, 2), (4, 4), (6, 4), (6, 6)]
+    _, training, row = learning_table([group]).splitlines()[1:]
+    assert training.startswith("| BBQN-MAP | training | 0.425 |")
+    assert training.endswith("| not reached | not reached | not reached | not reached |")
+    assert row.endswith("| 2 (100) | 4 (200) | 4 (200) | 6 (300) |")
+
+
+def test_seeds_evaluated_in_different_rounds_have_those_in_common(tmp_path):
+    runs = [
+        make_run(tmp_path / "0", [0.8], rounds=6, eval_every=2),
+        make_run(tmp_path / "1", [0.9], rounds=6, eval_every=3, seed=1),
+    ]
+    (group,) = read_groups(runs)
+    assert np.isfinite(group.evaluation).tolist() == [[False, False]] * 5 + [[True, True]]
+    (group,) = read_groups([*runs, make_run(tmp_path / "2", [0.9], rounds=6, seed=2)])
+    assert group.evaluation is None
+
+
+def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(tmp_path, capsys):
+    make_run(tmp_path / "runs" / "a", [0.8, 0.9], rounds=8, eval_every=2)
+    dqn = {"agent": "dqn", "explore": "epsilon_greedy", "rounds": 8}
+    make_run(tmp_path / "runs" / "b", [0.7, 0.7], eval_every=4, **dqn)
+    make_run(tmp_path / "runs" / "c", [0.7, 0.7], dropout=0.0, **dqn)
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    rows = [line for line in lines if line.startswith("| ") and " minus " in line]
+    assert "| +0.150 |" in rows[0]
+    assert [row.endswith("| – | – |") for row in rows] == [False, True, True]
+    with (tmp_path / "report" / "pairs.csv").open(newline="") as stream:
+        found = [line["evaluation_area_mean"] for line in csv.DictReader(stream)]
+    # Rounds 4 and 8 alone: .4 and .8, .5 and .9 against .3 and .7, twice.
+    assert float(found[0]) == pytest.approx(0.15)
+    assert found[1:] == ["", ""]
+
+
+def test_learning_csv_holds_the_table_and_leaves_empty_what_was_not_reached(tmp_path):
+    seeds = [0.8, 1.0, 1.0, 1.0, 1.0, 1.0]
+    make_run(tmp_path / "run", seeds, rounds=8, eval_every=4)
+    assert main([str(tmp_path / "run"), "--out", str(tmp_path / "report")]) == 0
+    with (tmp_path / "report" / "learning.csv").open(newline="") as stream:
+        training, evaluation = csv.DictReader(stream)
+    assert (training["success_in"], evaluation["success_in"]) == ("training", "evaluation")
+    assert (training["seeds"], training["rounds"], training["reached_0.5"]) == ("6", "8", "5")
+    assert float(training["rounds_0.5"]) == 5
+    assert float(training["dialogues_0.5"]) == 250
+    assert float(training["rounds_0.5_low"]) == 5
+    assert training["rounds_0.5_high"] == ""
+    assert (training["reached_0.6"], training["rounds_0.6"]) == ("0", "")
+    assert training["dialogues_0.6"] == ""
+    assert (evaluation["reached_0.8"], float(evaluation["rounds_0.8"])) == ("6", 8)
+    text = (tmp_path / "report" / "report.md").read_text()
+    assert "| 5 [5, > 8] (250), 5 of 6 | not reached |" in text

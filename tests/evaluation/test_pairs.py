@@ -1,0 +1,262 @@
+"""Replicas that trained on the same dialogues are compared by pairs, and no others."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import pytest
+import torch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from result_folders import make_run
+from scipy import stats
+
+from bbq_torchrl.build import build_trainer
+from bbq_torchrl.config.store import compose
+from bbq_torchrl.evaluation import estimate, paired_differences, summarise
+from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.evaluation.pairs import NO_PARTNER, pair, pairings
+from bbq_torchrl.evaluation.report import main
+from bbq_torchrl.evaluation.tables import pairs_table
+
+GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
+BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
+DQN = {"agent": "dqn", "explore": "epsilon_greedy"}
+
+rates = st.floats(0, 1, width=32)
+agents = st.dictionaries(st.integers(0, 30), st.tuples(rates, rates), min_size=2, max_size=12)
+
+
+def compared(*folders):
+    """The one pairing of the two groups that the folders make."""
+    (found,) = pairings(read_groups(folders))
+    return found
+
+
+# ---------------------------------------------------------------- statistics
+
+
+def test_t_interval_of_differences_is_the_one_computed_by_hand():
+    # Differences .1, .2, .3: mean .2, standard deviation .1, t(.975, 2) = 4.3027.
+    differences = paired_differences({0: 0.5, 1: 0.7, 2: 0.9}, {0: 0.4, 1: 0.5, 2: 0.6})
+    assert differences == pytest.approx([0.1, 0.2, 0.3])
+    found = estimate(differences, method="t")
+    half = 4.302652729911275 * 0.1 / math.sqrt(3)
+    assert (found.value, found.low, found.high) == pytest.approx((0.2, 0.2 - half, 0.2 + half))
+
+
+@given(agents)
+def test_t_interval_of_differences_is_that_of_scipys_paired_test(both):
+    one, other = ({key: pair[side] for key, pair in both.items()} for side in (0, 1))
+    found = estimate(paired_differences(one, other), method="t")
+    columns = (list(one.values()), list(other.values()))
+    # Without spread SciPy's test is undefined.
+    assume(len({a - b for a, b in zip(*columns, strict=True)}) > 1)
+    expected = stats.ttest_rel(*columns).confidence_interval()
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(agents)
+def test_swapping_the_agents_turns_the_signs(both):
+    one, other = ({key: pair[side] for key, pair in both.items()} for side in (0, 1))
+    there = summarise(paired_differences(one, other))
+    back = summarise(paired_differences(other, one))
+    for name in ("t", "bootstrap", "iqm"):
+        found, mirrored = getattr(there, name), getattr(back, name)
+        assert found.value == pytest.approx(-mirrored.value, abs=1e-12)
+        assert (found.low, found.high) == pytest.approx(
+            (-mirrored.high, -mirrored.low), abs=1e-9, nan_ok=True
+        )
+
+
+@settings(max_examples=25, deadline=None)
+@given(agents, st.randoms(use_true_random=False))
+def test_the_order_of_the_pairs_does_not_matter(both, random):
+    shuffled = list(both)
+    random.shuffle(shuffled)
+    in_order, mixed = (
+        summarise(
+            paired_differences(
+                {k: both[k][0] for k in keys}, {k: both[k][1] for k in reversed(keys)}
+            )
+        )
+        for keys in (list(both), shuffled)
+    )
+    assert repr(in_order) == repr(mixed)
+
+
+@given(agents, st.dictionaries(st.integers(0, 30), rates))
+def test_what_a_pair_has_in_common_cancels_out(both, luck):
+    def lucky(side):
+        return {key: pair[side] + luck.get(key, 0) for key, pair in both.items()}
+
+    plain = [a - b for _, (a, b) in sorted(both.items())]
+    assert paired_differences(lucky(0), lucky(1)) == pytest.approx(plain, abs=1e-9)
+
+
+@given(agents, st.sets(st.integers(0, 30)))
+def test_only_what_has_a_partner_counts(both, missing):
+    one = {key: pair[0] for key, pair in both.items()}
+    other = {key: pair[1] for key, pair in both.items() if key not in missing}
+    assert paired_differences(one, other) == [one[key] - other[key] for key in sorted(other)]
+
+
+@pytest.mark.slow
+def test_intervals_of_ten_pairs_hold_the_difference_as_often_as_they_say():
+    generator, repeats, hits = torch.Generator().manual_seed(3), 1000, {"t": 0, "bootstrap": 0}
+    for _ in range(repeats):
+        luck = torch.randn(10, generator=generator)
+        one, other = luck + 0.1 * torch.randn(2, 10, generator=generator)
+        differences = paired_differences(
+            dict(enumerate((one + 0.5).tolist())), dict(enumerate(other.tolist()))
+        )
+        for method in hits:
+            found = estimate(differences, method=method)
+            hits[method] += found.low <= 0.5 <= found.high
+    # Four standard errors of a share of 1000: .028 around .95, .038 around .9.
+    assert abs(hits["t"] / repeats - 0.95) < 0.028
+    assert abs(hits["bootstrap"] / repeats - 0.90) < 0.038
+
+
+# ---------------------------------------------------------------- which replicas are pairs
+
+
+@pytest.mark.parametrize("other", ["agent=dqn", "agent=bbqn agent.prior_std=.2"])
+def test_the_same_replica_of_two_agents_sees_the_same_dialogues(tmp_path, other):
+    small = ["replicas=2", "protocol.dialogues=6", "spike.dialogues=6", "agent.hidden=[8]"]
+    trainers = []
+    for number, overrides in enumerate((["agent=bbqn"], other.split())):
+        trainer, _ = build_trainer(compose([*overrides, *small]), tmp_path / str(number))
+        trainer.progress = False
+        trainer.begin()
+        trainers.append(trainer)
+    for mine, theirs in zip(*(trainer.replay.buffers for trainer in trainers), strict=True):
+        assert torch.equal(mine[:]["observation"], theirs[:]["observation"])
+        assert torch.equal(mine[:]["action"], theirs[:]["action"])
+    goals = []
+    for trainer in trainers:
+        trainer._collect(0)
+        goals.append(trainer.env.dialogues["goal_id"])
+    assert torch.equal(*goals)
+
+
+def test_replicas_of_a_seed_are_paired_by_number_whatever_the_folders_order(tmp_path):
+    folders = [
+        make_run(tmp_path / "a1", [0.5, 0.9], seed=1),
+        make_run(tmp_path / "b0", [0.1, 0.2], seed=0, **DQN),
+        make_run(tmp_path / "a0", [0.3, 0.6], seed=0),
+        make_run(tmp_path / "b1", [0.4, 0.7], seed=1, **DQN),
+    ]
+    found = compared(*folders)
+    assert (found.label, found.pairs, found.remark) == ("BBQN-MAP minus DQN", 4, "")
+    expected = [0.3 - 0.1, 0.6 - 0.2, 0.5 - 0.4, 0.9 - 0.7]
+    assert found.differences["final_success"] == summarise(pytest.approx(expected).expected)
+    half = [value / 2 for value in expected]
+    assert found.differences["training_success"].t.value == pytest.approx(sum(half) / 4)
+    assert "evaluation_area" not in found.differences
+    again = compared(folders[3], *folders[:3])
+    assert again.label == "DQN minus BBQN-MAP"
+    assert again.differences["final_success"].t.value == pytest.approx(-sum(expected) / 4)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"env.name": "domain_ext", "env.start": 40}, "env.name differs (full, domain_ext)"),
+        ({"env.max_turn": 20}, "env.max_turn differs (40, 20)"),
+        ({"domain.name": "miulab"}, "domain.name differs (movie, miulab)"),
+        ({"spike.dialogues": 50}, "spike.dialogues differs (100, 50)"),
+    ],
+)
+def test_other_dialogues_are_not_paired_and_the_report_says_why(tmp_path, change, reason):
+    found = compared(
+        make_run(tmp_path / "a", GOOD), make_run(tmp_path / "b", BAD, changes=change, **DQN)
+    )
+    assert (found.pairs, found.differences, found.remark) == (0, {}, reason)
+    assert pairs_table([found]).startswith(f"Not compared by pairs, since {reason}: BBQN-MAP, ")
+
+
+def test_trainings_of_other_lengths_are_not_paired(tmp_path):
+    found = compared(make_run(tmp_path / "a", GOOD), make_run(tmp_path / "b", BAD, rounds=4, **DQN))
+    assert found.remark == "protocol.rounds differs (3, 4)"
+
+
+@pytest.mark.parametrize(
+    "change", [{"seed": 1}, {"changes": {"replicas": 8}}, {"changes": {"device": "cuda:0"}}]
+)
+def test_replicas_with_other_random_numbers_are_not_paired(tmp_path, change):
+    found = compared(make_run(tmp_path / "a", GOOD), make_run(tmp_path / "b", BAD, **DQN, **change))
+    assert (found.pairs, found.remark) == (0, NO_PARTNER)
+
+
+@pytest.mark.parametrize("change", [{"spike.protect": False}, {"protocol.batch_size": 128}])
+def test_learning_in_another_way_from_the_same_dialogues_is_paired_and_named(tmp_path, change):
+    found = compared(
+        make_run(tmp_path / "a", GOOD), make_run(tmp_path / "b", BAD, changes=change, **DQN)
+    )
+    ((key, value),) = change.items()
+    assert found.pairs == 5
+    assert found.label.endswith(f"DQN, {key}={value}")
+    assert f"BBQN-MAP, {key}=" in found.label
+
+
+def test_replicas_with_values_of_their_own_are_not_paired_with_each_other(tmp_path):
+    values = [{"agent.prior_std": std} for std in (0.05, 0.2)]
+    run = make_run(tmp_path / "both", [0.5, 0.6], values=values, prior_std=[0.05, 0.2])
+    small, large, dqn = read_groups([run, make_run(tmp_path / "dqn", [0.25, 0.5], **DQN)])
+    assert pair(small, large).remark == NO_PARTNER
+    assert pair(small, dqn).differences["final_success"].t.value == pytest.approx(0.25)
+    found = pair(large, dqn)
+    assert found.differences["final_success"].t.value == pytest.approx(0.1)
+    assert found.remark == "1 of 2 replicas of DQN"
+
+
+def test_seeds_without_a_partner_are_left_out_and_named(tmp_path):
+    found = compared(
+        make_run(tmp_path / "a0", GOOD, seed=0),
+        make_run(tmp_path / "a1", GOOD, seed=1),
+        make_run(tmp_path / "b", BAD, seed=1, **DQN),
+    )
+    assert (found.pairs, found.remark) == (5, "5 of 10 replicas of BBQN-MAP")
+    assert pairs_table([found]).endswith(
+        "BBQN-MAP minus DQN: without 5 of 10 replicas of BBQN-MAP."
+    )
+
+
+# ---------------------------------------------------------------- the report
+
+
+def test_the_report_has_the_differences(tmp_path, capsys):
+    make_run(tmp_path / "runs" / "bbqn", GOOD)
+    make_run(tmp_path / "runs" / "dqn", BAD, **DQN)
+    make_run(tmp_path / "runs" / "longer", BAD, rounds=4, **DQN)
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
+    printed = capsys.readouterr().out
+    differences = [a - b for a, b in zip(GOOD, BAD, strict=True)]
+    interval = stats.ttest_rel(GOOD, BAD).confidence_interval()
+    row = next(line for line in printed.splitlines() if "BBQN-MAP, protocol.rounds=3 minus" in line)
+    final = estimate(differences)
+    assert f"| 5 | {final:+.3f} | [{interval.low:+.3f}, {interval.high:+.3f}] |" in row
+    reason = "Not compared by pairs, since protocol.rounds differs (3, 4): "
+    (sentence,) = (line for line in printed.splitlines() if line.startswith(reason))
+    assert sentence.count("; ") == 1
+
+    with (tmp_path / "report" / "pairs.csv").open(newline="") as stream:
+        first, second, third = csv.DictReader(stream)
+    assert (first["pairs"], first["remark"]) == ("5", "")
+    assert float(first["final_success_mean"]) == pytest.approx(0.25)
+    assert float(first["final_success_t_low"]) == pytest.approx(interval.low)
+    assert float(first["final_success_bootstrap_high"]) == final.high
+    assert float(first["training_success_mean"]) == pytest.approx(0.125)
+    for row in (second, third):
+        assert (row["pairs"], row["final_success_mean"]) == ("0", "")
+        assert row["remark"].startswith("protocol.rounds differs")
+
+
+def test_a_single_group_has_no_pairs(tmp_path, capsys):
+    make_run(tmp_path / "runs" / "bbqn", GOOD)
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
+    assert "pairs" not in capsys.readouterr().out
+    assert not (tmp_path / "report" / "pairs.csv").exists()

@@ -1,0 +1,95 @@
+"""An evaluator in the round trainer, and the best weights that it keeps."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+import torch
+from torch import nn
+from trainer_parts import make_trainer
+
+from bbq_torchrl.trainers import BestWeights
+
+RATES = [(0.1, 0.5, 0.0), (0.6, 0.2, 0.0), (0.6, 0.1, 0.0)]
+RATES += [(0.3, 0.5, 0.0), (0.2, 0.7, 0.0), (0.5, 0.0, 0.0)]
+
+
+def weight_of(trainer) -> torch.Tensor:
+    return next(iter(trainer.policy.parameters())).detach().clone()
+
+
+def test_each_replica_keeps_the_weights_of_its_own_best_round(tmp_path):
+    weights = []
+    trainer = make_trainer(
+        tmp_path, rates=RATES, callbacks=[lambda trainer, _: weights.append(weight_of(trainer))]
+    )
+    trainer.train()
+
+    best = trainer.evaluator.best
+    # The first of equals stays; a replica that never succeeds keeps what was evaluated first.
+    assert best.round.tolist() == [1, 4, 0]
+    assert best.success_rate.tolist() == pytest.approx([0.6, 0.7, 0.0])
+    best.put_back()
+    now = weight_of(trainer)
+    for replica, number in enumerate((1, 4, 0)):
+        assert torch.equal(now[replica], weights[number][replica])
+        assert not torch.equal(now[replica], weights[5][replica])
+
+
+def test_a_resumed_training_knows_the_best_of_the_rounds_before(tmp_path):
+    whole = make_trainer(tmp_path / "whole", rates=RATES)
+    whole.train()
+    make_trainer(tmp_path / "parts", rates=RATES, rounds=3).train()
+    resumed = make_trainer(tmp_path / "parts", rates=RATES)
+    resumed.train(resume=True)
+
+    assert resumed.evaluator.best.round.tolist() == whole.evaluator.best.round.tolist()
+    for trainer in (whole, resumed):
+        trainer.evaluator.best.put_back()
+    assert torch.equal(weight_of(whole), weight_of(resumed))
+
+
+def test_what_an_evaluator_returns_are_columns_and_the_rest_is_as_without(tmp_path):
+    with_it = make_trainer(tmp_path / "with", rates=RATES)
+    without = make_trainer(tmp_path / "without")
+    for ours, theirs in zip(with_it.train(), without.train(), strict=True):
+        assert ours["eval_success_rate"] == RATES[ours["round"]][ours["replica"]]
+        assert ours.keys() - theirs.keys() == {"eval_success_rate", "seconds_eval"}
+        assert all(ours[name] == theirs[name] for name in theirs if "seconds" not in name)
+    assert torch.equal(weight_of(with_it), weight_of(without))
+
+
+def test_a_round_without_an_evaluation_is_empty_and_not_logged(tmp_path):
+    rates = [(float("nan"),) * 3, (0.5, 0.25, 0.75)]
+    logged = []
+
+    class Logger:
+        def log_scalar(self, name, value, step):
+            logged.append((name, step))
+
+    trainer = make_trainer(tmp_path, rates=rates, rounds=2, loggers=[Logger()])
+    trainer.train()
+
+    with (tmp_path / "metrics.csv").open() as file:
+        column = [row["eval_success_rate"] for row in csv.DictReader(file)]
+    assert column == ["", "", "", "0.5", "0.25", "0.75"]
+    assert [step for name, step in logged if name.startswith("eval_")] == [1, 1, 1]
+
+
+def test_there_are_no_best_weights_before_an_evaluation():
+    best = BestWeights(nn.Linear(2, 2), replicas=2)
+    with pytest.raises(ValueError, match="no best weights before the first evaluation"):
+        best.put_back()
+
+
+def test_a_best_from_before_a_given_round_does_not_count():
+    policy = nn.Module()
+    policy.weight = nn.Parameter(torch.zeros(2, 3))
+    best = BestWeights(policy, replicas=2)
+    best.update(0, torch.tensor([0.9, 0.9]))
+    nn.init.ones_(policy.weight)
+    best.update(3, torch.tensor([0.1, 0.95]), since=2)
+    best.update(4, torch.tensor([0.05, 0.5]), since=2)
+    assert best.round.tolist() == [3, 3]
+    assert best.success_rate.tolist() == pytest.approx([0.1, 0.95])
