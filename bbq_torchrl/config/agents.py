@@ -84,11 +84,11 @@ class BBQNConfig(AgentConfig):
 
 @dataclass
 class DQNConfig(AgentConfig):
-    """Deep Q-network with dropout."""
+    """Deep Q-network, with or without dropout."""
 
     name: str = option("dqn")
     dropout: float = setting(
-        0.5,
+        0.0,
         BELOW_ONE,
         "probability of dropping a hidden unit in the prediction",
     )

@@ -51,7 +51,7 @@ class EpsilonGreedyConfig(ExploreConfig):
     """With probability epsilon a uniformly random legal action, else the greedy one."""
 
     name: str = option("epsilon_greedy")
-    eps_init: Values = setting(0.1, per_replica(PROBABILITY), "epsilon in the first round")
+    eps_init: Values = setting(0.04, per_replica(PROBABILITY), "epsilon in the first round")
     eps_end: Values = setting(
         0.01, per_replica(PROBABILITY), "epsilon from the last annealed round on"
     )
@@ -69,7 +69,7 @@ class ThompsonEpsilonConfig(ExploreConfig):
         "step", one_of("step", "dialogue", "round"), "how long one draw of the weights is kept"
     )
     shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
-    eps_init: Values = setting(0.1, per_replica(PROBABILITY), "epsilon in the first round")
+    eps_init: Values = setting(0.04, per_replica(PROBABILITY), "epsilon in the first round")
     eps_end: Values = setting(
         0.01, per_replica(PROBABILITY), "epsilon from the last annealed round on"
     )
@@ -91,10 +91,10 @@ class BoltzmannConfig(ExploreConfig):
 
     name: str = option("boltzmann")
     temperature_init: Values = setting(
-        1.0, per_replica(POSITIVE), "temperature in the first round, units of Q"
+        0.7, per_replica(POSITIVE), "temperature in the first round, units of Q"
     )
     temperature_end: Values = setting(
-        1.0, per_replica(POSITIVE), "temperature from the last annealed round on"
+        0.7, per_replica(POSITIVE), "temperature from the last annealed round on"
     )
     anneal_fraction: float = setting(
         0.5, PROBABILITY, "share of the rounds over which the temperature falls, linearly"
