@@ -53,19 +53,19 @@ class BBQNConfig(AgentConfig):
 
     name: str = option("bbqn")
     prior_std: Any = setting(
-        0.1,
+        0.037,
         or_text(per_replica(POSITIVE), "fan_in"),
         "std of the prior; fan_in: sqrt(2 / fan-in) a layer",
     )
-    mean_init: str = setting("zero", one_of("zero", "kaiming"), "where the posterior means start")
+    mean_init: str = setting("kaiming", one_of("zero", "kaiming"), "where the posterior means start")
     std_init: Any = setting(
-        None, optional(per_replica(POSITIVE), "prior_std"), "where the posterior stds start"
+        0.09, optional(per_replica(POSITIVE), "prior_std"), "where the posterior stds start"
     )
     noise_std: Values = setting(
         1.0, per_replica(POSITIVE), "std of the noise on the target, in units of Q"
     )
     kl: str = setting("closed", one_of("closed", "sampled"), "how KL(q || p) is computed")
-    kl_temperature: Values = setting(1.0, per_replica(NON_NEGATIVE), "factor on the KL term")
+    kl_temperature: Values = setting(0.014, per_replica(NON_NEGATIVE), "factor on the KL term")
     target: str = setting(
         "map", one_of("map", "mc"), "target by the frozen posterior's mean, or by one draw of it"
     )
