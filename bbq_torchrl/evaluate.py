@@ -71,6 +71,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     import torch
 
     from bbq_torchrl.build import build_domain, build_env, check_device
+    from bbq_torchrl.build.memory import check_memory, evaluation_needs
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
@@ -97,6 +98,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
             raise ConfigError(f"mode must be null for policy={config.policy}, got {config.mode!r}")
     replicas = 1 if run is None else run.replicas
     values = [] if run is None else replica_values(run)
+    check_memory(evaluation_needs(config, domain, replicas), config.device)
     env = build_env(
         config.env,
         domain,

@@ -16,6 +16,7 @@ from bbq_torchrl.config.settings import (
     POSITIVE,
     PROBABILITY,
     REQUIRED,
+    STEP_SIZE,
     Values,
     one_of,
     option,
@@ -39,7 +40,7 @@ class AgentConfig:
 
     name: str = REQUIRED
     hidden: list[int] = setting([256, 256], COUNTS, "units of each hidden layer")
-    lr: Values = setting(1e-3, per_replica(POSITIVE), "step size of Adam")
+    lr: Values = setting(1e-3, per_replica(STEP_SIZE), "step size of Adam")
     gamma: Values = setting(0.9, per_replica(PROBABILITY), "discount of a turn")
 
 

@@ -23,7 +23,7 @@ from bbq_torchrl.config.settings import (
     ANY_TEXT,
     BELOW_ONE,
     COUNT,
-    NON_NEGATIVE_INTEGER,
+    SEED,
     ConfigError,
     check_settings,
     one_of,
@@ -68,7 +68,7 @@ class SearchConfig:
         10, COUNT, "trials at random before the sampler and the pruner go by results"
     )
     prune_after: float = setting(0.25, BELOW_ONE, "share of its rounds that every trial is given")
-    seed: int = setting(0, NON_NEGATIVE_INTEGER, "seed of the sampler")
+    seed: int = setting(0, SEED, "seed of the sampler")
     storage: str | None = setting(
         None, optional(ANY_TEXT, "SQLite in the folder"), "URL of another database of Optuna's"
     )
