@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.config import ConfigError, EvaluateConfig
+from bbq_torchrl.config.messages import unreadable
 from bbq_torchrl.config.resume import run_config
 from bbq_torchrl.config.store import compose_raw, session, to_config
 from bbq_torchrl.config.values import replica_values
+from bbq_torchrl.text import one_line, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,11 +49,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(USAGE)
         return 0
     try:
+        for flag in (item for item in arguments if item.startswith("-")):
+            raise ConfigError(unreadable(flag))
         with session():
             config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
         line = evaluation(config, arguments)
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+        sys.stderr.write(f"error: {one_line(error)}\n")
         return 2
     sys.stdout.write(json.dumps(line) + "\n")
     return 0
@@ -92,7 +96,8 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         names = ("random", *domain.policies)
         if config.policy not in names:
             raise ConfigError(
-                f"policy must be a run folder or one of {', '.join(names)}, got {config.policy!r}"
+                f"policy must be a run folder or one of {', '.join(names)}, "
+                f"got {shown(config.policy)}"
             )
         if config.mode is not None:
             raise ConfigError(f"mode must be null for policy={config.policy}, got {config.mode!r}")

@@ -13,7 +13,7 @@ import torch
 
 import train
 from bbq_torchrl import build, evaluate
-from bbq_torchrl.config.command import REFUSED
+from bbq_torchrl.config.command import REFUSED, prepare
 from bbq_torchrl.config.store import compose, save_config
 
 
@@ -139,6 +139,8 @@ def evaluation_refused(capsys, *arguments):
         ("policy=rule domain=folder domain.path=nowhere", "nowhere"),
         ("policy=rule dialogues=none", "dialogues must be an integer from 1 to 10**9, got 'none'"),
         ("polcy=rule", "did you mean policy?"),
+        ("policy=rule seed=1,2", "an evaluation is one command, and each key has one value"),
+        ("policy=rule --multirun", "'--multirun' cannot be read: write key=value"),
     ],
 )
 def test_a_wrong_evaluation(capsys, arguments, message):
@@ -210,3 +212,12 @@ def test_a_sweep_whose_glob_names_nothing(refused):
     line = refused("--multirun", "+experiment=glob(agents/*)", "protocol=quick")
     assert "sweep without a job" in line
     assert "+experiment/agents=glob(*)" in line
+
+
+def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(refused, tmp_path):
+    folder = tmp_path / "new" / "sweep"
+    arguments = ["--multirun", "seed=1,2", f"hydra.sweep.dir={folder}"]
+    assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"
+    assert folder.is_dir()
+    line = refused(*arguments)
+    assert f"hydra.sweep.dir must be a folder that is not there yet, got {folder}" in line

@@ -174,6 +174,14 @@ REFUSED = {
     "agent=dqn explore=boltzmann explore.temperature_end=1e-300": "explore.temperature_end must",
     "agent.hidden=[10000000000]": "integers from 1 to 10**9, such as [256,256], got [10000000000]",
     "protocol.dialogues=10000000000": "protocol.dialogues must be an integer from 1 to 10**9",
+    "agent={lr:1}": "agent must be one of bbqn, bootstrap, dqn, got '{lr:1}'",
+    "protocol={rounds:3}": "protocol must be one of paper, quick, got '{rounds:3}'",
+    "agent.lr=${nope}": "agent.lr=${nope} cannot be resolved: Interpolation key 'nope' not found",
+    "agent.hidden=[8,${nope}]": "agent.hidden[1]=${nope} cannot be resolved",
+    "agent.lr=${agent.lr}": "agent.lr=${agent.lr} cannot be resolved: Recursive interpolation",
+    "agent.hidden={a:1}": "agent.hidden must be a list of up to 100 integers from 1 to 10**9",
+    "+seed=1": "'+seed' cannot be read: a key that there is already goes without a plus",
+    "=1": "'=1' cannot be read",
     "agent.lr=nan": "(or a list, one for each replica), got nan",
     "agent.hidden=256": "agent.hidden must be a list of up to 100 integers from 1 to 10**9",
     "agent.hidden=[]": "agent.hidden must be a list of up to 100 integers",
@@ -224,6 +232,26 @@ REFUSED = {
 }
 
 
+LONG = {
+    "deep": "agent.hidden=" + "[" * 3000 + "]" * 3000,
+    "a number of 400 digits": f"env.success_reward={'9' * 400}",
+    "a number of 5000 digits": f"seed={'9' * 5000}",
+    "a value": f"agent.mean_init={'x' * 100_000}",
+    "a key": f"{'x' * 100_000}=1",
+    "no key": "x" * 100_000,
+}
+
+
+@pytest.mark.parametrize("override", LONG.values(), ids=LONG)
+def test_what_is_very_long_or_deep_is_refused_in_a_line_that_is_not(override):
+    with pytest.raises(ConfigError) as refused:
+        compose([override])
+    message = str(refused.value)
+    assert override[:10] in message
+    assert len(message) < 600
+    assert "\n" not in message
+
+
 @pytest.mark.parametrize("command", REFUSED)
 def test_what_cannot_be_run_is_refused_in_one_sentence(command):
     with pytest.raises(ConfigError) as refused:
@@ -235,6 +263,8 @@ def test_what_cannot_be_run_is_refused_in_one_sentence(command):
 
 REFUSED_EVALUATIONS = {
     "dialogues=5": "policy must be given, as policy=<value>",
+    "policy=rule seed=1,2": "seed=1,2 has several values: an evaluation is one command",
+    "policy=rule env=full,domain_ext": "got 'full,domain_ext'; an evaluation is one command",
     "policy=rule dialogues=0": "dialogues must be an integer from 1 to 10**9, got 0",
     "policy=rule mode=nope": "mode must be one of mean, average, draw or null",
     "policy=rule agent=dqn": "agent is not a key; the keys of the configuration are env, domain",
@@ -319,12 +349,11 @@ def test_jobs_that_only_another_sweeper_knows_are_left_to_it(tmp_path, monkeypat
         prepare(["--multirun", "agent.lr=interval(.1,.2)"], fail)
 
 
-def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path):
-    folder = tmp_path / "run"
-    command = ["--multirun", f"hydra.sweep.dir={folder}", "agent=bbqn,dqn"]
-    prepared = [prepare(command, lambda config: None)[-1] for _ in range(2)]
-    assert len(set(prepared)) == 2
-    assert len(list(tmp_path.iterdir())) == 2
+@pytest.mark.parametrize("command", [["agent=dqn"], ["--multirun", "agent=bbqn,dqn"]])
+def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    prepared = [prepare(command, lambda config: None)[-1] for _ in range(3)]
+    assert len(set(prepared)) == 3
 
 
 @pytest.mark.parametrize(

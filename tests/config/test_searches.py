@@ -88,6 +88,12 @@ def test_a_search_can_be_anybodys_yaml_file(tmp_path):
         ),
         ("search=nowhere.yaml", "nowhere.yaml cannot be read"),
         ("search=bbqn search.trails=3", "search.trails is not a key; there are folder, trials"),
+        (
+            "search=dqn seed=1,2",
+            "several values: in a search write search.space.seed={type: categorical, choices",
+        ),
+        ("search=dqn --multirun", "'--multirun' cannot be read: write key=value"),
+        ("search=dqn search.folder=${nope}", "search.folder: Interpolation key 'nope' not found"),
         ("search=bbqn search.trials=0", "search.trials must be an integer from 1 to 10**9, got 0"),
         ("search=bbqn search.trials=many", "search.trials must be an integer from 1 to 10**9"),
         ("search=bbqn search.objective=best", "search.objective must be one of training, final"),
