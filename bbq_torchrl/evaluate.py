@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.config import ConfigError, EvaluateConfig
+from bbq_torchrl.config.messages import unreadable
 from bbq_torchrl.config.resume import run_config
 from bbq_torchrl.config.store import compose_raw, session, to_config
 from bbq_torchrl.config.values import replica_values
+from bbq_torchrl.text import one_line, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,11 +51,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(USAGE)
         return 0
     try:
+        for flag in (item for item in arguments if item.startswith("-")):
+            raise ConfigError(unreadable(flag))
         with session():
             config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
         line = evaluation(config, arguments)
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+        sys.stderr.write(f"error: {one_line(error)}\n")
         return 2
     sys.stdout.write(json.dumps(line) + "\n")
     return 0
@@ -73,6 +77,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     import torch
 
     from bbq_torchrl.build import build_domain, build_env, check_device
+    from bbq_torchrl.build.memory import check_memory, evaluation_needs
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
@@ -93,7 +98,8 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         names = ("random", *domain.policies)
         if config.policy not in names:
             raise ConfigError(
-                f"policy must be a run folder or one of {', '.join(names)}, got {config.policy!r}"
+                f"policy must be a run folder or one of {', '.join(names)}, "
+                f"got {shown(config.policy)}"
             )
         if config.mode is not None:
             raise ConfigError(f"mode must be null for policy={config.policy}, got {config.mode!r}")
@@ -103,6 +109,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
             )
     replicas = 1 if run is None else run.replicas
     values = [] if run is None else replica_values(run)
+    check_memory(evaluation_needs(config, domain, replicas), config.device)
     env = build_env(
         config.env,
         domain,

@@ -1,4 +1,4 @@
-"""What the configuration alone does not tell: device, logger, corpus, scripted policy."""
+"""What the configuration alone does not tell: device, logger, corpus, policy, memory."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.build.memory import check_memory, training_needs
 from bbq_torchrl.build.worlds import build_domain
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.trainers import check_logger
@@ -17,11 +18,11 @@ __all__ = ["check", "check_device"]
 
 
 def check(config: Config) -> None:
-    """Checks device, logger, corpus and scripted policy before anything runs.
+    """Checks device, logger, corpus, scripted policy and memory before anything runs.
 
     Raises:
-        ConfigError: the device is absent, the logger's package is not installed, or the domain has
-            no such scripted policy.
+        ConfigError: the device is absent, the logger's package is not installed, the domain has
+            no such scripted policy, or the device's memory cannot hold what is asked for.
         ValueError or OSError: the corpus is damaged or not there.
     """
     check_device(config.device)
@@ -34,6 +35,7 @@ def check(config: Config) -> None:
         raise ConfigError(
             f"spike.policy must be one of {', '.join(domain.policies)}, got {config.spike.policy!r}"
         )
+    check_memory(training_needs(config, domain), config.device)
 
 
 def check_device(device: str) -> None:

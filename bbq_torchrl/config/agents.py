@@ -16,6 +16,7 @@ from bbq_torchrl.config.settings import (
     POSITIVE,
     PROBABILITY,
     REQUIRED,
+    STEP_SIZE,
     Values,
     one_of,
     option,
@@ -43,7 +44,7 @@ class AgentConfig:
 
     name: str = REQUIRED
     hidden: list[int] = setting([256, 256], COUNTS, "units of each hidden layer")
-    lr: Values = setting("${protocol.lr}", per_replica(POSITIVE), "step size of Adam")
+    lr: Values = setting("${protocol.lr}", per_replica(STEP_SIZE), "step size of Adam")
     gamma: Values = setting(0.9, per_replica(PROBABILITY), "discount of a turn")
 
 
@@ -57,7 +58,9 @@ class BBQNConfig(AgentConfig):
         or_text(per_replica(POSITIVE), "fan_in"),
         "std of the prior; fan_in: sqrt(2 / fan-in) a layer",
     )
-    mean_init: str = setting("kaiming", one_of("zero", "kaiming"), "where the posterior means start")
+    mean_init: str = setting(
+        "kaiming", one_of("zero", "kaiming"), "where the posterior means start"
+    )
     std_init: Any = setting(
         0.09, optional(per_replica(POSITIVE), "prior_std"), "where the posterior stds start"
     )

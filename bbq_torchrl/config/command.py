@@ -38,6 +38,7 @@ from bbq_torchrl.config.schema import EXPERIMENT, Config
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
 from bbq_torchrl.config.sweeps import table_of_runs
+from bbq_torchrl.text import one_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -153,7 +154,7 @@ def _prepare(arguments: Sequence[str], check: Check) -> tuple[list[str], _Sweep 
                 if job.resume is not None:
                     raise ConfigError("resume cannot be combined with --multirun")
                 check(to_config(job, Config))
-            sweep = _Sweep(_reserve(Path(composed.hydra.sweep.dir)), len(jobs))
+            sweep = _Sweep(_sweep_folder(composed, parsed.overrides), len(jobs))
             extra = [f"hydra.sweep.dir={_quoted(sweep.folder)}"]
     return [*arguments, *extra], sweep
 
@@ -223,6 +224,21 @@ def _run_folder(composed: DictConfig, resume: str | None) -> list[str]:
     return [f"hydra.run.dir={_quoted(_reserve(chosen))}"]
 
 
+def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
+    """The folder of a sweep: the one given, which must not be there yet, or one of a free name."""
+    folder = Path(composed.hydra.sweep.dir)
+    if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
+        return _reserve(folder)
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise ConfigError(
+            f"hydra.sweep.dir must be a folder that is not there yet, got {folder}, which is: "
+            "choose another name, or remove it"
+        ) from None
+    return folder
+
+
 def _reserve(folder: Path) -> Path:
     """Makes a folder that nobody else has: the given one, or the first free ``<folder>_<n>``."""
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -243,7 +259,7 @@ def _quoted(path: Path) -> str:
 
 
 def _sentence(error: BaseException) -> str:
-    return " ".join(str(error).split())
+    return one_line(error)
 
 
 def _refuse(error: Exception) -> None:

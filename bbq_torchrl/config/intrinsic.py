@@ -11,6 +11,7 @@ from bbq_torchrl.config.settings import (
     POSITIVE,
     REQUIRED,
     Values,
+    integers,
     one_of,
     option,
     per_replica,
@@ -53,5 +54,7 @@ class VIMEConfig(IntrinsicConfig):
     std_floor: float = setting(0.05, POSITIVE, "least std that a feature is divided by")
     step_size: float = setting(0.01, POSITIVE, "size of the second-order step that gains")
     clip: float = setting(10.0, POSITIVE, "greatest normalised information gain")
-    median_window: int = setting(10, COUNT, "rounds that the normalising median is taken over")
+    median_window: int = setting(
+        10, integers(1, 10**6), "rounds that the normalising median is taken over"
+    )
     dynamics_every: int = setting(8, COUNT, "updates of Q for one of the dynamics")

@@ -7,17 +7,20 @@ from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
-from hydra.errors import MissingConfigException, OverrideParseException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
 
 from bbq_torchrl.config.launchers import LAUNCHER, LAUNCHER_EXTRAS
 from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
 from bbq_torchrl.config.values import keys_with_lists
+from bbq_torchrl.text import one_line, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["explain", "unknown_key"]
+__all__ = ["explain", "not_an_option", "unknown_key", "unreadable"]
+
+ONE_EVALUATION = "an evaluation is one command, and each key has one value"
 
 
 def explain(
@@ -36,20 +39,50 @@ def explain(
     """
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(error, OverrideParseException):
-        return f"{error.override!r} cannot be read: write key=value, and quote special characters"
+        return unreadable(str(error.override), "write key=value, and quote special characters")
     if isinstance(error, MissingConfigException):
         return _missing_option(error, options)
     if isinstance(cause, InterpolationResolutionError):
         return f"{cause.full_key}: {_first_line(cause)}" if cause.full_key else _first_line(cause)
     if isinstance(cause, ValidationError):
         return _wrong_type(cause, overrides)
+    if not isinstance(error, (HydraException, OmegaConfBaseException)):
+        return _too_much(error, overrides)
     return (
-        _not_an_option(overrides, options, root)
-        or _several_values(error)
+        _several_values(error, root)
         or _removed(overrides)
+        or _not_merged(error, cause)
         or _unknown_key(error, cause, root)
-        or " ".join(str(error).split())
+        or one_line(error)
     )
+
+
+def unreadable(override: str, hint: str = "write key=value") -> str:
+    """One sentence for a part of a command line that is no key and value."""
+    return f"{shown(override)} cannot be read: {hint}"
+
+
+def _too_much(error: Exception, overrides: Sequence[str]) -> str:
+    """A sentence for what Python or the operating system gave up on: very long or deep texts."""
+    longest = max(overrides, key=len, default="the configuration")
+    reason = _first_line(error)
+    if isinstance(error, RecursionError):
+        reason = "it is nested too deeply"
+    elif isinstance(error, OSError):
+        reason = error.strerror or reason
+    return unreadable(longest, reason)
+
+
+def _not_merged(error: Exception, cause: BaseException | None) -> str | None:
+    """A sentence for a value that does not fit its key, where OmegaConf does not say which."""
+    match = re.match(r"Error merging override ([^=]+)=(.*)", _first_line(error))
+    if match is None or cause is None:
+        return None
+    key = match[1].lstrip("+~")
+    allowed = _allowed(key, None)
+    if allowed is None:
+        return unreadable(f"{key}={match[2]}", _first_line(cause))
+    return f"{key} must be {allowed}, got {shown(match[2])}"
 
 
 def _first_line(error: BaseException) -> str:
@@ -68,7 +101,7 @@ def _missing_option(error: MissingConfigException, options: Callable[[str], list
                 f"pip install 'bbq-torchrl[{extra}]'"
             )
     if group in (*SCHEMAS, EXPERIMENT, LAUNCHER):
-        return f"{group} must be one of {', '.join(options(group))}, got {option!r}"
+        return f"{group} must be one of {', '.join(options(group))}, got {shown(option)}"
     return _first_line(error)
 
 
@@ -88,7 +121,7 @@ def _given(key: str, overrides: Sequence[str]) -> str | None:
     for override in reversed(overrides):
         name, equals, value = override.partition("=")
         if equals and name.lstrip("+") == key:
-            return repr(value)
+            return shown(value)
     return None
 
 
@@ -105,11 +138,13 @@ def _allowed(key: str, schema: Any) -> str | None:
     return None
 
 
-def _several_values(error: Exception) -> str | None:
+def _several_values(error: Exception, root: type) -> str | None:
     match = re.match(r"(?:Ambiguous value for argument|Sweep parameters) '([^']+)'", str(error))
     if match is None:
         return None
     given = match[1]
+    if root is not Config:
+        return f"{given} has several values: {ONE_EVALUATION}"
     takes_a_list = given.partition("=")[0] in keys_with_lists(SCHEMAS)
     or_list = ", or put them in brackets for the replicas of one run" if takes_a_list else ""
     return f"{given} has several values: add --multirun to run them all{or_list}"
@@ -133,9 +168,12 @@ def unknown_key(key: str, schema: Any) -> str:
     """One sentence for a dotted key that the schema of its group lacks."""
     parent, _, name = key.rpartition(".")
     keys = [item.name for item in fields(schema)]
+    if name in keys:
+        return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
     close = get_close_matches(name, keys, n=1)
     hint = f" (did you mean {f'{parent}.' if parent else ''}{close[0]}?)" if close else ""
-    return f"{key} is not a key{hint}; the keys of {_place(parent, schema)} are {', '.join(keys)}"
+    place = _place(parent, schema)
+    return f"{one_line(key)} is not a key{hint}; the keys of {place} are {', '.join(keys)}"
 
 
 def _place(parent: str, schema: Any) -> str:
@@ -145,10 +183,13 @@ def _place(parent: str, schema: Any) -> str:
     return parent or "the configuration"
 
 
-def _not_an_option(
+def not_an_option(
     overrides: Sequence[str], options: Callable[[str], list[str]], root: type
 ) -> str | None:
-    """A sentence for a group that was given something else than the name of an option."""
+    """A sentence for a group that was given something else than the name of an option.
+
+    Hydra itself takes a mapping, ``agent={lr: 1}``, for changes to whatever option is the default.
+    """
     groups = [item.name for item in fields(root) if item.name in SCHEMAS]
     for override in overrides:
         group, equals, value = override.partition("=")
@@ -158,7 +199,8 @@ def _not_an_option(
             return f"{EXPERIMENT} is added with a plus: write +{EXPERIMENT}={value}"
         if group.startswith("+") and group.lstrip("+") in groups:
             return f"{override} cannot be read: a group is chosen without a plus"
-        if equals and group in groups and value not in options(group):
-            sweep = "; several options need --multirun" if "," in value else ""
-            return f"{group} must be one of {', '.join(options(group))}, got {value!r}{sweep}"
+        if equals and group in groups and value.strip("'\"") not in options(group):
+            several = "several options need --multirun" if root is Config else ONE_EVALUATION
+            more = f"; {several}" if "," in value else ""
+            return f"{group} must be one of {', '.join(options(group))}, got {shown(value)}{more}"
     return None

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.text import shown
 
 __all__ = ["Parameter", "parse_parameter"]
 
@@ -68,11 +69,11 @@ def parse_parameter(key: str, plain: Any) -> Parameter:
     """
     if not isinstance(plain, Mapping):
         raise ConfigError(
-            f"{key} must be a mapping such as {{type: float, low: 0, high: 1}}, got {plain!r}"
+            f"{key} must be a mapping such as {{type: float, low: 0, high: 1}}, got {shown(plain)}"
         )
     kind = plain.get("type")
     if kind not in _FIELDS:
-        raise ConfigError(f"{key}.type must be one of {', '.join(_FIELDS)}, got {kind!r}")
+        raise ConfigError(f"{key}.type must be one of {', '.join(_FIELDS)}, got {shown(kind)}")
     for entry in plain:
         if entry != "type" and entry not in _FIELDS[kind]:
             raise ConfigError(
@@ -86,7 +87,7 @@ def parse_parameter(key: str, plain: Any) -> Parameter:
         raise ConfigError(f"{key}.low must be below {key}.high ({high}), got {low}")
     log = plain.get("log", False)
     if not isinstance(log, bool):
-        raise ConfigError(f"{key}.log must be true or false, got {log!r}")
+        raise ConfigError(f"{key}.log must be true or false, got {shown(log)}")
     if log and low <= 0:
         raise ConfigError(f"{key}.low must be positive with log=true, got {low}")
     step = plain.get("step")
@@ -102,14 +103,14 @@ def _number(key: str, value: Any, kind: str) -> Any:
     if kind == "int":
         if is_number and isinstance(value, int):
             return value
-        raise ConfigError(f"{key} must be an integer, got {value!r}")
+        raise ConfigError(f"{key} must be an integer, got {shown(value)}")
     if is_number and math.isfinite(value):
         return float(value)
-    raise ConfigError(f"{key} must be a number, got {value!r}")
+    raise ConfigError(f"{key} must be a number, got {shown(value)}")
 
 
 def _choices(key: str, value: Any) -> tuple[Any, ...]:
     scalar = (bool, int, float, str, type(None))
     if isinstance(value, list) and value and all(isinstance(item, scalar) for item in value):
         return tuple(value)
-    raise ConfigError(f"{key}.choices must be a list of values, at least one, got {value!r}")
+    raise ConfigError(f"{key}.choices must be a list of values, at least one, got {shown(value)}")

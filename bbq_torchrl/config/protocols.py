@@ -10,8 +10,8 @@ from bbq_torchrl.config.settings import (
     BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
-    POSITIVE,
     REQUIRED,
+    STEP_SIZE,
     Allowed,
     option,
     optional,
@@ -75,7 +75,7 @@ class ProtocolConfig:
     rounds: int = setting("${env.paper_rounds}", COUNT, "rounds of training")
     dialogues: int = setting(50, COUNT, "dialogues of a round and replica")
     batch_size: int = setting(32, COUNT, "transitions of an update")
-    lr: float = setting(1e-3, POSITIVE, "step size of Adam, for batches of this size")
+    lr: float = setting(1e-3, STEP_SIZE, "step size of Adam, for batches of this size")
     freezes: int = setting(2, COUNT, "target freezes of a round")
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
     capacity: int = setting(10_000, COUNT, "transitions a replica's buffer holds")
@@ -104,7 +104,7 @@ class QuickProtocolConfig(ProtocolConfig):
     name: str = option("quick")
     rounds: int = setting(40, COUNT, "rounds of training")
     batch_size: int = setting(128, COUNT, "transitions of an update")
-    lr: float = setting(2e-3, POSITIVE, "step size of Adam, for batches of this size")
+    lr: float = setting(2e-3, STEP_SIZE, "step size of Adam, for batches of this size")
     epochs: int = setting(3, COUNT, "passes over the buffer after each freeze")
     capacity: int = setting(5_000, COUNT, "transitions a replica's buffer holds")
     eval_dialogues: int = setting(2_000, COUNT, "dialogues of the final evaluation of a replica")

@@ -45,8 +45,9 @@ from bbq_torchrl.config.settings import (
     ANY_TEXT,
     BOOLEAN,
     COUNT,
-    NON_NEGATIVE_INTEGER,
     REQUIRED,
+    SEED,
+    THREADS,
     Allowed,
     one_of,
     optional,
@@ -86,12 +87,12 @@ class Config:
     protocol: ProtocolConfig = REQUIRED  # type: ignore[assignment]
     logger: LoggerConfig = REQUIRED  # type: ignore[assignment]
     replicas: int = setting(1, COUNT, "independent seeds trained side by side")
-    seed: int = setting(0, NON_NEGATIVE_INTEGER, "seed that all random numbers derive from")
+    seed: int = setting(0, SEED, "seed that all random numbers derive from")
     device: str = setting("cpu", DEVICE, "where tensors live")
     cuda_graph: bool = setting(
         True, BOOLEAN, "on a CUDA device, updates and turns are launched as CUDA graphs"
     )
-    threads: int = setting(1, COUNT, "CPU threads of torch")
+    threads: int = setting(1, THREADS, "CPU threads of torch")
     resume: str | None = setting(
         None, optional(ANY_TEXT, "a new run"), "run folder of the run to go on with"
     )
@@ -121,9 +122,9 @@ class EvaluateConfig:
     )
     log: str | None = setting(None, optional(ANY_TEXT, "none"), "file for readable dialogues")
     log_dialogues: int = setting(10, COUNT, "dialogues written to log")
-    seed: int = setting(0, NON_NEGATIVE_INTEGER, "seed that all random numbers derive from")
+    seed: int = setting(0, SEED, "seed that all random numbers derive from")
     device: str = setting("cpu", DEVICE, "where tensors live")
-    threads: int = setting(1, COUNT, "CPU threads of torch")
+    threads: int = setting(1, THREADS, "CPU threads of torch")
 
 
 def option_name(schema: type) -> str:

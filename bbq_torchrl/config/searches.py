@@ -14,16 +14,19 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from bbq_torchrl.config.messages import unreadable
 from bbq_torchrl.config.parameters import Parameter, parse_parameter
 from bbq_torchrl.config.schema import Config
 from bbq_torchrl.config.settings import (
     ANY_TEXT,
     BELOW_ONE,
     COUNT,
-    NON_NEGATIVE_INTEGER,
+    SEED,
     ConfigError,
     check_settings,
     one_of,
@@ -31,6 +34,7 @@ from bbq_torchrl.config.settings import (
     setting,
 )
 from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
+from bbq_torchrl.text import one_line, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -68,7 +72,7 @@ class SearchConfig:
         10, COUNT, "trials at random before the sampler and the pruner go by results"
     )
     prune_after: float = setting(0.25, BELOW_ONE, "share of its rounds that every trial is given")
-    seed: int = setting(0, NON_NEGATIVE_INTEGER, "seed of the sampler")
+    seed: int = setting(0, SEED, "seed of the sampler")
     storage: str | None = setting(
         None, optional(ANY_TEXT, "SQLite in the folder"), "URL of another database of Optuna's"
     )
@@ -151,8 +155,8 @@ def compose_search(arguments: Sequence[str]) -> Search:
     given = _read(chosen[0])
     for argument in arguments:
         key, equals, text = argument.partition("=")
-        if not equals:
-            raise ConfigError(f"{argument!r} cannot be read: write key=value")
+        if not equals or argument.startswith("-"):
+            raise ConfigError(unreadable(argument))
         if key.startswith(_SPACE):
             _change_space(given.space, key.removeprefix(_SPACE), _value(argument, text))
         elif key.startswith(f"{SEARCH}."):
@@ -160,8 +164,9 @@ def compose_search(arguments: Sequence[str]) -> Search:
         elif key != SEARCH:
             given.fixed[key.lstrip("+")] = argument
     for key in given.fixed:
+        _refuse_several(key, given.fixed[key])
         if key.partition(".")[0].partition("/")[0] in _REFUSED:
-            raise ConfigError(f"{given.fixed[key]} cannot be part of a search")
+            raise ConfigError(f"{one_line(given.fixed[key])} cannot be part of a search")
         given.space.pop(key, None)
     space = tuple(parse_parameter(f"{_SPACE}{name}", plain) for name, plain in given.space.items())
     if not space:
@@ -172,12 +177,26 @@ def compose_search(arguments: Sequence[str]) -> Search:
     return search
 
 
+def _refuse_several(key: str, override: str) -> None:
+    """Refuses ``key=1,2``: what varies in a search is written as a choice."""
+    try:
+        several = OverridesParser.create().parse_override(override).is_sweep_override()
+    except (HydraException, RecursionError):
+        return  # refused with the others, when they are composed
+    if several:
+        raise ConfigError(
+            f"{one_line(override)} has several values: in a search write "
+            f"{_SPACE}{key}={{type: categorical, choices: [...]}}"
+        )
+
+
 def _read(chosen: str) -> _Given:
     """The YAML file of a search: one of ours by its name, or anybody's by its path."""
     own = chosen.endswith((".yaml", ".yml"))
     if not own and chosen not in options(SEARCH):
         raise ConfigError(
-            f"{SEARCH} must be one of {', '.join(options(SEARCH))} or a YAML file, got {chosen!r}"
+            f"{SEARCH} must be one of {', '.join(options(SEARCH))} or a YAML file, "
+            f"got {shown(chosen)}"
         )
     file = Path(chosen).expanduser() if own else conf_folder() / SEARCH / f"{chosen}.yaml"
     try:
@@ -191,7 +210,7 @@ def _read(chosen: str) -> _Given:
         raise ConfigError(f"{file} must have the key space, a mapping of keys to what they may be")
     fixed = plain.pop("fixed", None) or []
     if not isinstance(fixed, list) or not all("=" in str(item) for item in fixed):
-        raise ConfigError(f"{file}: fixed must be a list of key=value, got {fixed!r}")
+        raise ConfigError(f"{file}: fixed must be a list of key=value, got {shown(fixed)}")
     space = {str(name): value for name, value in plain.pop("space").items()}
     by_key = {str(item).partition("=")[0].lstrip("+"): str(item) for item in fixed}
     return _Given({str(key): value for key, value in plain.items()}, space, by_key)
@@ -202,7 +221,7 @@ def _value(argument: str, text: str) -> Any:
         parsed = OmegaConf.from_dotlist([f"value={text}"])
         return OmegaConf.to_container(parsed, resolve=False)["value"]  # type: ignore[index, call-overload]
     except Exception as error:
-        raise ConfigError(f"{argument!r} cannot be read: write key=value") from error
+        raise ConfigError(unreadable(argument)) from error
 
 
 def _change_space(space: dict[str, Any], key: str, value: Any) -> None:
@@ -238,12 +257,14 @@ def _settings(given: Mapping[str, Any]) -> SearchConfig:
             except OmegaConfBaseException as error:
                 raise ConfigError(
                     f"{SEARCH}.{item.name} must be {item.metadata['allowed'].text}, "
-                    f"got {given[item.name]!r}"
+                    f"got {shown(given[item.name])}"
                 ) from error
     assert isinstance(typed, DictConfig)
-    settings: SearchConfig = OmegaConf.to_object(typed)  # type: ignore[assignment]
     try:
+        settings: SearchConfig = OmegaConf.to_object(typed)  # type: ignore[assignment]
         check_settings(settings)
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{SEARCH}.{error.full_key}: {str(error).splitlines()[0]}") from error
     except ConfigError as error:
         raise ConfigError(f"{SEARCH}.{error}") from error
     return settings

@@ -2,7 +2,7 @@
 
 A schema field is declared once with all three::
 
-    lr: float = setting(1e-3, POSITIVE, "step size of Adam")
+    lr: float = setting(1e-3, STEP_SIZE, "step size of Adam")
 
 OmegaConf checks the type, :func:`check_settings` the value; both refusals are one sentence that
 names the key, what is allowed and what was given.
@@ -11,9 +11,10 @@ names the key, what is allowed and what was given.
 from __future__ import annotations
 
 import copy
-import math
 from dataclasses import Field, dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -32,15 +33,19 @@ __all__ = [
     "COUNTS",
     "NON_NEGATIVE",
     "NON_NEGATIVE_INTEGER",
-    "NUMBER",
     "POSITIVE",
     "PROBABILITY",
     "REQUIRED",
+    "REWARD",
+    "SEED",
+    "STEP_SIZE",
+    "THREADS",
     "Allowed",
     "ConfigError",
     "Values",
-    "at_least",
     "check_settings",
+    "integers",
+    "numbers",
     "one_of",
     "option",
     "optional",
@@ -75,16 +80,35 @@ class Allowed:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _is_integer(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-POSITIVE = Allowed("a positive number", lambda value: _is_number(value) and value > 0)
-NON_NEGATIVE = Allowed("a number of at least 0", lambda value: _is_number(value) and value >= 0)
-NUMBER = Allowed("a number", _is_number)
+def numbers(low: float, high: float) -> Allowed:
+    """The numbers from ``low`` to ``high``."""
+    return Allowed(
+        f"a number from {low:g} to {high:g}".replace("e+", "e"),
+        lambda value: _is_number(value) and low <= value <= high,
+    )
+
+
+def integers(low: int, high: int = 10**9) -> Allowed:
+    """The integers from ``low`` to ``high``, which is a billion unless given."""
+    last = "10**9" if high == 10**9 else str(high)
+    return Allowed(
+        f"an integer from {low} to {last}",
+        lambda value: _is_integer(value) and low <= value <= high,
+    )
+
+
+# Networks and rewards are float32, which ends at 3e38: what is squared must stay below its root.
+POSITIVE = numbers(1e-15, 1e15)
+NON_NEGATIVE = numbers(0, 1e15)
+REWARD = numbers(-1e15, 1e15)
+STEP_SIZE = numbers(1e-30, 1e30)
 PROBABILITY = Allowed(
     "a number between 0 and 1", lambda value: _is_number(value) and 0 <= value <= 1
 )
@@ -94,27 +118,20 @@ BELOW_ONE = Allowed(
 ABOVE_ZERO_TO_ONE = Allowed(
     "a number above 0 and up to 1", lambda value: _is_number(value) and 0 < value <= 1
 )
-NON_NEGATIVE_INTEGER = Allowed(
-    "an integer of at least 0", lambda value: _is_integer(value) and value >= 0
+COUNT = integers(1)
+NON_NEGATIVE_INTEGER = integers(0)
+THREADS = integers(1, 1024)  # torch crashes where it gets many times as many
+SEED = Allowed(
+    "an integer from 0 to 2**63 - 1", lambda value: _is_integer(value) and 0 <= value < 2**63
 )
-COUNT = Allowed("an integer of at least 1", lambda value: _is_integer(value) and value >= 1)
 COUNTS = Allowed(
-    "a list of integers of at least 1, such as [256,256]",
+    "a list of up to 100 integers from 1 to 10**9, such as [256,256]",
     lambda value: (
-        isinstance(value, list)
-        and bool(value)
-        and all(_is_integer(item) and item >= 1 for item in value)
+        isinstance(value, list) and 1 <= len(value) <= 100 and all(map(COUNT.test, value))
     ),
 )
 BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
 ANY_TEXT = Allowed("a text", lambda value: isinstance(value, str) and value != "")
-
-
-def at_least(minimum: int) -> Allowed:
-    """The integers from ``minimum`` on."""
-    return Allowed(
-        f"an integer of at least {minimum}", lambda value: _is_integer(value) and value >= minimum
-    )
 
 
 def one_of(*choices: str) -> Allowed:
@@ -200,15 +217,15 @@ def check_settings(config: Any) -> None:
         >>> from dataclasses import dataclass
         >>> @dataclass
         ... class Optimiser:
-        ...     lr: float = setting(1e-3, POSITIVE, "step size")
+        ...     lr: float = setting(1e-3, STEP_SIZE, "step size")
         >>> check_settings(Optimiser(lr=-1.0))
         Traceback (most recent call last):
         ...
-        bbq_torchrl.config.settings.ConfigError: lr must be a positive number, got -1.0
+        bbq_torchrl.config.settings.ConfigError: lr must be a number from 1e-30 to 1e30, got -1.0
     """
     for key, item, value in walk(config):
         allowed: Allowed = item.metadata["allowed"]
         if value == REQUIRED:
             raise ConfigError(f"{key} must be given: it must be {allowed.text}")
         if not allowed.test(value):
-            raise ConfigError(f"{key} must be {allowed.text}, got {value!r}")
+            raise ConfigError(f"{key} must be {allowed.text}, got {shown(value)}")

@@ -19,10 +19,10 @@ from hydra import initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.config.messages import explain, unknown_key
+from bbq_torchrl.config.messages import explain, not_an_option, unknown_key
 from bbq_torchrl.config.pairs import explorations_table
 from bbq_torchrl.config.schema import (
     EXPERIMENT,
@@ -141,9 +141,20 @@ def compose_raw(
     Raises:
         ConfigError: an unknown group, option or key, or a value of the wrong type.
     """
+    refusal = not_an_option(overrides, options, ROOTS[name])
+    if refusal is not None:
+        raise ConfigError(refusal)
     try:
         return hydra_compose(name, list(overrides), return_hydra_config=with_hydra)
-    except (HydraException, OmegaConfBaseException, ValueError) as error:
+    # The last three: very long or deep texts, and numbers of thousands of digits.
+    except (
+        HydraException,
+        OmegaConfBaseException,
+        ValueError,
+        OSError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise ConfigError(explain(error, overrides, options, ROOTS[name])) from error
 
 
@@ -175,6 +186,9 @@ def _typed(plain: DictConfig, root: type[Root]) -> Root:
             if OmegaConf.is_missing(plain, key):
                 raise ConfigError(f"{key} must be given, as {key}=<value>")
             typed[key] = _typed_group(key, plain) if key in SCHEMAS else plain[key]
+        for key in sorted(str(key) for key in typed if OmegaConf.is_missing(typed, key)):
+            raise ConfigError(f"{key} must be given, as {key}=<value>")
+        _check_interpolations(plain)
         OmegaConf.resolve(typed)
         for key in sorted(OmegaConf.missing_keys(typed)):
             raise ConfigError(f"{key} must be given, as {key}=<value>")
@@ -185,6 +199,22 @@ def _typed(plain: DictConfig, root: type[Root]) -> Root:
         config.domain.path = os.path.abspath(os.path.expanduser(config.domain.path))
     validate(config)
     return config
+
+
+def _check_interpolations(node: DictConfig | ListConfig, prefix: str = "") -> None:
+    """Refuses a ``${...}`` that stands for nothing, by the key that has it."""
+    for key in range(len(node)) if isinstance(node, ListConfig) else list(node):
+        name = f"{prefix}[{key}]" if isinstance(node, ListConfig) else f"{prefix}.{key}".strip(".")
+        child: Any = node._get_node(key)
+        if OmegaConf.is_interpolation(node, key):
+            try:
+                node[key]
+            except OmegaConfBaseException as error:
+                raise ConfigError(
+                    f"{name}={child._value()} cannot be resolved: {str(error).splitlines()[0]}"
+                ) from error
+        elif isinstance(child, (DictConfig, ListConfig)):
+            _check_interpolations(child, name)
 
 
 def _typed_group(group: str, plain: DictConfig) -> DictConfig:

@@ -9,10 +9,10 @@ from bbq_torchrl.config.settings import (
     BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
-    NUMBER,
     PROBABILITY,
     REQUIRED,
-    at_least,
+    REWARD,
+    integers,
     one_of,
     option,
     optional,
@@ -44,10 +44,10 @@ class EnvConfig:
         "value", one_of("value", "slot", "delete", "mixed"), "what an error does to a slot"
     )
     intent_error_prob: float = setting(0.0, PROBABILITY, "probability of a random user act")
-    max_turn: int = setting(40, at_least(2), "turns of a dialogue, both sides counted")
-    success_reward: float = setting(40.0, NUMBER, "reward of a dialogue that succeeds")
-    failure_reward: float = setting(-10.0, NUMBER, "reward of a dialogue that fails")
-    turn_reward: float = setting(-1.0, NUMBER, "reward of a turn that does not end the dialogue")
+    max_turn: int = setting(40, integers(2), "turns of a dialogue, both sides counted")
+    success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")
+    failure_reward: float = setting(-10.0, REWARD, "reward of a dialogue that fails")
+    turn_reward: float = setting(-1.0, REWARD, "reward of a turn that does not end the dialogue")
     compile_turns: bool = setting(
         False, BOOLEAN, "turns are compiled by torch.compile, which takes up to a minute"
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.config.searches import SEARCH, compose_search
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import options
+from bbq_torchrl.text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _refused(error: Exception) -> int:
-    sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+    sys.stderr.write(f"error: {one_line(error)}\n")
     return 2
 
 

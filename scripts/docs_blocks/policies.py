@@ -20,7 +20,7 @@ MAKE = "python scripts/measure_policies.py --miulab <folder>"
 PUBLIC: dict[tuple[str, str], tuple[float, float]] = {
     ("v1, no error", "rule"): (0.416, 0.011),
     ("v1, no error", "rule_inform"): (0.560, 0.011),
-    ("v1, no error", "careful_essential"): (0.819, 0.009),
+    ("v1, no error", "careful_essential"): (0.850, 0.005),
     ("v1, no error", "careful"): (0.9205, 0.006),
     ("v2, no error", "rule"): (0.286, 0.014),
     ("v2, no error", "rule_inform"): (0.441, 0.016),

@@ -13,7 +13,7 @@ import torch
 
 import train
 from bbq_torchrl import build, evaluate
-from bbq_torchrl.config.command import REFUSED
+from bbq_torchrl.config.command import REFUSED, prepare
 from bbq_torchrl.config.store import compose, save_config
 
 
@@ -104,7 +104,7 @@ def test_a_scripted_policy_that_the_domain_lacks(refused, restaurant_folder):
     [
         ("agent=dqn explore=thompson", "explore must be one of epsilon_greedy, boltzmann, greedy"),
         ("agent.priorstd=1", "did you mean agent.prior_std?"),
-        ("protocol.rounds=many", "protocol.rounds must be an integer of at least 1, got 'many'"),
+        ("protocol.rounds=many", "protocol.rounds must be an integer from 1 to 10**9, got 'many'"),
         ("resume=nowhere", "nowhere is not a run folder: there is no such folder"),
         ("--multirun agent=bbqn,dqn explore=thompson", "agent=dqn cannot be combined"),
     ],
@@ -115,7 +115,10 @@ def test_a_wrong_command_line(refused, override, message):
 
 def test_one_bad_job_stops_a_sweep_before_its_first(refused):
     message = refused("--multirun", "agent.lr=.1,0")
-    assert "agent.lr must be a positive number (or a list, one for each replica), got 0" in message
+    assert (
+        "agent.lr must be a number from 1e-30 to 1e30 (or a list, one for each replica), got 0"
+        in message
+    )
 
 
 def evaluation_refused(capsys, *arguments):
@@ -134,8 +137,10 @@ def evaluation_refused(capsys, *arguments):
         ("policy=rule mode=mean", "mode must be null for policy=rule, got 'mean'"),
         ("policy=rule device=cuda:99", "device=cuda:99 is absent"),
         ("policy=rule domain=folder domain.path=nowhere", "nowhere"),
-        ("policy=rule dialogues=none", "dialogues must be an integer of at least 1, got 'none'"),
+        ("policy=rule dialogues=none", "dialogues must be an integer from 1 to 10**9, got 'none'"),
         ("polcy=rule", "did you mean policy?"),
+        ("policy=rule seed=1,2", "an evaluation is one command, and each key has one value"),
+        ("policy=rule --multirun", "'--multirun' cannot be read: write key=value"),
     ],
 )
 def test_a_wrong_evaluation(capsys, arguments, message):
@@ -225,3 +230,12 @@ def test_a_sweep_whose_glob_names_nothing(refused):
     line = refused("--multirun", "+experiment=glob(agents/*)", "protocol=quick")
     assert "sweep without a job" in line
     assert "+experiment/agents=glob(*)" in line
+
+
+def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(refused, tmp_path):
+    folder = tmp_path / "new" / "sweep"
+    arguments = ["--multirun", "seed=1,2", f"hydra.sweep.dir={folder}"]
+    assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"
+    assert folder.is_dir()
+    line = refused(*arguments)
+    assert f"hydra.sweep.dir must be a folder that is not there yet, got {folder}" in line

@@ -185,27 +185,43 @@ REFUSED = {
     "+nope=1": "nope is not a key; the keys of the configuration are agent, explore, intrinsic",
     "agent.priorstd=1": "did you mean agent.prior_std",
     "nope=1": "nope is not a key",
-    "seed=abc": "seed must be an integer of at least 0, got 'abc'",
-    "seed=-1": "seed must be an integer of at least 0, got -1",
-    "agent.lr=abc": "agent.lr must be a positive number (or a list, one for each replica), got",
-    "agent.lr=0": "agent.lr must be a positive number (or a list, one for each replica), got 0",
+    "seed=abc": "seed must be an integer from 0 to 2**63 - 1, got 'abc'",
+    "seed=-1": "seed must be an integer from 0 to 2**63 - 1, got -1",
+    "agent.lr=abc": "lr must be a number from 1e-30 to 1e30 (or a list, one for",
+    "agent.lr=0": "lr must be a number from 1e-30 to 1e30 (or a list, one for each replica), got 0",
+    "seed=18446744073709551616": "2**63 - 1, got 18446744073709551616",
+    "threads=100000": "threads must be an integer from 1 to 1024, got 100000",
+    "env.success_reward=1e39": "env.success_reward must be a number from -1e15 to 1e15, got 1e+39",
+    "agent.noise_std=1e-200": "agent.noise_std must be a number from 1e-15 to 1e15",
+    "intrinsic=vime intrinsic.eta=1e300": "intrinsic.eta must be a number from 0 to 1e15",
+    "agent=dqn explore=boltzmann explore.temperature_end=1e-300": "explore.temperature_end must",
+    "agent.hidden=[10000000000]": "integers from 1 to 10**9, such as [256,256], got [10000000000]",
+    "protocol.dialogues=10000000000": "protocol.dialogues must be an integer from 1 to 10**9",
+    "agent={lr:1}": "agent must be one of bbqn, bootstrap, dqn, got '{lr:1}'",
+    "protocol={rounds:3}": "protocol must be one of paper, quick, got '{rounds:3}'",
+    "agent.lr=${nope}": "agent.lr=${nope} cannot be resolved: Interpolation key 'nope' not found",
+    "agent.hidden=[8,${nope}]": "agent.hidden[1]=${nope} cannot be resolved",
+    "agent.lr=${agent.lr}": "agent.lr=${agent.lr} cannot be resolved: Recursive interpolation",
+    "agent.hidden={a:1}": "agent.hidden must be a list of up to 100 integers from 1 to 10**9",
+    "+seed=1": "'+seed' cannot be read: a key that there is already goes without a plus",
+    "=1": "'=1' cannot be read",
     "agent.lr=nan": "(or a list, one for each replica), got nan",
-    "agent.hidden=256": "agent.hidden must be a list of integers of at least 1",
-    "agent.hidden=[]": "agent.hidden must be a list of integers",
+    "agent.hidden=256": "agent.hidden must be a list of up to 100 integers from 1 to 10**9",
+    "agent.hidden=[]": "agent.hidden must be a list of up to 100 integers",
     "agent.gamma=1.5": "agent.gamma must be a number between 0 and 1 (or a list, one for each",
     "agent.prior_std=-1": "(or a list, one for each replica) or 'fan_in', got -1",
     "agent.prior_std=wide": "(or a list, one for each replica) or 'fan_in', got 'wide'",
     "agent.target=both": "agent.target must be one of map, mc, got 'both'",
-    "replicas=0": "replicas must be an integer of at least 1, got 0",
+    "replicas=0": "replicas must be an integer from 1 to 10**9, got 0",
     "replicas=1.5": "replicas must be an integer",
     "device=tpu": "device must be 'cpu', 'cuda' or 'cuda:<number>', got 'tpu'",
-    "protocol.rounds=0": "protocol.rounds must be an integer of at least 1, got 0",
+    "protocol.rounds=0": "protocol.rounds must be an integer from 1 to 10**9, got 0",
     "protocol.capacity=8": "protocol.capacity must be at least protocol.batch_size",
-    "spike.dialogues=-1": "spike.dialogues must be an integer of at least 0, got -1",
+    "spike.dialogues=-1": "spike.dialogues must be an integer from 0 to 10**9, got -1",
     "spike.protect=maybe": "spike.protect must be true or false",
     "env.slot_error_prob=2": "env.slot_error_prob must be a number between 0 and 1",
     "env.slot_error_mode=foo": "env.slot_error_mode must be one of value, slot, delete, mixed",
-    "env.max_turn=1": "env.max_turn must be an integer of at least 2, got 1",
+    "env.max_turn=1": "env.max_turn must be an integer from 2 to 10**9, got 1",
     "domain=miulab": "domain.path must be given",
     "domain=folder domain.path=''": "domain.path must be a text, got ''",
     "domain=movie domain.path=x": "domain.path is not a key; the keys of domain=movie are name",
@@ -218,27 +234,47 @@ REFUSED = {
     "agent.target_noise=shared": "agent.target_noise must be mean with agent.target=map, got",
     "agent.target=mc agent.target_noise=mean": "agent.target_noise must be independent or shared",
     "agent.target_noise=none": "agent.target_noise must be one of mean, independent, shared",
-    "agent=bootstrap agent.heads=0": "agent.heads must be an integer of at least 1, got 0",
+    "agent=bootstrap agent.heads=0": "agent.heads must be an integer from 1 to 10**9, got 0",
     "agent=bootstrap agent.mask_prob=0": "agent.mask_prob must be a number above 0 and up to 1",
     "agent=bootstrap agent.trunk_layers=3": "agent.trunk_layers must be at most the 2 layers",
     "agent.prior_std=[.1,.2]": "agent.prior_std must be one value or a list of 1 (one for each of",
     "agent.lr=.1,.2": "add --multirun to run them all, or put them in brackets for the replicas",
     "replicas=4 agent.lr=[.1,.2,.3]": "or of a number that divides 4, got 3: [0.1, 0.2, 0.3]",
-    "replicas=2 agent.lr=[.1,-1]": "agent.lr must be a positive number (or a list, one for each",
-    "agent.lr=[]": "agent.lr must be a positive number (or a list, one for each replica), got []",
-    "replicas=2 agent.prior_std=[.1,fan_in]": "agent.prior_std must be a positive number (or a",
+    "replicas=2 agent.lr=[.1,-1]": "lr must be a number from 1e-30 to 1e30 (or a list, one for",
+    "agent.lr=[]": "1e-30 to 1e30 (or a list, one for each replica), got []",
+    "replicas=2 agent.prior_std=[.1,fan_in]": "agent.prior_std must be a number from 1e-15 to 1e15",
     "agent=dqn replicas=2 agent.dropout=[.1,.2]": "agent.dropout must be a number from 0 to below",
     "replicas=2 agent.target=[map,mc]": "agent.target must be one of map, mc, got '[map,mc]'",
-    "replicas=2 seed=[0,1]": "seed must be an integer of at least 0, got '[0,1]'",
+    "replicas=2 seed=[0,1]": "seed must be an integer from 0 to 2**63 - 1, got '[0,1]'",
     "agent=dqn explore.anneal_fraction=1.5": "explore.anneal_fraction must be a number between",
     "agent=dqn explore.anneal_fraction=-.1": "explore.anneal_fraction must be a number between",
     "agent=dqn explore.eps_init=.005": "explore.eps_init must be at least explore.eps_end (0.01)",
     "agent=dqn replicas=2 explore.eps_end=[.1,.2]": "explore.eps_init must be at least explore.eps",
     "intrinsic=nope": "intrinsic must be one of none, vime, got 'nope'",
     "intrinsic.eta=1": "intrinsic.eta is not a key; the keys of intrinsic=none are name",
-    "intrinsic=vime intrinsic.eta=-1": "intrinsic.eta must be a number of at least 0 (or a list",
+    "intrinsic=vime intrinsic.eta=-1": "intrinsic.eta must be a number from 0 to 1e15 (or a list",
     "intrinsic=vime intrinsic.weights=all": "intrinsic.weights must be one of map, mc, got 'all'",
 }
+
+
+LONG = {
+    "deep": "agent.hidden=" + "[" * 3000 + "]" * 3000,
+    "a number of 400 digits": f"env.success_reward={'9' * 400}",
+    "a number of 5000 digits": f"seed={'9' * 5000}",
+    "a value": f"agent.mean_init={'x' * 100_000}",
+    "a key": f"{'x' * 100_000}=1",
+    "no key": "x" * 100_000,
+}
+
+
+@pytest.mark.parametrize("override", LONG.values(), ids=LONG)
+def test_what_is_very_long_or_deep_is_refused_in_a_line_that_is_not(override):
+    with pytest.raises(ConfigError) as refused:
+        compose([override])
+    message = str(refused.value)
+    assert override[:10] in message
+    assert len(message) < 600
+    assert "\n" not in message
 
 
 @pytest.mark.parametrize("command", REFUSED)
@@ -252,7 +288,9 @@ def test_what_cannot_be_run_is_refused_in_one_sentence(command):
 
 REFUSED_EVALUATIONS = {
     "dialogues=5": "policy must be given, as policy=<value>",
-    "policy=rule dialogues=0": "dialogues must be an integer of at least 1, got 0",
+    "policy=rule seed=1,2": "seed=1,2 has several values: an evaluation is one command",
+    "policy=rule env=full,domain_ext": "got 'full,domain_ext'; an evaluation is one command",
+    "policy=rule dialogues=0": "dialogues must be an integer from 1 to 10**9, got 0",
     "policy=rule mode=nope": "mode must be one of mean, average, draw, thompson or null",
     "policy=rule agent=dqn": "agent is not a key; the keys of the configuration are env, domain",
     "policy=rule env.priorstd=1": "env.priorstd is not a key; the keys of env=full are name",
@@ -319,7 +357,9 @@ def test_the_jobs_of_a_sweep_that_an_experiment_asks_for_are_checked(tmp_path, m
         "hydra:\n  mode: MULTIRUN\n  sweeper:\n    params:\n      agent.lr: .1,.2,-1\n"
     )
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=r"agent\.lr must be a positive number .*, got -1"):
+    with pytest.raises(
+        ConfigError, match=r"agent\.lr must be a number from 1e-30 to 1e30 .*, got -1"
+    ):
         prepare(["+experiment=sweep"], lambda config: None)
     checked = []
     prepare(["+experiment=sweep", "agent.lr=.3,.4"], checked.append)
@@ -334,12 +374,11 @@ def test_jobs_that_only_another_sweeper_knows_are_left_to_it(tmp_path, monkeypat
         prepare(["--multirun", "agent.lr=interval(.1,.2)"], fail)
 
 
-def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path):
-    folder = tmp_path / "run"
-    command = ["--multirun", f"hydra.sweep.dir={folder}", "agent=bbqn,dqn"]
-    prepared = [prepare(command, lambda config: None)[-1] for _ in range(2)]
-    assert len(set(prepared)) == 2
-    assert len(list(tmp_path.iterdir())) == 2
+@pytest.mark.parametrize("command", [["agent=dqn"], ["--multirun", "agent=bbqn,dqn"]])
+def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    prepared = [prepare(command, lambda config: None)[-1] for _ in range(3)]
+    assert len(set(prepared)) == 3
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,161 @@
+"""Whether what a configuration asks for can be held: an estimate, before anything is made.
+
+The estimates are of what grows with a key, in the worst case (every dialogue lasts as long as it
+may). They are there to refuse what is far too large by name; what is a little too large still fails
+when it is made.
+"""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+
+from bbq_torchrl.config.agents import AgentConfig, BBQNConfig, BootstrapConfig, DQNConfig
+from bbq_torchrl.config.intrinsic import VIMEConfig
+from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.domains import tensorise
+from bbq_torchrl.simulator import FeatureLayout
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from bbq_torchrl.config.schema import Config, EvaluateConfig
+    from bbq_torchrl.config.worlds import EnvConfig
+    from bbq_torchrl.domains import Domain
+
+__all__ = ["Need", "check_memory", "device_memory", "evaluation_needs", "training_needs"]
+
+_FLOAT = 4
+_FLAGS = 16  # bytes of a transition besides observations and action masks
+_NUMBERS = 100  # bytes of a dialogue's outcome, once more as Python's numbers
+
+
+class Need(NamedTuple):
+    """Something that takes memory.
+
+    Attributes:
+        what: it is.
+        size: in bytes.
+        keys: the keys it grows with, each with its value.
+    """
+
+    what: str
+    size: int
+    keys: dict[str, object]
+
+
+def check_memory(needs: Iterable[Need], device: str) -> None:
+    """Refuses what a device cannot hold.
+
+    Raises:
+        ConfigError: naming the keys of the largest need, what it takes, and what there is.
+    """
+    held, needs = device_memory(device), list(needs)
+    if sum(need.size for need in needs) <= held:
+        return
+    most = max(needs, key=lambda need: need.size)
+    keys = ", ".join(f"{key}={value}" for key, value in most.keys.items())
+    raise ConfigError(
+        f"{most.what} would take about {_gigabytes(most.size)} with {keys}, and device={device} "
+        f"has {_gigabytes(held)}: at least one of these must be smaller"
+    )
+
+
+def device_memory(device: str) -> int:
+    """The memory of a device, in bytes, whether it is in use or not."""
+    if device.startswith("cuda"):
+        return int(torch.cuda.get_device_properties(device).total_memory)
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def training_needs(config: Config, domain: Domain) -> list[Need]:
+    """What a training and its final evaluation take."""
+    features, actions = _sizes(domain)
+    protocol, agent, intrinsic = config.protocol, config.agent, config.intrinsic
+    replicas = config.replicas
+    transition = 2 * (_FLOAT * features + actions) + _FLAGS
+    evaluated = min(protocol.eval_batch, replicas * protocol.eval_dialogues)
+    needs = [
+        # Stored, and once more in an epoch's order.
+        Need(
+            "the replay buffer",
+            2 * replicas * protocol.capacity * transition,
+            {"replicas": replicas, "protocol.capacity": protocol.capacity},
+        ),
+        _networks(agent, [features, *agent.hidden, actions], replicas),
+        _rollout(
+            config.env,
+            domain,
+            replicas * protocol.dialogues,
+            {"replicas": replicas, "protocol.dialogues": protocol.dialogues},
+        ),
+        _rollout(config.env, domain, evaluated, {"protocol.eval_batch": protocol.eval_batch}),
+        Need(
+            "the outcomes of the final evaluation",
+            replicas * protocol.eval_dialogues * _NUMBERS,
+            {"replicas": replicas, "protocol.eval_dialogues": protocol.eval_dialogues},
+        ),
+    ]
+    if isinstance(intrinsic, VIMEConfig):
+        sizes = [features + actions, *intrinsic.hidden, features]
+        size = _FLOAT * _copies(BBQNConfig()) * replicas * _parameters(sizes)
+        keys = {"replicas": replicas, "intrinsic.hidden": intrinsic.hidden}
+        needs.append(Need("the network of the dynamics", size, keys))
+    return needs
+
+
+def evaluation_needs(config: EvaluateConfig, domain: Domain, replicas: int) -> list[Need]:
+    """What an evaluation takes, its networks left out."""
+    places = replicas * min(config.batch, config.dialogues)
+    outcomes = replicas * config.dialogues * _NUMBERS
+    return [
+        _rollout(config.env, domain, places, {"batch": config.batch}),
+        Need("the outcomes of dialogues", outcomes, {"dialogues": config.dialogues}),
+    ]
+
+
+def _sizes(domain: Domain) -> tuple[int, int]:
+    """The numbers of features and of actions."""
+    return FeatureLayout(tensorise(domain)).size, len(domain.actions)
+
+
+def _rollout(env: EnvConfig, domain: Domain, places: int, keys: dict[str, object]) -> Need:
+    """Dialogues side by side: all their turns, and once more where they are put together."""
+    features, actions = _sizes(domain)
+    turn = 2 * (_FLOAT * features + actions) + _FLOAT * actions + _FLAGS
+    turns = env.max_turn // 2 + 1
+    return Need(
+        "dialogues side by side", 2 * places * turns * turn, {**keys, "env.max_turn": env.max_turn}
+    )
+
+
+def _networks(agent: AgentConfig, sizes: Sequence[int], replicas: int) -> Need:
+    """The networks with their gradients, Adam's moments, the frozen copy, and noise."""
+    keys: dict[str, object] = {"replicas": replicas, "agent.hidden": agent.hidden}
+    parameters, copies = _parameters(sizes), _copies(agent)
+    if isinstance(agent, BootstrapConfig):
+        trunk = len(agent.hidden) if agent.trunk_layers is None else agent.trunk_layers
+        parameters = _parameters(sizes[: trunk + 1]) + agent.heads * _parameters(sizes[trunk:])
+        keys["agent.heads"] = agent.heads
+    if isinstance(agent, BBQNConfig) and agent.evaluate == "average":
+        copies += agent.evaluate_draws
+        keys["agent.evaluate_draws"] = agent.evaluate_draws
+    return Need("the networks", _FLOAT * copies * replicas * parameters, keys)
+
+
+def _copies(agent: AgentConfig) -> int:
+    """How many numbers there are for a weight: itself, gradient, two moments, frozen copy."""
+    if isinstance(agent, BBQNConfig):
+        return 2 * 5 + 8  # of mean and std each; and a pool of noise
+    return 2 * 5 if isinstance(agent, DQNConfig) and agent.noisy else 5
+
+
+def _parameters(sizes: Sequence[int]) -> int:
+    return sum((before + 1) * after for before, after in pairwise(sizes))
+
+
+def _gigabytes(size: int) -> str:
+    return f"{max(1, round(size / 1e9)):,} GB"
