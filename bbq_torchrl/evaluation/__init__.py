@@ -6,6 +6,7 @@ from bbq_torchrl.evaluation.results import (
     Metrics,
     ReplicaResult,
     RunResult,
+    TrainingEvaluation,
     read_metrics,
     read_result,
 )
@@ -22,6 +23,7 @@ __all__ = [
     "Metrics",
     "ReplicaResult",
     "RunResult",
+    "TrainingEvaluation",
     "binomial_standard_error",
     "estimate",
     "interquartile_mean",
