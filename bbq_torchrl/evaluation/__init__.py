@@ -7,6 +7,7 @@ from bbq_torchrl.evaluation.results import (
     Metrics,
     ReplicaResult,
     RunResult,
+    TrainingEvaluation,
     read_metrics,
     read_result,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "ReplicaResult",
     "RunResult",
     "Summary",
+    "TrainingEvaluation",
     "areas",
     "binomial_standard_error",
     "estimate",

@@ -86,6 +86,9 @@ def check_run(overrides: list[str], tmp_path: Path) -> None:
     assert resumed.success_rate == result.success_rate
     for one, other in zip(weights(config, whole), weights(config, parts), strict=True):
         assert torch.equal(one, other)
+    assert [item.while_training for item in resumed.per_replica] == [
+        item.while_training for item in result.per_replica
+    ]
     columns = [name for name in read_metrics(whole).columns if not name.startswith("seconds")]
     for name in columns:
         assert (read_metrics(whole)[name] == read_metrics(parts)[name]).all(), name

@@ -217,6 +217,9 @@ REFUSED = {
     "device=tpu": "device must be 'cpu', 'cuda' or 'cuda:<number>', got 'tpu'",
     "protocol.rounds=0": "protocol.rounds must be an integer from 1 to 10**9, got 0",
     "protocol.capacity=8": "protocol.capacity must be at least protocol.batch_size",
+    "protocol.eval_every=-1": "protocol.eval_every must be an integer from 0 to 10**9, got -1",
+    "protocol.eval_every_dialogues=0": "protocol.eval_every_dialogues must be an integer from 1",
+    "agent.evaluate=median": "agent.evaluate must be one of mean, average, draw, thompson, got",
     "spike.dialogues=-1": "spike.dialogues must be an integer from 0 to 10**9, got -1",
     "spike.protect=maybe": "spike.protect must be true or false",
     "env.slot_error_prob=2": "env.slot_error_prob must be a number between 0 and 1",
@@ -292,6 +295,7 @@ REFUSED_EVALUATIONS = {
     "policy=rule env=full,domain_ext": "got 'full,domain_ext'; an evaluation is one command",
     "policy=rule dialogues=0": "dialogues must be an integer from 1 to 10**9, got 0",
     "policy=rule mode=nope": "mode must be one of mean, average, draw, thompson or null",
+    "policy=rule weights=first": "weights must be one of last, best, got 'first'",
     "policy=rule agent=dqn": "agent is not a key; the keys of the configuration are env, domain",
     "policy=rule env.priorstd=1": "env.priorstd is not a key; the keys of env=full are name",
     "policy=rule +experiment=quick": "experiment is for training only",
@@ -446,6 +450,59 @@ def test_a_saved_configuration_is_read_back_as_it_was(tmp_path, command):
     config = compose(command)
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == config
+
+
+COSTLY = ["protocol.rounds=30", "protocol.dialogues=50", "protocol.batch_size=32"]
+COSTLY += ["protocol.capacity=640", "protocol.freezes=1", "protocol.epochs=2", "env.max_turn=38"]
+
+
+@pytest.mark.parametrize(
+    ("choices", "evaluation", "training"),
+    [
+        # 20 steps of 200 + dialogues; a round: 20 steps of 200 + 50, 40 updates of 200 + 32.
+        ([], (20, 3_000, 64_000), (20, 50, 40, 32, 14_280)),
+        # Three replicas of 3,000, 800 at a time: four times 20 steps.
+        (["replicas=3"], (80, 2_400, 208_000), (20, 150, 40, 96, 18_840)),
+    ],
+)
+def test_evaluations_that_take_longer_than_training_are_refused_with_the_numbers(
+    choices, evaluation, training
+):
+    steps, places, cost = evaluation
+    turns, dialogues, updates, rows, a_round = training
+    choices = [*COSTLY, *choices, "protocol.eval_batch=3000", "protocol.eval_every_dialogues=3000"]
+    if "replicas=3" in choices:
+        choices.append("protocol.eval_batch=2400")
+    enough = -(-cost // a_round)
+    compose([*choices, f"protocol.eval_every={enough}"])
+    with pytest.raises(ConfigError) as refused:
+        compose([*choices, f"protocol.eval_every={enough - 1}"])
+    message, every = str(refused.value), enough - 1
+    assert f"protocol.eval_every must be 0 or at least {enough} with" in message
+    assert f"protocol.eval_every_dialogues=3000, got {every}" in message
+    assert f"an evaluation of {steps} steps with {places:,} dialogues side by side" in message
+    assert f"of {every * turns} steps with {dialogues} and {every * updates} updates" in message
+    assert f"of {rows} transitions ({cost:,} against {every * a_round:,}," in message
+
+
+@pytest.mark.parametrize(
+    "choices",
+    [
+        ["protocol.eval_every=0"],  # never
+        ["protocol.eval_every=31"],  # not in this training
+    ],
+)
+def test_an_evaluation_that_never_is_costs_nothing(choices):
+    compose([*COSTLY, *choices, "protocol.eval_every_dialogues=100000"])
+
+
+def test_a_run_of_a_version_without_evaluation_while_training_has_none(tmp_path):
+    file = tmp_path / "config.yaml"
+    save_config(compose(["agent=dqn"]), file)
+    saved = yaml.safe_load(file.read_text())
+    del saved["protocol"]["eval_every"], saved["protocol"]["eval_every_dialogues"]
+    file.write_text(yaml.safe_dump(saved))
+    assert load_config(file).protocol.eval_every == 0
 
 
 def test_a_run_of_a_version_without_intrinsic_rewards_has_none(tmp_path):

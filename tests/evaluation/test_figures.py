@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -65,6 +67,31 @@ def test_the_thick_line_is_the_moving_mean_over_replicas(tmp_path, drawn):
     draw_run(tmp_path / "curve.png", group, title="a run")
     thick = max(drawn[0].axes[0].get_lines(), key=lambda line: line.get_linewidth())
     assert thick.get_ydata() == pytest.approx(moving_average(group.success).mean(1))
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path, drawn, seeds):
+    group = curves(seeds)
+    evaluated = np.full((30, seeds), np.nan)
+    evaluated[4::5] = np.random.default_rng(1).uniform(size=(6, seeds))
+    draw_run(tmp_path / "curve.png", dataclasses.replace(group, evaluated=evaluated), title="a run")
+
+    lines = drawn[0].axes[0].get_lines()
+    training, *rest = lines
+    main = max(lines, key=lambda line: line.get_linewidth())
+    assert training.get_ydata() == pytest.approx(moving_average(group.success).mean(1))
+    assert training.get_alpha() < 1
+    assert training.get_linewidth() < main.get_linewidth() / 2
+    # At the end of the rounds 4, 9, ...: what is evaluated has learned from them.
+    assert main.get_xdata().tolist() == [5, 10, 15, 20, 25, 30]
+    assert main.get_ydata() == pytest.approx(evaluated[4::5].mean(1))
+    # A line for each of several seeds, their mean, the final points, their mean.
+    assert len(rest) == (seeds if seeds > 1 else 0) + 1 + 2
+    noun = "1 seed" if seeds == 1 else "3 seeds"
+    assert labels(drawn[0])[:2] == [
+        "training, with exploration (mean of 10 rounds)",
+        f"DQN ({noun}, evaluated)",
+    ]
 
 
 @pytest.mark.parametrize("count", [2, 9])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import shutil
@@ -10,8 +11,8 @@ import numpy as np
 import pytest
 from result_folders import make_run, metrics_text, run_result
 
-from bbq_torchrl.evaluation import read_metrics, read_result
-from bbq_torchrl.evaluation.results import replica_result, write_json
+from bbq_torchrl.evaluation import RunResult, read_metrics, read_result
+from bbq_torchrl.evaluation.results import replica_result, training_evaluation, write_json
 
 
 def test_a_replica_is_summed_up_over_its_dialogues():
@@ -44,6 +45,42 @@ def test_keys_of_a_newer_version_are_left_out(tmp_path):
     plain["new"] = plain["per_replica"][0]["new"] = 1
     write_json(plain, tmp_path / "result.json")
     assert read_result(tmp_path) == result
+
+
+def test_what_evaluations_while_training_say_is_summed_up():
+    nothing = math.nan
+    rates = [nothing, 0.1, nothing, 0.9, 0.5, 0.5, 0.6, 0.2]
+    found = training_evaluation(rates, best=0.9, best_round=3)
+    assert (found.last, found.best, found.best_round) == (0.2, 0.9, 3)
+    assert found.last_five == pytest.approx((0.9 + 0.5 + 0.5 + 0.6 + 0.2) / 5)
+    assert training_evaluation(rates[:2], best=0.1, best_round=1).last_five == 0.1
+    assert training_evaluation([nothing] * 3, best=0.0, best_round=-1) is None
+
+
+def test_evaluations_while_training_are_read_as_they_were_written(tmp_path):
+    replicas = [
+        replica_result(
+            number,
+            *([1, 0], [30, -10], [9, 4]),
+            training_success=0.3,
+            while_training=training_evaluation([0.2, rate], best=rate, best_round=1 - number),
+        )
+        for number, rate in enumerate((0.4, 0.2))
+    ]
+    described = {name: getattr(run_result([0.5]), name) for name in ("agent", "explore", "env")}
+    described |= {name: getattr(run_result([0.5]), name) for name in ("domain", "policy", "seed")}
+    described |= {"rounds": 2, "wall_seconds": 1.0, "versions": {}, "scripted": {"rule": 0.18}}
+    result = RunResult.of(replicas, **described)
+    assert result.while_training.last == pytest.approx(0.3)
+    assert result.while_training.best_round == 0.5
+    assert result.only([1]).while_training == replicas[1].while_training
+
+    write_json(result, tmp_path / "result.json")
+
+    assert read_result(tmp_path) == result
+    # One replica that has none, such as a file of an earlier version: no mean either.
+    older = [dataclasses.replace(replicas[0], while_training=None), replicas[1]]
+    assert RunResult.of(older, **described).while_training is None
 
 
 def test_a_folder_without_a_result_is_no_finished_run(tmp_path):
@@ -95,6 +132,13 @@ def test_a_round_that_a_kill_tore_is_left_out(tmp_path):
         assert read_metrics(write_metrics(tmp_path, kept)).rounds == 2
 
 
+def test_what_a_round_has_not_is_nan(tmp_path):
+    text = "round,replica,dialogues,success_rate,eval_success_rate\n0,0,50,.5,\n1,0,50,.5,.25\n"
+    found = read_metrics(write_metrics(tmp_path, text))["eval_success_rate"][:, 0]
+    assert np.isnan(found).tolist() == [True, False]
+    assert found[1] == 0.25
+
+
 HEAD = "round,replica,dialogues,success_rate\n"
 
 
@@ -103,6 +147,7 @@ HEAD = "round,replica,dialogues,success_rate\n"
     [
         (HEAD + "0,0,50,half\n", r"metrics\.csv, line 2, is damaged"),
         (HEAD + "0,0,50,.5\n1,0,50\n2,0,50,.5\n", r"metrics\.csv, line 3, is damaged"),
+        (HEAD + "0,0,50,\n", r"metrics\.csv, line 2, is damaged"),
         (HEAD + "0,0,50,.5,7\n", r"metrics\.csv, line 2, is damaged"),
         (HEAD + "0,0,50,.5\n0,1,50,.5\n1,1,50,.5\n1,0,50,.5\n", "in order"),
         (HEAD + "0,0,50,.5\n2,0,50,.5\n", "in order"),
