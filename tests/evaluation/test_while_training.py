@@ -172,7 +172,8 @@ def test_a_run_says_that_it_is_not_evaluated_while_training(small, tmp_path, cap
 
 
 def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_path, caplog):
-    config = small("agent=dqn", "protocol.rounds=1", "protocol.eval_dialogues=400")
+    choices = ("protocol.eval_dialogues=400", "protocol.eval_batch=800")
+    config = small("agent=dqn", "protocol.rounds=1", *choices)
     with caplog.at_level(logging.INFO, "bbq_torchrl"):
         result = run(config, tmp_path)
 
