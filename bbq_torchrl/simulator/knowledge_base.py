@@ -39,7 +39,9 @@ class KnowledgeBase:
     To count how often each value of a slot occurs among the matching records, the same sets are
     kept once more for each slot the agent can inform or offer, with the records ordered by that
     slot's value and every value starting a new byte. The counts are then differences of one
-    running sum over bytes. Memory: ``(1 + informable slots) * values * records`` bits.
+    running sum over bytes. Only values that a record has are counted: what a turn costs depends on
+    the records, however long the lists of values. Memory: ``(1 + informable slots) * values *
+    records`` bits.
 
     Args:
         domain: the domain's tensors; ``records`` ``[rows, S]`` must have at least one row.
@@ -78,21 +80,23 @@ class KnowledgeBase:
         # The ordered sets: values that no record has share one empty set.
         self.ordered_set, distinct = _distinct_rows(allowed)
         self.order_of_slot = torch.zeros(domain.n_slots, dtype=torch.long)
-        orders = [_order_by_value(records[:, slot], int(domain.n_values[slot])) for slot in listed]
-        if not orders:
-            everything = torch.zeros_like(records[:, 0])
-            orders = [_order_by_value(everything, FIRST_VALUE + 1)]
+        columns = [records[:, slot] for slot in listed] or [torch.zeros_like(records[:, 0])]
+        orders = [_order_by_value(column) for column in columns]
         for position, slot in enumerate(listed):
             self.order_of_slot[slot] = position
         n_bytes = max(place.numel() for place, _ in orders) // _BYTE_BITS
         n_bytes += -n_bytes % _WORD_BYTES
         n_bounds = max(bounds.numel() for _, bounds in orders)
+        self.max_counts = max(1, n_bounds - 1)
         self.ordered_sets = _pack_in_orders(
             distinct, [place for place, _ in orders], n_bytes * _BYTE_BITS
         )
         self.sets_per_order = distinct.shape[0]
         # A bound beyond a slot's last value repeats the last one: no record lies between.
-        self.bounds = torch.stack([_extend(bounds, n_bounds) for _, bounds in orders])
+        self.bounds = torch.stack([_extend(bounds, self.max_counts + 1) for _, bounds in orders])
+        self.counted = torch.stack(
+            [_extend(_occurring(column), self.max_counts) for column in columns]
+        )
 
         self.first_count = domain.n_values.cumsum(0) - domain.n_values
         self.counts = torch.cat(
@@ -148,8 +152,9 @@ class KnowledgeBase:
                 meaningless counts and the right total.
 
         Returns:
-            Long ``[*B, V]``: how many matching records have the value ``FIRST_VALUE + v``; and
-            long ``[*B]``: how many match, those without the slot included.
+            Long ``[*B, C]``: how many matching records have each value that some record has of
+            the slot, in the order of their ids (:meth:`value` says which); and long ``[*B]``: how
+            many match, those without the slot included.
         """
         order = self.order_of_slot.take(slot)
         sets = self.ordered_set.take(self._chosen(held))
@@ -157,6 +162,15 @@ class KnowledgeBase:
         running = byte_counts(words).cumsum(-1, dtype=torch.int32)
         below = running.gather(-1, rows(self.bounds, order))
         return below.diff(dim=-1), running[..., -1]
+
+    def value(self, slot: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+        """Returns the value ids, long ``[*B]``, that places of :meth:`counts_by_value` stand for.
+
+        Args:
+            slot: long ``[*B]``, as in :meth:`counts_by_value`.
+            index: long ``[*B]``, places in its counts.
+        """
+        return self.counted.take(self.order_of_slot.take(slot) * self.max_counts + index)
 
     def fill(self, held: torch.Tensor, slot: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Finds the value that a slot mostly has among the records that match every held value.
@@ -179,23 +193,23 @@ class KnowledgeBase:
         values, has_match = [], []
         for block in blocks:
             counts, total = self.counts_by_value(*block)
-            values.append(self.most_frequent(counts))
+            values.append(self.most_frequent(counts, block[1]))
             has_match.append(total > 0)
         return torch.cat(values).view(slot.shape), torch.cat(has_match).view(slot.shape)
 
-    @staticmethod
-    def most_frequent(counts: torch.Tensor) -> torch.Tensor:
+    def most_frequent(self, counts: torch.Tensor, slot: torch.Tensor) -> torch.Tensor:
         """Returns the id of the value with the highest count, long ``[*B]``.
 
         Ties go to the lowest id; "no match" where all counts are 0.
 
         Args:
-            counts: long ``[*B, V]``, of the values from ``FIRST_VALUE`` on.
+            counts: long ``[*B, C]``, what :meth:`counts_by_value` returned.
+            slot: long ``[*B]``, whose values they are.
         """
         # argmax gives the first of equal counts, and values are in the order of their ids.
         best = counts.argmax(-1, keepdim=True)
         is_found = counts.gather(-1, best).squeeze(-1) > 0
-        return torch.where(is_found, best.squeeze(-1) + FIRST_VALUE, NO_MATCH)
+        return torch.where(is_found, self.value(slot, best.squeeze(-1)), NO_MATCH)
 
 
 def _allowed_records(domain: DomainTensors, slots: Sequence[int]) -> torch.Tensor:
@@ -219,22 +233,26 @@ def _distinct_rows(allowed: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return index, torch.cat([everything, nothing, allowed[is_own]])
 
 
-def _order_by_value(values: torch.Tensor, n_values: int) -> tuple[torch.Tensor, torch.Tensor]:
+def _occurring(values: torch.Tensor) -> torch.Tensor:
+    """Returns the value ids that some record has, in order: long ``[values]``."""
+    return values[values >= FIRST_VALUE].unique()
+
+
+def _order_by_value(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Orders the records by one slot's value, every value from a new byte on.
 
     Args:
         values: long ``[rows]``, each record's value of the slot.
-        n_values: how many value ids the slot has.
 
     Returns:
         For each place the record in it, or -1: long ``[places]``, a multiple of 8 long; and for
-        each value from ``FIRST_VALUE`` on the last byte before it, then the last byte of the
-        last: long ``[n_values - FIRST_VALUE + 1]``. The first byte is empty, so that there is one
-        before the first value. Records without a value come last.
+        each value that some record has the last byte before it, then the last byte of the last:
+        long ``[values + 1]``. The first byte is empty, so that there is one before the first
+        value. Records without a value come last.
     """
     places = [torch.full((_BYTE_BITS,), -1)]
     bounds = [0]
-    for value in (*range(FIRST_VALUE, n_values), NONE):
+    for value in (*_occurring(values).tolist(), NONE):
         rows = (values == value).nonzero().squeeze(-1)
         places.append(torch.nn.functional.pad(rows, (0, -rows.numel() % _BYTE_BITS), value=-1))
         bounds.append(bounds[-1] + places[-1].numel() // _BYTE_BITS)
@@ -267,9 +285,10 @@ def _placed(members: torch.Tensor, place: torch.Tensor, n_places: int) -> torch.
     return torch.nn.functional.pad(in_place, (0, n_places - place.numel()))
 
 
-def _extend(bounds: torch.Tensor, length: int) -> torch.Tensor:
-    """Returns ``bounds`` with its last entry repeated up to ``length``."""
-    return torch.cat([bounds, bounds[-1].expand(length - bounds.numel())])
+def _extend(entries: torch.Tensor, length: int) -> torch.Tensor:
+    """Returns ``entries`` with the last one repeated up to ``length``; "no match" for none."""
+    last = entries[-1] if entries.numel() else torch.tensor(NO_MATCH)
+    return torch.cat([entries, last.expand(length - entries.numel())])
 
 
 def _literal_counts(values: torch.Tensor, n_values: int) -> torch.Tensor:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
+from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.simulator.choices import index_below, one_of
 from bbq_torchrl.simulator.lookup import rows
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
@@ -36,8 +39,9 @@ class AgentTurn:
         is_multiple_choice: bool ``[*B]``, it offers the values of its slot.
         is_confirm_answer: bool ``[*B]``, it asks the user to go on.
         is_end: bool ``[*B]``, it ends the dialogue.
-        offered: bool ``[*B, V]``, the values that a multiple choice offers, from ``FIRST_VALUE``
-            on; ``None`` in a domain without such actions.
+        offered: bool ``[*B, C]``, the values that a multiple choice offers, in the order of their
+            ids; ``None`` in a domain without such actions.
+        offers: the value ids, long ``[*B]``, that indices ``[*B]`` into ``offered`` stand for.
     """
 
     act: torch.Tensor
@@ -53,6 +57,7 @@ class AgentTurn:
     is_confirm_answer: torch.Tensor
     is_end: torch.Tensor
     offered: torch.Tensor | None
+    offers: Callable[[torch.Tensor], torch.Tensor]
 
     def choose(self, uniform: torch.Tensor) -> torch.Tensor:
         """Chooses one of the values offered. Returns value ids, long ``[*B]``.
@@ -70,7 +75,7 @@ class AgentTurn:
         count = self.offered.sum(-1)
         rank = self.offered.cumsum(-1) - 1
         is_chosen = self.offered & (rank == index_below(uniform, count)[..., None])
-        chosen = is_chosen.to(torch.uint8).argmax(-1) + FIRST_VALUE
+        chosen = self.offers(is_chosen.to(torch.uint8).argmax(-1))
         return torch.where(count > 0, chosen, DONT_CARE)
 
 
@@ -123,7 +128,7 @@ class Tracker:
         if self._has_choices:
             counts, total = self._knowledge_base.counts_by_value(held, slot)
             offered = counts > 0
-            filled, has_match = self._knowledge_base.most_frequent(counts), total > 0
+            filled, has_match = self._knowledge_base.most_frequent(counts, slot), total > 0
             special = special | choice
             has_match = torch.where(choice, offered.any(-1), has_match)
         else:
@@ -145,6 +150,7 @@ class Tracker:
             is_confirm_answer=confirm,
             is_end=end,
             offered=offered,
+            offers=partial(self._knowledge_base.value, slot),
         )
 
     @staticmethod

@@ -77,7 +77,10 @@ def test_look_ups_agree_with_going_through_the_records_one_by_one(shelf, slot):
     counted = Counter(row[slot] for row in matching if slot in row)
     counts, total = knowledge_base.counts_by_value(ids, torch.tensor(position))
     assert int(total) == len(matching)
-    assert {w: n for w, n in zip(words[FIRST:], counts.tolist(), strict=False) if n} == counted
+    places = torch.arange(counts.shape[-1])
+    counted_ids = knowledge_base.value(torch.tensor(position).expand(len(places)), places).tolist()
+    assert {words[v]: n for v, n in zip(counted_ids, counts.tolist(), strict=True) if n} == counted
+    assert counted_ids == sorted(counted_ids)
 
     value, has_match = knowledge_base.fill(ids, torch.tensor(position))
     most = max(counted.values(), default=0)
@@ -140,6 +143,21 @@ def test_memory_grows_with_the_records_and_not_with_their_square(movie):
 
     domain = tensorise(movie)
     assert bits(4) < 5 * bits(1)
+
+
+def test_a_look_up_does_not_grow_with_values_that_no_record_has(restaurant):
+    long = {
+        s: (*v, *(f"{s} {n}" for n in range(2_000))) for s, v in restaurant.error_values.items()
+    }
+    shelves = [
+        KnowledgeBase(tensorise(domain))
+        for domain in (restaurant, replace(restaurant, error_values=long))
+    ]
+    held = torch.zeros(3, len(restaurant.slots), dtype=torch.long)
+    slot = torch.full((3,), restaurant.slots.index("cuisine"))
+    short, grown = (shelf.counts_by_value(held, slot)[0] for shelf in shelves)
+    assert short.shape == grown.shape
+    assert torch.equal(short, grown)
 
 
 def test_a_knowledge_base_without_records_or_deciding_slots_is_refused():
