@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl import interruption
 from bbq_torchrl.config import ConfigError, EvaluateConfig
-from bbq_torchrl.config.resume import run_config
+from bbq_torchrl.config.resume import description, run_config
 from bbq_torchrl.config.store import compose_raw, session, to_config
 from bbq_torchrl.config.values import replica_values
 
@@ -142,16 +143,16 @@ def _trained(
 ) -> tuple[str, TensorDictModuleBase]:
     """Returns the policy of a run's newest readable checkpoint; ``env`` enters its round."""
     from bbq_torchrl.build import build_agent
-    from bbq_torchrl.trainers import CheckpointFolder
+    from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointFolder
 
     agent = build_agent(run, env)
-    checkpoints = CheckpointFolder(folder / "checkpoint", loss=agent.loss)
-    found = checkpoints.newest()
+    try:
+        found = CheckpointFolder(folder / "checkpoint", loss=agent.loss).restore(description(run))
+    except CheckpointDamagedError as error:
+        raise ConfigError(str(error)) from error
     if found is None:
         raise ConfigError(f"{folder} has no checkpoint yet")
-    path, metadata = found
-    checkpoints.load(path)
-    env.set_round(max(int(metadata["round"]) - 1, 0))
+    env.set_round(max(int(found[1]["round"]) - 1, 0))
     return agent.evaluation(mode)
 
 
@@ -167,4 +168,6 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
 
 
 if __name__ == "__main__":
+    interruption.tell(lambda: "in an evaluation", lambda: "the same command begins again")
+    interruption.listen()
     sys.exit(main())

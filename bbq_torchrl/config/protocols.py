@@ -12,6 +12,7 @@ from bbq_torchrl.config.settings import (
     NON_NEGATIVE_INTEGER,
     REQUIRED,
     Allowed,
+    one_of,
     option,
     optional,
     setting,
@@ -80,6 +81,11 @@ class ProtocolConfig:
     eval_dialogues: int = setting(10_000, COUNT, "dialogues of the final evaluation of a replica")
     eval_batch: int = setting(2_500, COUNT, "evaluation dialogues of all replicas side by side")
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
+    keep_checkpoints: str = setting(
+        "weights",
+        one_of("all", "last", "weights"),
+        "every checkpoint, the last two, or after the end nothing but the weights",
+    )
 
 
 @dataclass

@@ -29,7 +29,11 @@ CONFIG_FILE = "config.yaml"
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
 
-_OF_A_MACHINE = ("protocol.checkpoint_every", "protocol.eval_batch")
+_OF_A_MACHINE = (
+    "protocol.checkpoint_every",
+    "protocol.keep_checkpoints",
+    "protocol.eval_batch",
+)
 
 
 @dataclass(frozen=True)

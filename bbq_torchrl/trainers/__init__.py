@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
+from bbq_torchrl.trainers.checkpoint import (
+    CheckpointDamagedError,
+    CheckpointFolder,
+    CheckpointMismatchError,
+)
 from bbq_torchrl.trainers.collect import Outcomes, Policy, outcomes, play, play_dialogues
 from bbq_torchrl.trainers.errors import NonFiniteLossError
 from bbq_torchrl.trainers.loggers import LoggerName, check_logger, make_loggers
@@ -17,6 +21,7 @@ from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
 __all__ = [
     "CheckpointDamagedError",
     "CheckpointFolder",
+    "CheckpointMismatchError",
     "LoggerName",
     "MetricRow",
     "MetricsFile",
