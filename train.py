@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl import interruption
+
+    interruption.listen()
+
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.config.command import command
@@ -22,9 +27,13 @@ def check(config: Config) -> None:
 
 def clear_errors() -> tuple[type[Exception], ...]:
     """Returns the errors of a run whose text is enough for a person."""
-    from bbq_torchrl.trainers import CheckpointDamagedError, NonFiniteLossError
+    from bbq_torchrl.trainers import (
+        CheckpointDamagedError,
+        CheckpointMismatchError,
+        NonFiniteLossError,
+    )
 
-    return NonFiniteLossError, CheckpointDamagedError
+    return NonFiniteLossError, CheckpointDamagedError, CheckpointMismatchError
 
 
 @command(check, clear_errors)

@@ -8,9 +8,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl import interruption
 from bbq_torchrl.config import ConfigError, EvaluateConfig
 from bbq_torchrl.config.messages import unreadable
-from bbq_torchrl.config.resume import run_config
+from bbq_torchrl.config.resume import description, run_config
 from bbq_torchrl.config.store import compose_raw, session, to_config
 from bbq_torchrl.config.values import replica_values
 from bbq_torchrl.text import one_line, shown
@@ -155,7 +156,7 @@ def _trained(
 ) -> tuple[str, TensorDictModuleBase]:
     """Returns the policy of a run's newest readable checkpoint; ``env`` enters its round."""
     from bbq_torchrl.build import build_agent
-    from bbq_torchrl.trainers import BestWeights, CheckpointFolder
+    from bbq_torchrl.trainers import BestWeights, CheckpointDamagedError, CheckpointFolder
 
     agent = build_agent(run, env)
     mode, policy = agent.evaluation(config.mode)
@@ -168,13 +169,13 @@ def _trained(
             )
         best = BestWeights(policy, run.replicas)
     saved = {"loss": agent.loss} if best is None else {"best": best}
-    checkpoints = CheckpointFolder(folder / "checkpoint", **saved)
-    found = checkpoints.newest()
+    try:
+        found = CheckpointFolder(folder / "checkpoint", **saved).restore(description(run))
+    except CheckpointDamagedError as error:
+        raise ConfigError(str(error)) from error
     if found is None:
         raise ConfigError(f"{folder} has no checkpoint yet")
-    path, metadata = found
-    checkpoints.load(path)
-    env.set_round(max(int(metadata["round"]) - 1, 0))
+    env.set_round(max(int(found[1]["round"]) - 1, 0))
     if best is not None:
         best.put_back()
     return mode, policy
@@ -192,4 +193,6 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
 
 
 if __name__ == "__main__":
+    interruption.tell(lambda: "in an evaluation", lambda: "the same command begins again")
+    interruption.listen()
     sys.exit(main())

@@ -14,8 +14,10 @@ import numpy as np
 import torch
 
 import bbq_torchrl
+from bbq_torchrl import interruption
 from bbq_torchrl.build import build_env, build_trainer, evaluation_places
-from bbq_torchrl.config.resume import RUN_CONFIG
+from bbq_torchrl.config.resume import CURVE, RUN_CONFIG
+from bbq_torchrl.config.run_lock import run_lock
 from bbq_torchrl.config.store import save_config
 from bbq_torchrl.config.values import replica_values
 from bbq_torchrl.envs import scripted_policy
@@ -28,6 +30,7 @@ from bbq_torchrl.evaluation.results import (
     RunResult,
     TrainingEvaluation,
     read_metrics,
+    read_result,
     replica_result,
     training_evaluation,
     write_json,
@@ -55,6 +58,8 @@ SCRIPTED_DIALOGUES = 2_000
 def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -> RunResult:
     """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
 
+    The folder is locked meanwhile.
+
     Args:
         config: what to run; with ``resume``, the run in the folder goes on.
         folder: the run folder.
@@ -62,21 +67,39 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
 
     Raises:
         NonFiniteLossError: a loss is NaN or infinite.
-        CheckpointDamagedError: a run to resume has checkpoints, but none can be read.
+        CheckpointDamagedError: a run to resume has no checkpoint any more that can be read.
+        CheckpointMismatchError: its checkpoint is of another seed or configuration.
+        ConfigError: another process is at work in the folder.
+        Interrupted: a signal came (see :mod:`bbq_torchrl.interruption`); all rounds are saved.
     """
+    with run_lock(folder):
+        return _run(config, folder, callbacks)
+
+
+def _run(config: Config, folder: Path, callbacks: Sequence[RoundCallback]) -> RunResult:
+    rounds = config.protocol.rounds
     torch.set_num_threads(config.threads)
     keep_freed_memory()
     _quieten_torchrl()
     save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
     trainer, agent = build_trainer(config, folder, callbacks)
-    _tell_of_evaluations(config)
-    rows = trainer.train(resume=config.resume is not None)
-    trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
-    started = time.perf_counter()
-    _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
-    result = _evaluated(config, folder, agent, trainer, trained, started)
-    write_json(result, folder / RESULT_FILE)
-    _draw(config, folder, result, trainer.env)
+    result = None if config.resume is None else _result_of(folder, rounds)
+    if result is None:
+        interruption.tell(
+            lambda: f"after {trainer.rounds_done} of {rounds} rounds, {trainer.rounds_saved} saved"
+        )
+        _tell_of_evaluations(config)
+        with interruption.gently(trainer.stop):
+            rows = trainer.train(resume=config.resume is not None)
+        interruption.check()
+        trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
+        started = time.perf_counter()
+        _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
+        result = _evaluated(config, folder, agent, trainer, trained, started)
+        write_json(result, folder / RESULT_FILE)
+    if config.protocol.keep_checkpoints == "weights":
+        trainer.checkpoints.keep_only("loss", *(["best"] if trainer.evaluator is not None else []))
+    _draw(config, folder, result, trainer.env)  # last: the run is finished
     _LOG.info("%s", _result_line(config, result))
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     return result
@@ -114,6 +137,15 @@ def _result_line(config: Config, result: RunResult) -> str:
 def _short(rate: float) -> str:
     """Returns a rate with two decimals and no leading zero, such as ``.64``; ``0`` for none."""
     return f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}"
+
+
+def _result_of(folder: Path, rounds: int) -> RunResult | None:
+    """Returns the result of a run that was killed before its last file, the curve."""
+    try:
+        result = read_result(folder)
+    except ValueError:
+        return None
+    return result if result.rounds == rounds else None
 
 
 def _quieten_torchrl() -> None:
@@ -209,7 +241,7 @@ def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> 
         label = ", ".join([name, *(f"{key}={value:g}" for key, value in values.items())])
         together.setdefault(label, []).append(replica)
     draw_run(
-        folder / "curve.png",
+        folder / CURVE,
         [
             Curves(
                 label,

@@ -1,15 +1,18 @@
-"""What the configuration alone does not tell: device, logger, corpus, policy, memory."""
+"""What the configuration alone does not tell, such as device, corpus, memory and checkpoint."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
 
 from bbq_torchrl.build.memory import check_memory, training_needs
 from bbq_torchrl.build.worlds import build_domain
+from bbq_torchrl.config.resume import RESULT, has_result
 from bbq_torchrl.config.settings import ConfigError
-from bbq_torchrl.trainers import check_logger
+from bbq_torchrl.evaluation.results import METRICS_FILE
+from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointFolder, check_logger
 
 if TYPE_CHECKING:
     from bbq_torchrl.config.schema import Config
@@ -18,11 +21,12 @@ __all__ = ["check", "check_device"]
 
 
 def check(config: Config) -> None:
-    """Checks device, logger, corpus, scripted policy and memory before anything runs.
+    """Checks device, logger, corpus, scripted policy, memory and checkpoint before anything runs.
 
     Raises:
         ConfigError: the device is absent, the logger's package is not installed, the domain has
-            no such scripted policy, or the device's memory cannot hold what is asked for.
+            no such scripted policy, the device's memory cannot hold what is asked for, or the run
+            to resume has nothing that it can go on from.
         ValueError or OSError: the corpus is damaged or not there.
     """
     check_device(config.device)
@@ -36,6 +40,20 @@ def check(config: Config) -> None:
             f"spike.policy must be one of {', '.join(domain.policies)}, got {config.spike.policy!r}"
         )
     check_memory(training_needs(config, domain), config.device)
+    if config.resume is not None:
+        _check_resumable(Path(config.resume), config.protocol.rounds)
+
+
+def _check_resumable(folder: Path, rounds: int) -> None:
+    """Raises ConfigError if a run has begun, but there is no checkpoint to go on from."""
+    if has_result(folder, rounds):
+        return  # what is missing is drawn, not trained
+    try:
+        found = CheckpointFolder(folder / "checkpoint").holds("replay")
+        if not found and any((folder / name).exists() for name in (METRICS_FILE, RESULT)):
+            raise CheckpointDamagedError.gone(folder)
+    except CheckpointDamagedError as error:
+        raise ConfigError(str(error)) from error
 
 
 def check_device(device: str) -> None:

@@ -10,6 +10,7 @@ from torchrl.objectives import HardUpdate
 from bbq_torchrl.build.agents import Agent, build_agent
 from bbq_torchrl.build.worlds import build_domain, build_env
 from bbq_torchrl.config.protocols import WandbLoggerConfig
+from bbq_torchrl.config.resume import description
 from bbq_torchrl.config.values import replica_values, spread
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.envs import scripted_policy
@@ -71,6 +72,7 @@ def build_trainer(
             freezes=protocol.freezes,
             epochs=protocol.epochs,
             checkpoint_every=protocol.checkpoint_every,
+            keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
             seed=config.seed,
             max_steps=env.max_agent_turns,
             cuda_graph=config.cuda_graph,
@@ -92,6 +94,7 @@ def build_trainer(
         callbacks=callbacks,
         evaluator=_evaluator(config, env.domain, agent),
         gauges={**agent.gauges, **_own_values(config)},
+        described=description(config),
     )
     return trainer, agent
 

@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import functools
 import logging
+import multiprocessing
 import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -27,6 +30,7 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from bbq_torchrl import interruption
 from bbq_torchrl.config.launchers import LAUNCHER, check_launcher
 from bbq_torchrl.config.messages import explain
 from bbq_torchrl.config.resume import (
@@ -34,6 +38,7 @@ from bbq_torchrl.config.resume import (
     restarted_config,
     resumed_config,
 )
+from bbq_torchrl.config.run_lock import run_lock
 from bbq_torchrl.config.schema import EXPERIMENT, Config
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
@@ -42,6 +47,7 @@ from bbq_torchrl.text import one_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Iterator
 
 __all__ = ["REFUSED", "Refusal", "command", "prepare"]
 
@@ -57,6 +63,10 @@ ClearErrors = Callable[[], "tuple[type[Exception], ...]"]
 
 class Refusal(CompactHydraException):
     """A job that stopped for a reason that its text says; Hydra prints it without a traceback."""
+
+
+class _Stopped(BaseException):
+    """Carries a refusal past Hydra, which would add to what it says."""
 
 
 def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callable[[], None]]:
@@ -78,32 +88,48 @@ def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callabl
             settings = HydraConfig.get()
             folder = Path(settings.runtime.output_dir)
             swept = settings.mode is RunMode.MULTIRUN
+            interruption.tell(how_to_go_on=lambda: _how_to_go_on(folder))
             try:
                 config = _job_config(composed, list(settings.overrides.task))
-                return task(restarted_config(config, folder) if swept else config, folder)
+                if not swept:
+                    return task(config, folder)
+                interruption.listen()
+                interruption.check()
+                return task(restarted_config(config, folder), folder)
+            except interruption.Interrupted:
+                if not swept:
+                    raise
+                raise Refusal(interruption.line()) from None  # the other jobs end in good order
             except Exception as error:
                 if swept:  # Hydra reports the first job that fails, at the end; the log has each
                     _LOG.error("this run failed: %s", _sentence(error) or type(error).__name__)
-                if isinstance(error, (ConfigError, *clear_errors())):
-                    raise Refusal(_sentence(error)) from error
+                if isinstance(error, (ConfigError, OSError, *clear_errors())):
+                    refusal = Refusal(_sentence(error))
+                    raise refusal if swept else _Stopped(refusal) from error
                 raise
 
         @functools.wraps(task)
         def main() -> None:
             arguments = sys.argv[1:]
-            try:
-                prepared, sweep = _prepare(arguments, check)
-            except (ValueError, OSError) as error:
-                _refuse(error)
-            sys.argv[1:] = prepared
-            try:
-                hydra.main(
-                    version_base="1.3", config_path=str(conf_folder()), config_name="config"
-                )(job)()
-            finally:
-                if sweep is not None:
-                    sys.stderr.write(f"{table_of_runs(sweep.folder, sweep.jobs)}\n")
-                sys.argv[1:] = arguments
+            with ExitStack() as held:
+                try:
+                    prepared, sweep = _prepare(arguments, check, held)
+                except (ValueError, OSError) as error:
+                    _refuse(error)
+                sys.argv[1:] = prepared
+                logging.raiseExceptions = False  # a full disk is told once, not for every message
+                try:
+                    if sweep is not None:
+                        held.enter_context(sweep.interruptible())
+                    hydra.main(
+                        version_base="1.3", config_path=str(conf_folder()), config_name="config"
+                    )(job)()
+                    if sweep is not None:
+                        sweep.show()
+                except BaseException as end:
+                    _end(end, sweep)
+                finally:
+                    sys.argv[1:] = arguments
 
         return main
 
@@ -121,7 +147,8 @@ def prepare(arguments: Sequence[str], check: Check) -> list[str]:
         ConfigError: one sentence that says what is wrong and what is allowed.
         ValueError or OSError: what ``check`` raises.
     """
-    return _prepare(arguments, check)[0]
+    with ExitStack() as held:
+        return _prepare(arguments, check, held)[0]
 
 
 @dataclass(frozen=True)
@@ -130,9 +157,62 @@ class _Sweep:
 
     folder: Path
     jobs: int
+    launcher: str
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Within it, a signal has the jobs on this machine end their rounds first."""
+        interruption.tell(lambda: "in a sweep", self.how_to_go_on)
+        if self.launcher not in ("cores", "joblib", "basic"):
+            yield
+            return
+        with interruption.gently(_stop_workers):
+            yield
+
+    def show(self) -> None:
+        """Writes the table of its runs to stderr."""
+        sys.stderr.write(f"{table_of_runs(self.folder, self.jobs)}\n")
+
+    def how_to_go_on(self) -> str:
+        """What is finished, and what goes on with the others."""
+        finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
+        return f"{finished}; python train.py resume=<run folder> goes on with one that is not"
 
 
-def _prepare(arguments: Sequence[str], check: Check) -> tuple[list[str], _Sweep | None]:
+def _stop_workers() -> None:
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # what becomes of the jobs is not told one by one
+    for worker in multiprocessing.active_children():
+        worker.terminate()
+
+
+def _how_to_go_on(folder: Path) -> str:
+    if not (folder / RUN_CONFIG).is_file():
+        return "the same command begins again"
+    return f"python train.py resume={shlex.quote(os.fspath(folder))} goes on"
+
+
+def _end(end: BaseException, sweep: _Sweep | None) -> NoReturn:
+    """Ends the command by a sentence where there is one."""
+    number = interruption.received()
+    if number is not None:
+        if sweep is not None:
+            interruption.tell(lambda: "in a sweep", sweep.how_to_go_on)
+        sys.stderr.write(f"{interruption.line()}\n")
+        sys.exit(128 + number)
+    if isinstance(end, _Stopped):
+        if os.environ.get("HYDRA_FULL_ERROR") == "1":
+            raise end.args[0]
+        sys.stderr.write(f"error: {end.args[0]}\n")
+        sys.exit(1)
+    if sweep is not None:
+        sweep.show()
+    raise end
+
+
+def _prepare(
+    arguments: Sequence[str], check: Check, held: ExitStack
+) -> tuple[list[str], _Sweep | None]:
+    """The command line for Hydra, and its sweep; ``held`` takes the lock of a single run."""
     parsed = get_args_parser().parse_args(list(arguments))
     if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
         return list(arguments), None
@@ -142,10 +222,12 @@ def _prepare(arguments: Sequence[str], check: Check) -> tuple[list[str], _Sweep 
         mode = None if parsed.multirun else hydra_session.get_mode("config", parsed.overrides)
         if not parsed.multirun and mode is not RunMode.MULTIRUN:
             composed = compose_raw(parsed.overrides, with_hydra=True)
-            resume = composed.resume
+            folder = _resumed_folder(composed.resume)
+            if folder is not None:
+                held.enter_context(run_lock(folder))
             config = _job_config(_without_hydra(composed), parsed.overrides)
             check(config)
-            extra = _run_folder(composed, resume)
+            extra = _run_folder(composed, folder, held)
         else:
             composed, jobs = _sweep(hydra_session, parsed.overrides)
             check_launcher(composed.hydra.runtime.choices[LAUNCHER])
@@ -154,7 +236,8 @@ def _prepare(arguments: Sequence[str], check: Check) -> tuple[list[str], _Sweep 
                 if job.resume is not None:
                     raise ConfigError("resume cannot be combined with --multirun")
                 check(to_config(job, Config))
-            sweep = _Sweep(_sweep_folder(composed, parsed.overrides), len(jobs))
+            launcher = composed.hydra.runtime.choices[LAUNCHER]
+            sweep = _Sweep(_sweep_folder(composed, parsed.overrides), len(jobs), launcher)
             extra = [f"hydra.sweep.dir={_quoted(sweep.folder)}"]
     return [*arguments, *extra], sweep
 
@@ -211,17 +294,28 @@ def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, li
     return compose_raw(jobs[0], with_hydra=True), jobs
 
 
-def _run_folder(composed: DictConfig, resume: str | None) -> list[str]:
-    if resume is not None:
-        folder = Path(resume).expanduser().resolve()
+def _resumed_folder(resume: str | None) -> Path | None:
+    """The run folder to go on in, if it is one."""
+    if resume is None:
+        return None
+    folder = Path(resume).expanduser().resolve()
+    return folder if (folder / RUN_CONFIG).is_file() else None
+
+
+def _run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> list[str]:
+    """The overrides that name the run folder, which is locked."""
+    if resumed is not None:
         # Hydra's own record stays as the first process wrote it.
-        return [f"hydra.run.dir={_quoted(folder)}", "hydra.output_subdir=null"]
+        return [f"hydra.run.dir={_quoted(resumed)}", "hydra.output_subdir=null"]
     chosen = Path(composed.hydra.run.dir)
     if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
+        held.enter_context(run_lock(chosen))
         if (chosen / RUN_CONFIG).exists():
             raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")
         return []
-    return [f"hydra.run.dir={_quoted(_reserve(chosen))}"]
+    folder = _reserve(chosen)
+    held.enter_context(run_lock(folder))
+    return [f"hydra.run.dir={_quoted(folder)}"]
 
 
 def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
@@ -259,10 +353,13 @@ def _quoted(path: Path) -> str:
 
 
 def _sentence(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        place = "" if error.filename is None else f"{error.filename}: "
+        return f"{place}{error.strerror}"
     return one_line(error)
 
 
-def _refuse(error: Exception) -> None:
+def _refuse(error: Exception) -> NoReturn:
     if os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
     sys.stderr.write(f"error: {_sentence(error)}\n")

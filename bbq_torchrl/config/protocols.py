@@ -13,6 +13,7 @@ from bbq_torchrl.config.settings import (
     REQUIRED,
     STEP_SIZE,
     Allowed,
+    one_of,
     option,
     optional,
     setting,
@@ -88,6 +89,11 @@ class ProtocolConfig:
         400, COUNT, "dialogues of an evaluation while training, of a replica"
     )
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
+    keep_checkpoints: str = setting(
+        "weights",
+        one_of("all", "last", "weights"),
+        "every checkpoint, the last two, or after the end nothing but the weights",
+    )
 
 
 @dataclass

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.config.schema import EXPERIMENT
-from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.config.settings import ConfigError, walk
 from bbq_torchrl.config.store import load_config
 
 if TYPE_CHECKING:
@@ -16,8 +17,12 @@ if TYPE_CHECKING:
     from bbq_torchrl.config.schema import Config
 
 __all__ = [
+    "CURVE",
     "RESULT",
     "RUN_CONFIG",
+    "description",
+    "has_result",
+    "is_finished",
     "restarted_config",
     "resumed_config",
     "run_config",
@@ -27,10 +32,52 @@ RUN_CONFIG = "config.yaml"
 """The composed configuration in a run folder."""
 
 RESULT = "result.json"
-"""The final evaluation in a run folder: it is there when the run is finished."""
+"""The final evaluation in a run folder, of as many rounds as it says."""
 
-CHANGEABLE = ("protocol.rounds", "logger", "device")
+CURVE = "curve.png"
+"""The learning curve in a run folder: the last file that a run writes."""
+
+CHANGEABLE = ("protocol.rounds", "protocol.keep_checkpoints", "logger", "device")
 """What may be given beside ``resume``; the rest is the run's own."""
+
+_NOT_OF_THE_TRAINING = (
+    *CHANGEABLE,
+    "resume",
+    "threads",
+    "cuda_graph",
+    "domain.path",  # a folder may be moved
+    "protocol.checkpoint_every",
+    "protocol.eval_dialogues",
+    "protocol.eval_batch",
+    "protocol.eval_every",
+    "protocol.eval_every_dialogues",
+    "agent.evaluate",
+    "agent.evaluate_draws",
+)
+"""Keys, and groups, that a checkpoint does not depend on."""
+
+
+def description(config: Config) -> dict[str, Any]:
+    """What a checkpoint of a run depends on, as JSON values by dotted key."""
+    return {
+        key: value
+        for key, _, value in walk(config)
+        if not {key, key.partition(".")[0]} & set(_NOT_OF_THE_TRAINING)
+    }
+
+
+def has_result(folder: Path, rounds: int) -> bool:
+    """Whether the folder has the final evaluation of a training of so many rounds."""
+    try:
+        result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        return bool(result["rounds"] == rounds)
+    except (OSError, ValueError, TypeError, KeyError):
+        return False
+
+
+def is_finished(folder: Path, rounds: int) -> bool:
+    """Whether nothing is left to do in a run folder whose configuration asks for so many rounds."""
+    return has_result(folder, rounds) and (folder / CURVE).is_file()
 
 
 def run_config(folder: Path) -> Config:
@@ -68,16 +115,20 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
             raise ConfigError(_refusal(override, folder))
         if key == "protocol.rounds":
             config.protocol.rounds = _extended(saved, given, folder)
+        elif key == "protocol.keep_checkpoints":
+            config.protocol.keep_checkpoints = given.protocol.keep_checkpoints
         elif key.partition(".")[0] == "logger":
             config.logger = given.logger
         elif key == "device":
             config.device = given.device
         elif _value(given, key) != _value(saved, key):
             raise ConfigError(_refusal(override, folder))
-    if (folder / RESULT).is_file() and config.protocol.rounds == run_config(folder).protocol.rounds:
+    if is_finished(folder, config.protocol.rounds):
+        only = " of a run with protocol.keep_checkpoints=last"
+        extended = only if config.protocol.keep_checkpoints == "weights" else ""
         raise ConfigError(
             f"the run in {folder} is finished ({config.protocol.rounds} rounds): "
-            f"protocol.rounds=<more> extends it"
+            f"protocol.rounds=<more> goes on beyond the end{extended}"
         )
     return config
 

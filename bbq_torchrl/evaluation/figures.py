@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -178,4 +179,7 @@ def _finish(figure: Any, axes: Any, file: Path, title: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     # Below the axes: inside, some curve would always be behind it.
     figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
-    figure.savefig(file, dpi=150)
+    # At once, as a reader or a crash finds it: the old figure or the new one.
+    temporary = file.with_name(f".{file.name}.new")
+    figure.savefig(temporary, dpi=150, format=file.suffix.removeprefix("."))
+    os.replace(temporary, file)

@@ -34,6 +34,7 @@ _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 
 _OF_A_MACHINE = (
     "protocol.checkpoint_every",
+    "protocol.keep_checkpoints",
     "protocol.eval_batch",
     # Evaluating while training leaves no trace in what is trained.
     "protocol.eval_every",

@@ -8,6 +8,7 @@ import logging
 import sys
 from typing import TYPE_CHECKING
 
+from bbq_torchrl import interruption
 from bbq_torchrl.config.searches import SEARCH, compose_search
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import options
@@ -40,11 +41,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         search = compose_search(arguments)
-        for package in ("optuna", "filelock"):
-            if importlib.util.find_spec(package) is None:
-                raise ConfigError(
-                    f"a search needs the package {package}: pip install 'bbq-torchrl[search]'"
-                )
+        if importlib.util.find_spec("optuna") is None:
+            raise ConfigError(
+                "a search needs the package optuna: pip install 'bbq-torchrl[search]'"
+            )
         # Imported here: torch, torchrl and Optuna take seconds, what is refused above takes none.
         import optuna
 
@@ -60,6 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
         best = run_search(search, run, (NonFiniteLossError, CheckpointDamagedError))
+    except interruption.Interrupted as end:
+        sys.stderr.write(f"{interruption.line()}\n")
+        return end.exit_code
     except ConfigError as error:
         return _refused(error)
     if best is None:
@@ -75,4 +78,6 @@ def _refused(error: Exception) -> int:
 
 
 if __name__ == "__main__":
+    interruption.tell(how_to_go_on=lambda: "the same command goes on with the search")
+    interruption.listen()
     sys.exit(main())

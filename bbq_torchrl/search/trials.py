@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import optuna
 
-from bbq_torchrl.config.resume import RUN_CONFIG
-from bbq_torchrl.evaluation.results import RESULT_FILE, read_result
+from bbq_torchrl.config.resume import RUN_CONFIG, is_finished
+from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.statistics import interquartile_mean
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def play_trial(
     if (folder / RUN_CONFIG).is_file():
         config = dataclasses.replace(config, resume=str(folder))
     try:
-        if (folder / RESULT_FILE).is_file():
+        if is_finished(folder, config.protocol.rounds):
             result = read_result(folder)
         else:
             result = runner(config, folder, [_Reports(trial, settings)])

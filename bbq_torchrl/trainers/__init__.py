@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from bbq_torchrl.trainers.best_weights import BestWeights
-from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
+from bbq_torchrl.trainers.checkpoint import (
+    CheckpointDamagedError,
+    CheckpointFolder,
+    CheckpointMismatchError,
+)
 from bbq_torchrl.trainers.collect import Outcomes, Policy, outcomes, play, play_dialogues
 from bbq_torchrl.trainers.errors import NonFiniteLossError
 from bbq_torchrl.trainers.loggers import LoggerName, check_logger, make_loggers
@@ -19,6 +23,7 @@ __all__ = [
     "BestWeights",
     "CheckpointDamagedError",
     "CheckpointFolder",
+    "CheckpointMismatchError",
     "Evaluator",
     "LoggerName",
     "MetricRow",

@@ -1,53 +1,65 @@
 """Checkpoints that survive a kill, a crash and a damaged disk.
 
 A checkpoint is one :class:`torchrl.checkpoint.Checkpoint` archive: a ZIP file of raw tensors and
-JSON (nothing in it is pickled, so loading one runs no code), published by a rename. What TorchRL's
-``CheckpointRotation`` leaves open is done here:
+JSON, published by a rename. What TorchRL's ``CheckpointRotation`` leaves open is done here:
 
 - it skips files that it cannot read without a word, and does not notice a damaged tensor: here
   every byte is checked (the ZIP's CRC-32) before anything is loaded, a damaged file is named in a
   warning, and the one before it is used;
+- its loader unpickles: here a file with anything but tensors and JSON is not loaded at all
+  (:mod:`bbq_torchrl.trainers.archive`);
 - nothing is forced to the disk: here the archive and its folder are, before older ones go;
 - a process killed while it writes leaves its staging folder behind: here the next one removes it.
+
+One process writes, any number may read: a reader changes nothing in the folder.
 """
 
 from __future__ import annotations
 
+import errno
+import json
 import logging
 import os
 import re
 import shutil
-import struct
+import tempfile
+import uuid
 import zipfile
-import zlib
 from typing import TYPE_CHECKING, Any
 
-from torchrl.checkpoint import Checkpoint
+import torch
+from torch.utils import _pytree as pytree
+from torchrl.checkpoint import Checkpoint, CheckpointError
+
+from bbq_torchrl.trainers.archive import TensorFiles, read_archive
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-__all__ = ["CheckpointDamagedError", "CheckpointFolder"]
+__all__ = ["CheckpointDamagedError", "CheckpointFolder", "CheckpointMismatchError"]
 
 _LOG = logging.getLogger(__name__)
 _SUFFIX = ".torchrl"
 _NAME = re.compile(r"round-(\d{6,})\.torchrl")
+_METADATA_SIZE = 1 << 20  # bytes; more than the JSON and the folders of a checkpoint take
 _LEFTOVER = re.compile(r"\..+\.torchrl\.(stage|archive|backup)-[0-9a-f]{32}")
-_READ_ERRORS = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    RuntimeError,  # TorchRL's CheckpointError, and zipfile's word for flags that make no sense
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 class CheckpointDamagedError(RuntimeError):
-    """No checkpoint of a run can be read."""
+    """No checkpoint of a run can be used, though there was one."""
+
+    @classmethod
+    def gone(cls, run_folder: Path) -> CheckpointDamagedError:
+        """Returns the error of a run that has begun and has no checkpoint any more."""
+        return cls(
+            f"{run_folder} has metrics or a result, but no checkpoint to go on from: put its "
+            "checkpoint/ back, resume a copy of the folder that has it, or start a new run"
+        )
+
+
+class CheckpointMismatchError(ValueError):
+    """A checkpoint is one of another seed or configuration."""
 
 
 class CheckpointFolder:
@@ -55,9 +67,10 @@ class CheckpointFolder:
 
     Args:
         folder (Path): where they lie; it is made when the first is saved.
-        keep (int): how many are kept. Default: 2, so that one remains if the newest is damaged.
+        keep (int, optional): how many are kept; None: all. Default: 2, so that one remains if the
+            newest is damaged.
         **components: what is saved and restored, by name: objects with ``state_dict`` and
-            ``load_state_dict``, or lists and dicts of JSON values, which are restored in place.
+            ``load_state_dict``, of tensors and JSON values in dicts, lists and tuples.
 
     Example:
         >>> from pathlib import Path
@@ -70,12 +83,14 @@ class CheckpointFolder:
         round-000003.torchrl {'round': 3, 'seed': 0}
     """
 
-    def __init__(self, folder: Path, *, keep: int = 2, **components: Any) -> None:
-        if keep < 1:
+    def __init__(self, folder: Path, *, keep: int | None = 2, **components: Any) -> None:
+        if keep is not None and keep < 1:
             raise ValueError(f"keep must be at least 1, got {keep}")
         self.folder = folder
         self.keep = keep
-        self._checkpoint = Checkpoint(format="archive", **components)
+        self._checkpoint = Checkpoint(format="archive")
+        for name, component in components.items():
+            self._checkpoint.register(name, component, adapter=TensorFiles())
 
     def save(self, rounds: int, metadata: Mapping[str, Any], *, name: str | None = None) -> Path:
         """Saves all components and returns the file; older checkpoints go once it is safe.
@@ -84,12 +99,16 @@ class CheckpointFolder:
             rounds (int): how many rounds are done.
             metadata (mapping): JSON values, read again without loading anything.
             name (str, optional): a name of its own, outside the rotation. Default: the round's.
+
+        Raises:
+            OSError: if the folder cannot be written or the disk has no room.
         """
         path = self.folder / f"{name or f'round-{rounds:06d}'}{_SUFFIX}"
+        self._check_room()
         self._checkpoint.save(path, metadata={"round": rounds, **metadata})
         _force_to_disk(path)
         _force_to_disk(self.folder)
-        if name is None:
+        if name is None and self.keep is not None:
             for old in self._files()[self.keep :]:
                 old.unlink()
         return path
@@ -97,35 +116,148 @@ class CheckpointFolder:
     def newest(self) -> tuple[Path, dict[str, Any]] | None:
         """Returns the newest readable checkpoint and its metadata, or None if there is none at all.
 
+        A damaged one is named in a warning.
+
         Raises:
-            CheckpointDamagedError: if there are checkpoints, but every one is damaged.
+            CheckpointDamagedError: if there are checkpoints, but every one is damaged, or the
+                newest readable one lacks a component.
         """
-        self._remove_leftovers()
-        files = self._files()
-        damages: list[str] = []
-        for path in files:
-            damage = _damage(path)
-            if damage is None:
-                if damages:
-                    _LOG.warning("resuming from the checkpoint before it: %s", path)
-                return path, dict(Checkpoint.manifest(path)["metadata"])
-            _LOG.warning("checkpoint is damaged and not used: %s (%s)", path, damage)
-            damages.append(f"{path.name}: {damage}")
-        if damages:
-            raise CheckpointDamagedError(
-                f"every checkpoint in {self.folder} is damaged ({'; '.join(damages)})"
-            )
-        return None
+        found, damages = self._newest(self._checkpoint.components)
+        for damage in damages:
+            _LOG.warning("checkpoint is damaged and not used: %s", damage)
+        if found is not None and damages:
+            _LOG.warning("taking the checkpoint before it: %s", found[0])
+        return found
+
+    def holds(self, *names: str) -> bool:
+        """Returns whether there is a checkpoint with these components; errors are :meth:`newest`'s.
+
+        Nothing is loaded, and nothing logged.
+        """
+        return self._newest(names)[0] is not None
+
+    def restore(self, expected: Mapping[str, Any]) -> tuple[Path, dict[str, Any]] | None:
+        """Restores all components from the newest readable checkpoint; None if there is none.
+
+        Args:
+            expected (mapping): metadata that the checkpoint must have. What a checkpoint of an
+                earlier version does not say is not compared.
+
+        Returns:
+            the file and its metadata.
+
+        Raises:
+            CheckpointDamagedError: as :meth:`newest`.
+            CheckpointMismatchError: if the checkpoint is one of another seed or configuration.
+        """
+        while True:
+            found = self.newest()
+            if found is None:
+                return None
+            path, metadata = found
+            for name, value in expected.items():
+                if name in metadata and metadata[name] != value:
+                    raise CheckpointMismatchError(
+                        f"{name} must be {metadata[name]}, as in the checkpoint {path}, got {value}"
+                    )
+            try:
+                self.load(path)
+            except FileNotFoundError:
+                if path.exists():
+                    raise
+                continue  # the process that writes has removed it: there is a newer one
+            return found
 
     def load(self, path: Path) -> None:
-        """Restores all components from a checkpoint.
+        """Restores all components from a checkpoint that :meth:`newest` returned.
 
         Raises:
-            torchrl.checkpoint.CheckpointError: if it was made by another configuration.
+            CheckpointMismatchError: if it was made by another configuration.
         """
         # Each part moves its state to its own device: the run may go on where the device that it
         # was saved from is absent.
-        self._checkpoint.load(path, map_location="cpu")
+        try:
+            self._checkpoint.load(path, map_location="cpu")
+        except CheckpointError as error:
+            reason = " ".join(str(error).split())
+            raise CheckpointMismatchError(
+                f"the checkpoint {path} is of another configuration: {reason[:300]}"
+            ) from error
+
+    def keep_only(self, *names: str) -> None:
+        """Leaves nothing but these components of the newest checkpoint, under its name.
+
+        A training cannot go on from them. At every moment there is one whole checkpoint.
+        """
+        found, _ = self._newest(names)
+        if found is None:
+            return
+        path, _ = found
+        smaller = self.folder / f".{path.name}.archive-{uuid.uuid4().hex}"
+        try:
+            with zipfile.ZipFile(path) as old, zipfile.ZipFile(smaller, "w") as new:
+                manifest = Checkpoint.manifest(path)
+                manifest["components"] = {name: manifest["components"][name] for name in names}
+                for record in manifest["components"].values():
+                    for file in record["files"]:
+                        member = f"{record['path']}/{file}"
+                        new.writestr(member, old.read(member))
+                new.writestr("manifest.json", json.dumps(manifest))
+            _force_to_disk(smaller)
+            os.replace(smaller, path)
+        finally:
+            smaller.unlink(missing_ok=True)
+        _force_to_disk(self.folder)
+        for other in self._files():
+            if other != path:
+                other.unlink()
+
+    def remove_leftovers(self) -> None:
+        """Removes what a process that was killed while saving left behind.
+
+        Only for the process that writes: another one's would be what is just being saved.
+        """
+        if not self.folder.is_dir():
+            return
+        for path in self.folder.iterdir():
+            if _LEFTOVER.fullmatch(path.name):
+                if path.is_dir():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink()
+
+    def _newest(
+        self, components: Iterable[str]
+    ) -> tuple[tuple[Path, dict[str, Any]] | None, list[str]]:
+        """Returns the newest readable checkpoint with its metadata, and which ones are damaged."""
+        vanished = True
+        while vanished:
+            vanished = False
+            damages: list[str] = []
+            for path in self._files():
+                # An archive can be damaged in more ways than there are errors to name.
+                try:
+                    manifest = read_archive(path)
+                except Exception as error:
+                    if isinstance(error, FileNotFoundError) and not os.path.lexists(path):
+                        vanished = True  # the process that writes has saved a newer one
+                    else:
+                        reason = " ".join(str(error).split()) or type(error).__name__
+                        damages.append(f"{path.name}: {reason}")
+                    continue
+                if not manifest["components"].keys() >= set(components):
+                    parts = ", ".join(manifest["components"])
+                    raise CheckpointDamagedError(
+                        f"{path} holds nothing but {parts}, which no training can go on from: "
+                        "a run that is to go on after its end needs protocol.keep_checkpoints=last"
+                    )
+                return (path, dict(manifest["metadata"])), damages
+        if damages:
+            raise CheckpointDamagedError(
+                f"every checkpoint in {self.folder} is damaged ({'; '.join(damages)}): put a good "
+                "one back, or start a new run"
+            )
+        return None, []
 
     def _files(self) -> list[Path]:
         """Returns the checkpoints of finished rounds, the newest first."""
@@ -138,32 +270,24 @@ class CheckpointFolder:
         ]
         return [path for _, path in sorted(numbered, reverse=True)]
 
-    def _remove_leftovers(self) -> None:
-        """Removes what a process that was killed while saving left behind."""
-        if not self.folder.is_dir():
+    def _check_room(self) -> None:
+        """Raises OSError where the disk has no room for a checkpoint, staged and archived.
+
+        TorchRL writes through memory maps: one that meets a full disk is no error, but a signal
+        that kills the process.
+        """
+        if not hasattr(os, "posix_fallocate"):
             return
-        for path in self.folder.iterdir():
-            if _LEFTOVER.fullmatch(path.name):
-                if path.is_dir():
-                    shutil.rmtree(path)
-                else:
-                    path.unlink()
-
-
-def _damage(path: Path) -> str | None:
-    """Returns what is wrong with an archive, read to its last byte, or None."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            broken = archive.testzip()
-            if broken is not None:
-                return f"{broken} in it does not match its checksum"
-            present = set(archive.namelist())
-        components = Checkpoint.manifest(path)["components"].values()
-        expected = {f"{record['path']}/{file}" for record in components for file in record["files"]}
-        missing = sorted(expected - present)
-        return f"{missing[0]} is missing in it" if missing else None
-    except _READ_ERRORS as error:
-        return str(error) or type(error).__name__
+        states = [part.state_dict() for part in self._checkpoint.components.values()]
+        tensors = [leaf for leaf in pytree.tree_leaves(states) if isinstance(leaf, torch.Tensor)]
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=self.folder) as file:
+            try:
+                needed = 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE
+                os.posix_fallocate(file.fileno(), 0, needed)
+            except OSError as error:
+                if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
+                    raise OSError(error.errno, error.strerror, os.fspath(self.folder)) from error
 
 
 def _force_to_disk(path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.trainers.checkpoint import CheckpointFolder
+from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
 from bbq_torchrl.trainers.collect import (
     Policy,
     outcomes,
@@ -110,6 +110,8 @@ class RoundTrainer:
             trace in the training: metrics and weights are bitwise those of one without it.
         gauges (mapping): metrics read at the start of each round, such as an exploration rate:
             each returns one number, or a tensor [replicas].
+        described (mapping): what the training is, as JSON values by name; stands in every
+            checkpoint, and one that says otherwise is refused.
         progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
 
     Raises:
@@ -133,6 +135,7 @@ class RoundTrainer:
         callbacks: Sequence[RoundCallback] = (),
         evaluator: Evaluator | None = None,
         gauges: Mapping[str, Callable[[], float | Tensor]] | None = None,
+        described: Mapping[str, Any] | None = None,
         success_key: NestedKey = "success",
         progress: bool | None = None,
     ) -> None:
@@ -164,12 +167,15 @@ class RoundTrainer:
         self.gauges = dict(gauges or {})
         self.success_key = success_key
         self.progress = progress
-        self.rounds_done = 0
+        self.described = {"seed": settings.seed, "replicas": replicas, **(described or {})}
+        self.rounds_done = self.rounds_saved = 0
+        self._stops = False
         self._update = Update(loss, optimiser, cuda_graph=settings.cuda_graph)
         self.metrics = MetricsFile(self.run_folder / "metrics.csv")
         best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
         self.checkpoints = CheckpointFolder(
             self.run_folder / "checkpoint",
+            keep=settings.keep_checkpoints,
             loss=loss,
             policy=policy,
             optimiser=optimiser,
@@ -191,9 +197,10 @@ class RoundTrainer:
                 start if the training was killed before it saved one. Default: ``False``.
 
         Raises:
-            ValueError: if the run folder holds a training already and ``resume`` is ``False``, or
-                if its checkpoint is of another seed or number of replicas.
-            CheckpointDamagedError: if there are checkpoints, but none can be read.
+            ValueError: if the run folder holds a training already and ``resume`` is ``False``.
+            CheckpointMismatchError: if its checkpoint is of another seed or configuration.
+            CheckpointDamagedError: if there are checkpoints, but none can be read, or metrics
+                without one.
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
         """
         self.begin(resume=resume)
@@ -204,11 +211,17 @@ class RoundTrainer:
             name=self.run_folder.name,
         )
         try:
-            while self.rounds_done < self.settings.rounds:
+            while self.rounds_done < self.settings.rounds and not self._stops:
                 bar.update(self.train_round())
         finally:
             bar.close()
+        if self.rounds_saved < self.rounds_done:
+            self._save()
         return list(self.metrics.rows)
+
+    def stop(self) -> None:
+        """Has :meth:`train` end after the round under way, with a checkpoint of it."""
+        self._stops = True
 
     def begin(self, *, resume: bool = False) -> None:
         """Gets ready for the next round: spikes the buffers, or resumes; part of :meth:`train`.
@@ -216,6 +229,7 @@ class RoundTrainer:
         Args:
             resume (bool): as in :meth:`train`, with the same errors.
         """
+        self.checkpoints.remove_leftovers()
         if resume:
             self._resume()
         elif self.metrics.path.exists() or self.checkpoints.newest() is not None:
@@ -387,25 +401,18 @@ class RoundTrainer:
     # ------------------------------------------------------------ checkpoints
 
     def _save(self, *, name: str | None = None) -> Path:
-        metadata: dict[str, Any] = {"seed": self.settings.seed, "replicas": self.replicas}
-        return self.checkpoints.save(self.rounds_done, metadata, name=name)
+        saved = self.checkpoints.save(self.rounds_done, self.described, name=name)
+        if name is None:
+            self.rounds_saved = self.rounds_done
+        return saved
 
     def _resume(self) -> None:
         """Restores the newest readable checkpoint; leaves everything as built if there is none."""
-        found = self.checkpoints.newest()
-        if found is None:
-            self.metrics.path.unlink(missing_ok=True)
-            trim_scalars(self.run_folder, 0)
-            return
-        path, metadata = found
-        here = {"seed": self.settings.seed, "replicas": self.replicas}
-        for name, value in here.items():
-            if metadata[name] != value:
-                raise ValueError(
-                    f"{name} must be {metadata[name]}, as in the checkpoint {path}, got {value}"
-                )
-        self.checkpoints.load(path)
-        self.rounds_done = int(metadata["round"])
+        found = self.checkpoints.restore(self.described)
+        if found is not None:
+            self.rounds_done = self.rounds_saved = int(found[1]["round"])
+        elif self.metrics.path.exists():
+            raise CheckpointDamagedError.gone(self.run_folder)
         trim_scalars(self.run_folder, self.rounds_done)
 
 

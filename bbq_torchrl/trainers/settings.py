@@ -20,6 +20,7 @@ class RoundSettings:
         freezes: how often in a round the target is frozen and learned against.
         epochs: how many epochs over the buffer follow each freeze.
         checkpoint_every: rounds between two checkpoints.
+        keep_checkpoints: how many of the newest are kept; ``None``: all.
         seed: what every random number of the training derives from.
         max_steps: the most agent turns of a dialogue; one that is longer is an error.
         cuda_graph: whether an update on a CUDA device is captured as a CUDA graph.
@@ -31,6 +32,7 @@ class RoundSettings:
     freezes: int = 2
     epochs: int = 2
     checkpoint_every: int = 10
+    keep_checkpoints: int | None = 2
     seed: int = 0
     max_steps: int = 1000
     cuda_graph: bool = True

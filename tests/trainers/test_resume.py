@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 import killable
 import pytest
 import torch
-from torchrl.checkpoint import CheckpointError
 from trainer_parts import make_trainer
 
-from bbq_torchrl.trainers import CheckpointDamagedError, RoundTrainer
+from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError, RoundTrainer
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -197,5 +196,5 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path):
         make_trainer(tmp_path, rounds=2, replicas=2, seed=5).train(resume=True)
     with pytest.raises(ValueError, match="replicas must be 2, as in the checkpoint"):
         make_trainer(tmp_path, rounds=2, replicas=3).train(resume=True)
-    with pytest.raises(CheckpointError, match="must fit the capacity 5"):
+    with pytest.raises(CheckpointMismatchError, match="must fit the capacity 5"):
         make_trainer(tmp_path, rounds=2, replicas=2, capacity=5).train(resume=True)

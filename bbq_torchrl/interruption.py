@@ -1,0 +1,117 @@
+"""Ctrl-C and SIGTERM: a command ends by one line that says how far it is and how to go on.
+
+A training ends after the round under way, with a checkpoint of it (:func:`gently`); a second signal
+ends it at once, and so does the first one wherever there is nothing to save. Every file of a run is
+written so that a process can die at any moment, so at once is: without unwinding, and so without a
+traceback out of some import. This module imports nothing that takes time.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, ClassVar, NoReturn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import FrameType
+
+__all__ = ["Interrupted", "check", "gently", "line", "listen", "received", "tell"]
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(BaseException):
+    """What a signal has stopped in good order; :func:`line` is what the command ends by.
+
+    Args:
+        number (int): of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.exit_code = 128 + number
+
+
+class _State:
+    """What the handler knows: a process has one."""
+
+    received: int | None = None
+    stop: Callable[[], None] | None = None
+
+    where: ClassVar[Callable[[], str]] = staticmethod(lambda: "while starting")
+    how: ClassVar[Callable[[], str]] = staticmethod(lambda: "the same command begins again")
+
+
+def listen() -> None:
+    """Has Ctrl-C and SIGTERM end this process by a line, where nobody else handles them."""
+    for number in _SIGNALS:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, _handle)
+
+
+def tell(
+    where: Callable[[], str] | None = None, how_to_go_on: Callable[[], str] | None = None
+) -> None:
+    """Says what the line at the end is made of.
+
+    Args:
+        where: how far the work is, such as ``"after 16 of 25 rounds"``.
+        how_to_go_on: such as ``"python train.py resume=runs/x goes on"``.
+    """
+    _State.where = where or _State.where
+    _State.how = how_to_go_on or _State.how
+
+
+def line() -> str:
+    """Returns what the command ends by."""
+    return f"interrupted {_State.where()}: {_State.how()}"
+
+
+@contextmanager
+def gently(stop: Callable[[], None]) -> Iterator[None]:
+    """Within it, the first signal calls ``stop``; :func:`check` then raises. The second one ends.
+
+    Args:
+        stop: has the work come to an end by itself.
+    """
+    before, _State.stop = _State.stop, stop
+    try:
+        yield
+    finally:
+        _State.stop = before
+
+
+def received() -> int | None:
+    """Returns the number of the signal that has come, if one has."""
+    return _State.received
+
+
+def check() -> None:
+    """Raises Interrupted if a signal has come."""
+    if _State.received is not None:
+        raise Interrupted(_State.received)
+
+
+def _handle(number: int, frame: FrameType | None) -> None:
+    first, _State.received = _State.received is None, _State.received or number
+    if first and _State.stop is not None:
+        _State.stop()
+        if sys.stderr.isatty():
+            os.write(sys.stderr.fileno(), b"\nstopping after this round; once more: at once\n")
+    elif multiprocessing.parent_process() is None:
+        _end(_State.received)
+    elif _State.stop is None:
+        # A worker of a sweep: it must not vanish, which would end the other jobs with it.
+        raise Interrupted(number)
+
+
+def _end(number: int) -> NoReturn:
+    for worker in multiprocessing.active_children():
+        worker.kill()
+    start = "\n" if sys.stderr.isatty() else ""  # a progress bar may stand in the line
+    os.write(sys.stderr.fileno(), f"{start}{line()}\n".encode())
+    os._exit(128 + number)
