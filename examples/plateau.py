@@ -52,6 +52,7 @@ def spiked_trainer(mean_init: str, std_init: float, seeds: int, folder: Path) ->
             "agent=bbqn",
             f"agent.mean_init={mean_init}",
             f"agent.std_init={std_init}",
+            "agent.prior_std=.1",
             "agent.kl_temperature=1",
             f"spike.dialogues={DIALOGUES}",
             f"protocol.dialogues={DIALOGUES}",

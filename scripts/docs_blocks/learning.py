@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections import defaultdict
 from pathlib import Path
 from statistics import fmean, median
@@ -22,7 +23,12 @@ RESULTS = Path(__file__).resolve().parents[2] / "results"
 
 def learning_blocks() -> dict[str, Callable[[], str]]:
     """Returns the blocks of the page."""
-    return {"learning.plateau": _plateau, "learning.search": _search, "learning.tried": _tried}
+    return {
+        "learning.plateau": _plateau,
+        "learning.quick": _quick,
+        "learning.search": _search,
+        "learning.tried": _tried,
+    }
 
 
 def _read(name: str) -> list[dict[str, str]]:
@@ -42,6 +48,26 @@ def _plateau() -> str:
         for start, by_updates in cells.items()
     ]
     return table(("start, after updates", *columns), rows, numbers=len(columns))
+
+
+def _quick() -> str:
+    """Returns a line for each seed of the README's first command."""
+    found = []
+    for file in (RESULTS / "quick").glob("*/result.json"):
+        result = json.loads(file.read_text(encoding="utf-8"))
+        [replica] = result["per_replica"]
+        found.append((result["seed"], replica["success_rate"], replica["training_success"]))
+    if not found:
+        return "Not measured yet."
+    rows = [(seed, f"{final:.3f}", f"{training:.3f}") for seed, final, training in sorted(found)]
+    finals = [final for _, final, _ in found]
+    mean = ("mean", f"{fmean(finals):.3f}", f"{fmean(item[2] for item in found):.3f}")
+    head = ("seed", "final success", "cumulative training success")
+    return (
+        f"{table(head, [*rows, mean], numbers=3)}\n\n"
+        f"The final success of {len(found)} seeds is between {min(finals):.2f} and "
+        f"{max(finals):.2f}."
+    )
 
 
 def _search() -> str:
