@@ -98,7 +98,7 @@ def _run(config: Config, folder: Path, callbacks: Sequence[RoundCallback]) -> Ru
         result = _evaluated(config, folder, agent, trainer, trained, started)
         write_json(result, folder / RESULT_FILE)
     if config.protocol.keep_checkpoints == "weights":
-        trainer.checkpoints.keep_only("loss", *(["best"] if trainer.evaluator is not None else []))
+        trainer.checkpoints.keep_only("loss", "best")
     _draw(config, folder, result, trainer.env)  # last: the run is finished
     _LOG.info("%s", _result_line(config, result))
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)

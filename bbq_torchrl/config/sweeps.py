@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from bbq_torchrl.config.resume import RESULT
+from bbq_torchrl.config.resume import RESULT, is_finished, run_config
+from bbq_torchrl.config.settings import ConfigError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,13 +54,18 @@ def table_of_runs(sweep: Path, jobs: int) -> str:
 
 def _success_and_state(folder: Path) -> tuple[str, str]:
     file = folder / RESULT
+    unfinished = "–", "not finished: train.log in it says why"
     if not file.is_file():
-        return "–", "not finished: train.log in it says why"
+        return unfinished
     try:
         rate = float(json.loads(file.read_text(encoding="utf-8"))["success_rate"])
     except (ValueError, TypeError, KeyError):
         return "–", f"{RESULT} is damaged"
-    return f"{rate:.3f}", "finished"
+    try:
+        finished = is_finished(folder, run_config(folder).protocol.rounds)
+    except ConfigError:
+        finished = False
+    return (f"{rate:.3f}", "finished") if finished else unfinished
 
 
 def _overrides(folder: Path) -> list[str]:

@@ -30,6 +30,7 @@ SHRUNKEN = (
     "protocol.eval_every=1",
     "protocol.eval_every_dialogues=4",
     "protocol.checkpoint_every=1",
+    "protocol.keep_checkpoints=last",
     "spike.dialogues=4",
     "spike.policy=random",
     "agent.hidden=[8,8]",

@@ -25,6 +25,7 @@ SMALL = (
     "protocol.eval_every=1",
     "protocol.eval_every_dialogues=10",
     "protocol.checkpoint_every=1",
+    "protocol.keep_checkpoints=last",
     "spike.dialogues=8",
     "agent.hidden=[16,16]",
 )

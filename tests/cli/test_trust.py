@@ -17,9 +17,10 @@ import train
 from bbq_torchrl import evaluate, interruption
 from bbq_torchrl.config import ConfigError
 from bbq_torchrl.config.command import REFUSED
-from bbq_torchrl.config.resume import is_finished, run_config, what_is_unfinished
+from bbq_torchrl.config.resume import is_finished, run_config
 from bbq_torchrl.config.run_lock import LOCK, run_lock
 from bbq_torchrl.config.store import compose, load_config, save_config
+from bbq_torchrl.config.sweeps import table_of_runs
 from bbq_torchrl.run import run
 from bbq_torchrl.trainers import CheckpointDamagedError
 
@@ -191,7 +192,7 @@ def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):
         run(config, folder, [killed_in(4)])
     assert json.loads((folder / "result.json").read_text())["rounds"] == 3
     (folder / ".hydra").mkdir()
-    assert what_is_unfinished(folder.parent, 0).startswith("0 of 1 runs")
+    assert table_of_runs(folder.parent, 0).startswith("0 of 1 runs")
 
     result = resumed(folder)
 

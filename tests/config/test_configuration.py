@@ -232,7 +232,7 @@ REFUSED = {
     "spike.drop_above=.5 spike.protect=false": "spike.drop_above cannot be combined",
     "env=domain_ext agent.kl=sampled": "agent.kl must be closed",
     "agent=dqn agent.prior_std=.1": "agent.prior_std is not a key",
-    "agent=dqn agent.noisy=true": "agent.dropout must be 0",
+    "agent=dqn agent.noisy=true agent.dropout=.5": "agent.dropout must be 0",
     "agent=dqn explore=noisy": "agent.noisy must be true",
     "agent.target_noise=shared": "agent.target_noise must be mean with agent.target=map, got",
     "agent.target=mc agent.target_noise=mean": "agent.target_noise must be independent or shared",
@@ -556,12 +556,14 @@ class TestResume:
             self.resume(folder, "protocol.rounds=4")
 
     def test_says_that_a_run_is_finished(self, folder):
-        (folder / "result.json").write_text("{}")
+        (folder / "result.json").write_text('{"rounds": 5}')
+        (folder / "curve.png").touch()
         with pytest.raises(ConfigError, match="is finished"):
             self.resume(folder)
 
     def test_extends_a_finished_run(self, folder):
-        (folder / "result.json").write_text("{}")
+        (folder / "result.json").write_text('{"rounds": 5}')
+        (folder / "curve.png").touch()
         assert self.resume(folder, "protocol.rounds=6").protocol.rounds == 6
 
     def test_refuses_a_folder_that_is_no_run_folder(self, tmp_path):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 
+from bbq_torchrl.config.store import compose, save_config
 from bbq_torchrl.config.sweeps import table_of_runs
 
 if TYPE_CHECKING:
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
 def make_run(folder: Path, overrides: list[str], result: str | None = None) -> None:
     (folder / ".hydra").mkdir(parents=True)
     (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
+    save_config(compose(["protocol.rounds=5"]), folder / "config.yaml")
     if result is not None:
         (folder / "result.json").write_text(result)
+        (folder / "curve.png").touch()
 
 
 def cells(line: str) -> list[str]:
@@ -26,7 +29,7 @@ def cells(line: str) -> list[str]:
 
 
 def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
-    done = json.dumps({"success_rate": 0.71234})
+    done = json.dumps({"success_rate": 0.71234, "rounds": 5})
     make_run(tmp_path / "10_dqn", ["agent=dqn", "seed=1", "replicas=2"], done)
     make_run(tmp_path / "2_bbqn", ["agent=bbqn", "seed=1", "replicas=2"])
     make_run(tmp_path / "0_dqn", ["agent=dqn", "seed=0", "replicas=2"], "{}")
@@ -46,11 +49,18 @@ def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
 
 @pytest.mark.parametrize("overrides", [["agent=dqn"], []])
 def test_a_single_run_shows_all_its_overrides(tmp_path, overrides):
-    make_run(tmp_path / "0", overrides, json.dumps({"success_rate": 0.5}))
+    make_run(tmp_path / "0", overrides, json.dumps({"success_rate": 0.5, "rounds": 5}))
     title, _, row = table_of_runs(tmp_path, jobs=0).splitlines()
     assert title.startswith("1 of 1 runs")
     assert " ".join(overrides) in row
     assert row.endswith("0.500          finished")
+
+
+def test_an_interrupted_extension_is_not_finished(tmp_path):
+    make_run(tmp_path / "0", ["agent=dqn"], json.dumps({"success_rate": 0.5, "rounds": 3}))
+    title, _, row = table_of_runs(tmp_path, jobs=1).splitlines()
+    assert title.startswith("0 of 1 runs")
+    assert row.endswith("not finished: train.log in it says why")
 
 
 def test_a_sweep_of_which_nothing_started_has_a_table_too(tmp_path):

@@ -99,6 +99,10 @@ def search(folder, *arguments, trials=4):
     return compose_search(
         [
             "search=dqn",
+            "replicas=1",
+            "search.space.agent.dropout=null",
+            "search.space.explore.anneal_fraction=null",
+            "search.space.agent.lr={type: float, low: 1e-4, high: 1e-2, log: true}",
             f"protocol.rounds={ROUNDS}",
             f"search.folder={folder}",
             f"search.trials={trials}",
