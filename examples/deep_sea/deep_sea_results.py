@@ -20,8 +20,11 @@ AGENT_NAMES = {
     "bbqn_mean": "BBQN, mean target (MAP)",
     "bbqn_independent": "BBQN, target of its own noise (MC)",
     "bbqn_shared": "BBQN, target of the same noise",
+    "bbqn_mean_zero": "BBQN (MAP), zero means",
+    "bbqn_independent_zero": "BBQN (MC), zero means",
+    "bbqn_shared_zero": "BBQN (same noise), zero means",
 }
-"""What the agents are called in the table and the figure."""
+"""What the agents of the table are called in the figure."""
 
 RESULTS = Path(__file__).resolve().parents[2] / "results" / "deep_sea.csv"
 

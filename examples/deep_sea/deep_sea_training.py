@@ -146,7 +146,8 @@ def train(
     """
     settings = settings or default_settings(name)
     keep_freed_memory()
-    torch.manual_seed(derive_seed(seed, name, size))
+    # Two starts of one agent draw from the same seed.
+    torch.manual_seed(derive_seed(seed, name.removesuffix("_zero"), size))
     env = DeepSeaEnv(size, (replicas, 1), mapping_seed=range(seed, seed + replicas))
     agent = make_agent(name, size, replicas, settings)
     optimiser = ReplicaAdam(agent.loss.parameters(), replicas, lr=settings.lr)

@@ -17,6 +17,8 @@ from matplotlib.figure import Figure
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from matplotlib.axes import Axes
+
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "deep_sea.png"
 
 # Okabe and Ito's colours, told apart by colour-blind readers too.
@@ -28,6 +30,12 @@ LOOKS = {
     "bbqn_independent": ("#56B4E9", "D"),
     "bbqn_shared": ("#D55E00", "P"),
 }
+"""Colour and marker; those of zero means look like their twins, but hollow and dashed."""
+
+PANELS = {
+    "The agents": [agent for agent in AGENT_NAMES if not agent.endswith("_zero")],
+    "BBQN by its start": [agent for agent in AGENT_NAMES if agent.startswith("bbqn_")],
+}
 
 
 def draw(lines: Sequence[Line], file: Path) -> None:
@@ -37,13 +45,31 @@ def draw(lines: Sequence[Line], file: Path) -> None:
         lines: of the table.
         file: a PNG or SVG file.
     """
-    figure = Figure(figsize=(8, 4.8), layout="constrained")
+    figure = Figure(figsize=(12, 5.2), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    panels = figure.subplots(1, len(PANELS), sharex=True, sharey=True)
+    for axes, (title, agents) in zip(panels, PANELS.items(), strict=True):
+        _draw_agents(axes, lines, agents)
+        axes.set_title(title, fontsize=10)
+    panels[0].set_ylabel("episodes until solved")
+    figure.suptitle("DeepSea: seeds (small) and medians (large); above, how many did not solve")
+    # Once in the legend, though in both panels.
+    named = {line.get_label(): line for axes in panels for line in axes.get_lines()}
+    handles = [line for label, line in named.items() if not label.startswith("_")]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=130)
+
+
+def _draw_agents(axes: Axes, lines: Sequence[Line], agents: Sequence[str]) -> None:
+    """Draws the seeds and medians of some agents."""
     sizes = sorted({line.size for line in lines})
     unsolved_at = 1.6 * max(line.episodes for line in lines)
-    for number, (agent, (colour, marker)) in enumerate(LOOKS.items()):
-        shift = 0.11 * (number - (len(LOOKS) - 1) / 2)
+    for number, agent in enumerate(agents):
+        colour, marker = LOOKS[agent.removesuffix("_zero")]
+        filled = not agent.endswith("_zero")
+        face = colour if filled else "white"
+        shift = 0.11 * (number - (len(agents) - 1) / 2)
         of_agent = [line for line in lines if line.agent == agent]
         solved = [line for line in of_agent if line.episodes_to_solve is not None]
         axes.plot(
@@ -53,7 +79,8 @@ def draw(lines: Sequence[Line], file: Path) -> None:
             color=colour,
             ms=4.5,
             alpha=0.55,
-            mew=0,
+            mew=0 if filled else 1,
+            mfc=face,
         )
         of_size = {n: [line for line in of_agent if line.size == n] for n in sizes}
         # Not a number where there is no median: the line is broken there.
@@ -61,17 +88,18 @@ def draw(lines: Sequence[Line], file: Path) -> None:
         axes.plot(
             [n + shift for n in sizes],
             medians,
-            marker + "-",
+            marker + ("-" if filled else "--"),
             color=colour,
             lw=1.8,
             ms=7,
+            mfc=face,
             label=AGENT_NAMES[agent],
         )
         for n, of_one in of_size.items():
             unsolved = sum(line.episodes_to_solve is None for line in of_one)
             if unsolved:
                 height = unsolved_at * 1.3**number
-                axes.plot([n], [height], marker, color=colour, ms=5, mfc="white")
+                axes.plot([n], [height], marker, color=colour, ms=5, mfc=face)
                 axes.annotate(
                     f"{unsolved}/{len(of_one)}",
                     (n, height),
@@ -80,25 +108,20 @@ def draw(lines: Sequence[Line], file: Path) -> None:
                     fontsize=7,
                     color=colour,
                 )
-    bottom, top = 1.0, unsolved_at * 1.3 ** len(LOOKS)
+    bottom, top = 1.0, unsolved_at * 1.3 ** len(agents)
     axes.axhspan(unsolved_at / 1.15, top, color="0.93", zorder=0)
     axes.text(sizes[0] - 0.9, unsolved_at, "not\nsolved", fontsize=8, va="bottom", color="0.3")
     chance = [n for n in range(sizes[0], sizes[-1] + 1) if 2**n < unsolved_at / 1.15]
     axes.plot(chance, [2**n for n in chance], ":", color="0.5", lw=1.2, label="2^N")
     axes.set(
         xlabel="N",
-        ylabel="episodes until solved",
         yscale="log",
         xticks=sizes,
         xlim=(sizes[0] - 1, sizes[-1] + 1),
         ylim=(bottom, top),
-        title="DeepSea: seeds (small) and medians (large); above, how many did not solve",
     )
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=150)
 
 
 def main() -> None:

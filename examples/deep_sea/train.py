@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Literal
 
 import torch
-from deep_sea_agents import AGENTS, default_settings
+from deep_sea_agents import AGENTS, Settings, default_settings
 from deep_sea_training import train
 
 
@@ -32,13 +32,14 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=300, help="the most that are dived")
     parser.add_argument("--seed", type=int, default=0, help="of the first replica")
     parser.add_argument("--prior-std", type=_prior_std, help="of BBQN, or fan_in")
+    parser.add_argument("--std-init", type=float, help="of BBQN's weights at the start")
     parser.add_argument("--noise-std", type=float, help="of BBQN, in units of Q")
     parser.add_argument("--prior-scale", type=float, help="of bootstrap_prior")
     parser.add_argument("--mask-prob", type=float, help="of the bootstraps")
     parser.add_argument("--lr", type=float, help="learning rate")
     parser.add_argument("--updates-per-step", type=float, help="mini-batches for each step")
     options = parser.parse_args()
-    settings = ("prior_std", "noise_std", "prior_scale", "mask_prob", "lr", "updates_per_step")
+    settings = {field.name for field in fields(Settings)}
     given = {key: value for key, value in vars(options).items() if key in settings}
     given = {key: value for key, value in given.items() if value is not None}
     torch.set_num_threads(1)  # the networks are too small for more

@@ -12,11 +12,12 @@ import figure
 import pytest
 import sweep
 import torch
-from deep_sea_agents import AGENTS, Settings, make_agent
+from deep_sea_agents import AGENTS, Settings, default_settings, make_agent
 from deep_sea_env import DeepSeaEnv
-from deep_sea_results import Line, append, read, table
+from deep_sea_results import AGENT_NAMES, Line, append, read, table
 from deep_sea_training import DiveMemory, reaches_treasure, train
 from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "deep_sea"
 SMALL = Settings(hidden=(8,), heads=3, batch_size=4, capacity=20, updates_per_step=0.5)
@@ -58,6 +59,40 @@ def test_figure_is_drawn_from_what_there_is(tmp_path):
     unsolved = [Line("bootstrap", 6, seed, None, 300, 0) for seed in range(3)]
     figure.draw([*solved, *unsolved], tmp_path / "deep_sea.png")
     assert (tmp_path / "deep_sea.png").stat().st_size > 10_000
+
+
+def test_every_agent_is_in_the_table_and_the_figure():
+    drawn = {agent for agents in figure.PANELS.values() for agent in agents}
+    assert set(AGENT_NAMES) == drawn == set(AGENTS)
+
+
+@pytest.mark.parametrize("target_noise", ["mean", "independent", "shared"])
+def test_names_of_bbqn_tell_target_and_start(target_noise):
+    name = f"bbqn_{target_noise}"
+    ours, papers = (make_agent(n, 3, 2, default_settings(n)) for n in (name, f"{name}_zero"))
+    assert ours.loss.target_noise == papers.loss.target_noise == target_noise
+    observation = torch.eye(9).expand(2, 9, 9)
+    values = [
+        agent.greedy(TensorDict({"observation": observation}, [2, 9]))["action_value"]
+        for agent in (ours, papers)
+    ]
+    assert bool((values[0] != 0).all())
+    assert bool((values[1] == 0).all())
+
+
+def test_std_init_is_what_bbqn_explores_by_at_first():
+    observation = TensorDict({"observation": torch.eye(9).expand(2, 9, 9)}, [2, 9])
+    spreads = []
+    for std_init in (1e-4, None):
+        agent = make_agent("bbqn_mean", 3, 2, Settings(std_init=std_init))
+        draws = []
+        for _ in range(8):
+            agent.begin_dive()
+            with set_exploration_type(ExplorationType.RANDOM):
+                draws.append(agent.explore(observation.clone())["action_value"])
+        spreads.append(torch.stack(draws).std(0).max())
+    # 1e-4 against the prior's .1: a thousandth of the spread, of which a tenth is asked.
+    assert spreads[0] < 0.1 * spreads[1]
 
 
 @pytest.mark.parametrize("name", AGENTS)
