@@ -14,7 +14,7 @@ from bbq_torchrl.config.messages import unreadable
 from bbq_torchrl.config.resume import description, run_config
 from bbq_torchrl.config.store import compose_raw, session, to_config
 from bbq_torchrl.config.values import replica_values
-from bbq_torchrl.text import one_line, shown
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
         line = evaluation(config, arguments)
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"error: {one_line(error)}\n")
+        sys.stderr.write(f"error: {sentence(error)}\n")
         return 2
     sys.stdout.write(json.dumps(line) + "\n")
     return 0

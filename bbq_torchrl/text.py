@@ -1,11 +1,46 @@
-"""What a person reads of an error: one line, in which no value takes more than its share."""
+"""What a person reads of an error: lines, in which no value takes more than its share."""
 
 from __future__ import annotations
 
-__all__ = ["one_line", "shown"]
+import reprlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["FaultsError", "sentence", "shown"]
 
 _VALUE = 200  # characters of a value: more than any that somebody typed
 _LINE = 5_000  # characters of a sentence
+_FAULTS = 100  # lines
+
+
+class FaultsError(ValueError):
+    """Something that has several faults, each said in a line of its own.
+
+    Args:
+        subject: what has them.
+        faults: one sentence or more.
+
+    Attributes:
+        faults: the same.
+
+    Example:
+        >>> print(FaultsError("a.csv", ["line 2 is empty", "line 7 is empty"]))
+        a.csv has 2 faults:
+          line 2 is empty
+          line 7 is empty
+    """
+
+    def __init__(self, subject: str, faults: Sequence[str]) -> None:
+        self.faults = tuple(faults)
+        if len(self.faults) == 1:
+            super().__init__(f"{subject}: {self.faults[0]}")
+            return
+        lines = [f"{subject} has {len(self.faults)} faults:", *self.faults[:_FAULTS]]
+        if len(self.faults) > _FAULTS:
+            lines.append(f"and {len(self.faults) - _FAULTS} more")
+        super().__init__("\n  ".join(lines))
 
 
 def shown(value: object) -> str:
@@ -17,23 +52,41 @@ def shown(value: object) -> str:
         >>> len(shown("x" * 20_000_000)) < 300
         True
     """
-    return _cut(_written(value), _VALUE)
+    written = repr(value) if isinstance(value, str) else _container(value)
+    return _cut(written, _VALUE)
 
 
-def one_line(text: object) -> str:
-    r"""Returns what an error says as one line, the middle of a very long one left out.
+def sentence(error: object) -> str:
+    r"""Returns what an error says: one line, or one for each fault of a :class:`FaultsError`.
+
+    The middle of a very long line is left out. An error of the operating system has its file.
 
     Example:
-        >>> one_line("a value\nis  wrong")
+        >>> sentence("a value\nis  wrong")
         'a value is wrong'
     """
-    return _cut(" ".join(str(text).split()), _LINE)
+    if isinstance(error, OSError) and error.strerror:
+        return _one_line(
+            error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+        )
+    if isinstance(error, FaultsError):
+        first, *rest = map(_one_line, str(error).splitlines())
+        return "\n  ".join([first, *rest])
+    return _one_line(str(error))
 
 
-def _written(value: object) -> str:
+def _one_line(text: str) -> str:
+    return _cut(" ".join(text.split()), _LINE)
+
+
+def _container(value: object) -> str:
+    # Python's own repr walks all of a list that holds a million lists.
+    few = reprlib.Repr()
+    few.maxlist = few.maxtuple = few.maxdict = few.maxset = 20
+    few.maxstring = few.maxother = few.maxlong = _VALUE
     try:
-        return repr(value)
-    except (RecursionError, ValueError):  # nested too deeply; an integer of thousands of digits
+        return few.repr(value)
+    except ValueError:  # an integer of thousands of digits
         return f"a value that is too long to be shown ({type(value).__name__})"
 
 

@@ -43,7 +43,7 @@ from bbq_torchrl.config.schema import EXPERIMENT, Config
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
 from bbq_torchrl.config.sweeps import table_of_runs
-from bbq_torchrl.text import one_line
+from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -102,9 +102,9 @@ def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callabl
                 raise Refusal(interruption.line()) from None  # the other jobs end in good order
             except Exception as error:
                 if swept:  # Hydra reports the first job that fails, at the end; the log has each
-                    _LOG.error("this run failed: %s", _sentence(error) or type(error).__name__)
+                    _LOG.error("this run failed: %s", sentence(error) or type(error).__name__)
                 if isinstance(error, (ConfigError, OSError, *clear_errors())):
-                    refusal = Refusal(_sentence(error))
+                    refusal = Refusal(sentence(error))
                     raise refusal if swept else _Stopped(refusal) from error
                 raise
 
@@ -352,15 +352,8 @@ def _quoted(path: Path) -> str:
     return f"'{text}'"
 
 
-def _sentence(error: BaseException) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        place = "" if error.filename is None else f"{error.filename}: "
-        return f"{place}{error.strerror}"
-    return one_line(error)
-
-
 def _refuse(error: Exception) -> NoReturn:
     if os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
-    sys.stderr.write(f"error: {_sentence(error)}\n")
+    sys.stderr.write(f"error: {sentence(error)}\n")
     sys.exit(REFUSED)

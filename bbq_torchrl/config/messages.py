@@ -13,7 +13,7 @@ from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseExceptio
 from bbq_torchrl.config.launchers import LAUNCHER, LAUNCHER_EXTRAS
 from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
 from bbq_torchrl.config.values import keys_with_lists
-from bbq_torchrl.text import one_line, shown
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -53,7 +53,7 @@ def explain(
         or _removed(overrides)
         or _not_merged(error, cause)
         or _unknown_key(error, cause, root)
-        or one_line(error)
+        or sentence(error)
     )
 
 
@@ -173,7 +173,7 @@ def unknown_key(key: str, schema: Any) -> str:
     close = get_close_matches(name, keys, n=1)
     hint = f" (did you mean {f'{parent}.' if parent else ''}{close[0]}?)" if close else ""
     place = _place(parent, schema)
-    return f"{one_line(key)} is not a key{hint}; the keys of {place} are {', '.join(keys)}"
+    return f"{sentence(key)} is not a key{hint}; the keys of {place} are {', '.join(keys)}"
 
 
 def _place(parent: str, schema: Any) -> str:

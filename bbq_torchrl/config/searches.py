@@ -34,7 +34,7 @@ from bbq_torchrl.config.settings import (
     setting,
 )
 from bbq_torchrl.config.store import compose_raw, conf_folder, options, session, to_config
-from bbq_torchrl.text import one_line, shown
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -166,7 +166,7 @@ def compose_search(arguments: Sequence[str]) -> Search:
     for key in given.fixed:
         _refuse_several(key, given.fixed[key])
         if key.partition(".")[0].partition("/")[0] in _REFUSED:
-            raise ConfigError(f"{one_line(given.fixed[key])} cannot be part of a search")
+            raise ConfigError(f"{sentence(given.fixed[key])} cannot be part of a search")
         given.space.pop(key, None)
     space = tuple(parse_parameter(f"{_SPACE}{name}", plain) for name, plain in given.space.items())
     if not space:
@@ -185,7 +185,7 @@ def _refuse_several(key: str, override: str) -> None:
         return  # refused with the others, when they are composed
     if several:
         raise ConfigError(
-            f"{one_line(override)} has several values: in a search write "
+            f"{sentence(override)} has several values: in a search write "
             f"{_SPACE}{key}={{type: categorical, choices: [...]}}"
         )
 

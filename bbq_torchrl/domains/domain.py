@@ -128,7 +128,8 @@ class Domain:
         free_slots: slots that never constrain the records (the number of people, say).
         ticket_slot: the slot every user requests: what is booked.
         complete_slot: the slot whose inform offers a booking.
-        opening_slot: the slot informed in every first turn if the goal constrains it, or ``None``.
+        opening_slot: the slot, or slots, informed in every first turn if the goal constrains them;
+            ``None`` for none.
         turn_width: length of the one-hot turn feature.
         policies: scripted policies by name.
         reference_slot_error_prob: the slot error probability that makes the domain as difficult
@@ -137,10 +138,11 @@ class Domain:
         goals: the users' goals, drawn uniformly.
         error_values: slot to the values that an error can put in its place, drawn uniformly
             (a value listed twice is drawn twice as often).
+        skipped: what a loader left out of a corpus, a sentence each; for whoever reads results.
 
     Raises:
-        ValueError: if anything above does not hold; the message names key, value and what is
-            allowed.
+        DomainError: a ``ValueError``, if anything above does not hold; it has every fault, and
+            names key, value and what is allowed.
     """
 
     name: str
@@ -152,13 +154,14 @@ class Domain:
     free_slots: tuple[str, ...]
     ticket_slot: str
     complete_slot: str
-    opening_slot: str | None
+    opening_slot: str | tuple[str, ...] | None
     turn_width: int
     policies: Mapping[str, ScriptedPolicySpec]
     reference_slot_error_prob: float
     records: tuple[Mapping[str, str], ...]
     goals: tuple[Goal, ...]
     error_values: Mapping[str, tuple[str, ...]]
+    skipped: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_domain(self)
@@ -167,6 +170,12 @@ class Domain:
     def special_slots(self) -> tuple[str, str]:
         """The ticket and the complete slot: they take reserved values only."""
         return (self.ticket_slot, self.complete_slot)
+
+    @property
+    def opening_slots(self) -> tuple[str, ...]:
+        """The slots informed in every first turn if the goal constrains them."""
+        opening = self.opening_slot
+        return opening if isinstance(opening, tuple) else () if opening is None else (opening,)
 
     @cached_property
     def action_names(self) -> tuple[str, ...]:

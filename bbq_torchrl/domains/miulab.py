@@ -9,15 +9,20 @@ from __future__ import annotations
 
 import io
 import pickle
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from bbq_torchrl.domains.domain import Domain, Goal
+from bbq_torchrl.domains.faults import DomainError, Location, tell
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from bbq_torchrl.domains.faults import Located, Place
 
 __all__ = ["REFERENCE_SLOT_ERROR_PROB", "load_miulab", "read_plain_pickle"]
 
@@ -45,6 +50,8 @@ def load_miulab(
     goals: str = "user_goals_first_turn_template.v2.p",
     kb: str = "movie_kb.1k.p",
     values: str = "dicts.v3.p",
+    *,
+    skip_unusable: bool = True,
 ) -> Domain:
     """Returns the movie domain with MiuLab's records, goals and values.
 
@@ -52,37 +59,125 @@ def load_miulab(
     corpus has a few, count as absent. A value that only a goal has is allowed: the corpus is not
     normalised, and some goals cannot be met.
 
+    Some of the public files hold a few entries that are none: goals that constrain and request the
+    same slot, slots that no list of slots has. They are left out, and ``skipped`` of the domain
+    says how many and which. The default files have none.
+
     Args:
         path: the folder that holds the three files.
         goals: file with the list of user goals.
         kb: file with the knowledge base, row number to record.
         values: file with the possible values, slot to list.
+        skip_unusable: whether such entries are left out; otherwise they are refused.
 
     Raises:
         FileNotFoundError: if the folder or one of the files is missing.
-        ValueError: if a file is damaged, holds anything but plain data of the expected form, or
-            names an act or slot that the domain does not have.
+        ValueError: if a file is damaged or holds anything but plain data of the expected form, if
+            no entry is left, or, without ``skip_unusable``, if one cannot be used.
     """
     folder = Path(path).expanduser()
     if missing := [name for name in (goals, kb, values) if not (folder / name).is_file()]:
         raise FileNotFoundError(f"the MiuLab folder {folder} lacks {missing}")
-    specification = read_specification(MOVIE_FOLDER / SPECIFICATION_FILE)
+    specification = read_specification(MOVIE_FOLDER / SPECIFICATION_FILE).fields
     specification |= {
         "name": "miulab",
         "reference_slot_error_prob": REFERENCE_SLOT_ERROR_PROB,
     }
     ticket = specification["ticket_slot"]
     acts = specification["acts"]
-    records = _records(folder / kb)
-    users = tuple(
-        _goal(f"{folder / goals}: goal {number}", entry, acts, ticket)
-        for number, entry in enumerate(_expect(folder / goals, read_plain_pickle(folder / goals)))
+    corpus = _Corpus(
+        (kb, goals, values),
+        _records(folder / kb),
+        {
+            number: _goal(f"{folder / goals}: goal {number}", entry, acts, ticket)
+            for number, entry in enumerate(
+                _expect(folder / goals, read_plain_pickle(folder / goals))
+            )
+        },
+        _values(folder / values),
     )
-    error_values = _values(folder / values)
-    try:
-        return Domain(**specification, records=records, goals=users, error_values=error_values)
-    except ValueError as error:
-        raise ValueError(f"{folder}: {error}") from error
+    faults: list[Located] = []
+    whole = corpus
+    while True:
+        try:
+            return Domain(
+                **specification,
+                records=tuple(corpus.records.values()),
+                goals=tuple(corpus.goals.values()),
+                error_values=corpus.values,
+                skipped=(*corpus.missing_from(whole), *tell(faults)) if faults else (),
+            )
+        except DomainError as error:
+            faults += [(corpus.locate(place), text) for place, text in error.found]
+            usable = corpus.without([place for place, _ in error.found], specification["slots"])
+            if not skip_unusable or usable == corpus:
+                raise DomainError(str(folder), faults) from error
+            corpus = usable
+
+
+@dataclass(frozen=True)
+class _Corpus:
+    """What the files hold, by the numbers that they have there.
+
+    Attributes:
+        files: names of the knowledge base, the goals and the values.
+        records: row to record.
+        goals: number to goal.
+        values: slot to values.
+    """
+
+    files: tuple[str, str, str]
+    records: dict[int, dict[str, str]]
+    goals: dict[int, Goal]
+    values: dict[str, tuple[str, ...]]
+
+    def locate(self, place: Place) -> Location:
+        """Returns where a place of the domain stands in the files."""
+        kb, goals, values = self.files
+        which = int(place[1]) if len(place) > 1 and place[0] != "error_values" else None
+        if place[0] == "records":
+            return Location(kb, "row", None if which is None else list(self.records)[which])
+        if place[0] == "goals":
+            return Location(goals, "goal", None if which is None else list(self.goals)[which])
+        return Location(values)
+
+    def without(self, places: Iterable[Place], slots: Sequence[str]) -> _Corpus:
+        """Returns the corpus without what is at the places.
+
+        Of a record with unknown slots only these are left out, so are unknown slots of the values.
+        """
+        records, goals, values = dict(self.records), dict(self.goals), dict(self.values)
+        numbers, rows = list(self.goals), list(self.records)
+        for field, *which in places:
+            if field == "goals" and which:
+                goals.pop(numbers[int(which[0])], None)
+            elif field == "records" and which:
+                row = rows[int(which[0])]
+                known = {slot: text for slot, text in self.records[row].items() if slot in slots}
+                records.pop(row, None)
+                if 0 < len(known) < len(self.records[row]):
+                    records[row] = known
+            elif field == "error_values" and which:
+                slot, value = str(which[0]), which[1:]
+                kept = [text for text in values.pop(slot, ()) if [text] != value]
+                if kept and value:
+                    values[slot] = tuple(kept)
+        in_order = {row: records[row] for row in rows if row in records}
+        in_place = {slot: values[slot] for slot in self.values if slot in values}
+        return _Corpus(self.files, in_order, goals, in_place)
+
+    def missing_from(self, whole: _Corpus) -> Iterator[str]:
+        """Says how many entries of a corpus are not left as they were."""
+        kb, goals, values = self.files
+        kinds: tuple[tuple[str, str, Mapping[Any, Any], Mapping[Any, Any]], ...] = (
+            (kb, "rows", whole.records, self.records),
+            (goals, "goals", whole.goals, self.goals),
+            (values, "slots", whole.values, self.values),
+        )
+        for file, kind, before, after in kinds:
+            unlike = sum(key not in after or after[key] != before[key] for key in before)
+            if unlike:
+                yield f"{file}: {unlike} of {len(before)} {kind} are left out or in part"
 
 
 def read_plain_pickle(path: str | Path) -> Any:
@@ -116,13 +211,13 @@ def _expect_mapping(where: str | Path, content: object, key_type: type) -> Mappi
         raise ValueError(f"{where} must hold a dict, got {type(content).__name__}")
     for key in content:
         if type(key) is not key_type:
-            raise ValueError(f"{where} must have {key_type.__name__} keys, got {key!r}")
+            raise ValueError(f"{where} must have {key_type.__name__} keys, got {shown(key)}")
     return content
 
 
 def _expect_text(where: str, content: object) -> str:
     if not isinstance(content, str):
-        raise ValueError(f"{where} must be a text, got {content!r}")
+        raise ValueError(f"{where} must be a text, got {shown(content)}")
     return content
 
 
@@ -133,14 +228,19 @@ def _slot_values(where: str, content: object) -> dict[str, str]:
     return {slot: text for slot, text in texts.items() if text.strip()}
 
 
-def _records(path: Path) -> tuple[dict[str, str], ...]:
+def _records(path: Path) -> dict[int, dict[str, str]]:
     table = _expect_mapping(path, read_plain_pickle(path), int)
-    return tuple(_slot_values(f"{path}: row {row}", table[row]) for row in sorted(table))
+    return {row: _slot_values(f"{path}: row {row}", table[row]) for row in sorted(table)}
 
 
 def _values(path: Path) -> dict[str, tuple[str, ...]]:
     """Returns slot to values; a value that is listed twice stays so and is drawn twice as often."""
     lists = _expect_mapping(path, read_plain_pickle(path), str)
+    if not lists:
+        raise ValueError(
+            f"{path} must list the values of at least one slot: without any, an error of mode "
+            "'value' changes nothing"
+        )
     values = {
         slot: [_expect_text(f"{path}: {slot}", text) for text in _expect(f"{path}: {slot}", entry)]
         for slot, entry in lists.items()
@@ -151,14 +251,20 @@ def _values(path: Path) -> dict[str, tuple[str, ...]]:
 def _goal(where: str, content: object, acts: tuple[str, ...], ticket: str) -> Goal:
     goal = _expect_mapping(where, content, str)
     if set(goal) != _GOAL_KEYS:
-        raise ValueError(f"{where} must have the keys {sorted(_GOAL_KEYS)}, got {sorted(goal)}")
+        raise ValueError(
+            f"{where} must have the keys {sorted(_GOAL_KEYS)}, got {shown(sorted(goal))}"
+        )
     if goal["diaact"] not in acts:
-        raise ValueError(f"{where} has the unknown act {goal['diaact']!r}; allowed: {list(acts)}")
+        raise ValueError(
+            f"{where} has the unknown act {shown(goal['diaact'])}; allowed: {', '.join(acts)}"
+        )
     if goal["diaact"] != "request":
-        raise ValueError(f"{where} must open with the act request, got {goal['diaact']!r}")
+        raise ValueError(f"{where} must open with the act request, got {shown(goal['diaact'])}")
     requests = _slot_values(f"{where}, request_slots", goal["request_slots"])
     if odd := {slot: value for slot, value in requests.items() if value != _UNKNOWN}:
-        raise ValueError(f"{where} must request slots with the value {_UNKNOWN!r}, got {odd}")
+        raise ValueError(
+            f"{where} must request slots with the value {_UNKNOWN!r}, got {shown(odd)}"
+        )
     return Goal(
         constraints=_slot_values(f"{where}, inform_slots", goal["inform_slots"]),
         requests=tuple(slot for slot in requests if slot != ticket),

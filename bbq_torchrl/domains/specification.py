@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from bbq_torchrl.domains.domain import Action, ScriptedPolicySpec
+from bbq_torchrl.domains.faults import Fault, Location
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["SPECIFICATION_FILE", "read_specification"]
+    from bbq_torchrl.domains.faults import Place
+
+__all__ = ["SPECIFICATION_FILE", "Specification", "read_specification"]
 
 SPECIFICATION_FILE = "domain.yaml"
 
@@ -28,82 +34,188 @@ _KEYS = (
     "reference_slot_error_prob",
 )
 
+_HARMLESS: dict[str, Any] = {
+    "name": "domain",
+    "opening_slot": None,
+    "turn_width": 1,
+    "policies": {},
+    "reference_slot_error_prob": 0.0,
+}
+"""What stands in for a key that cannot be read, so that the rest of a domain can be checked."""
+
+
+@dataclass
+class Specification:
+    """What ``domain.yaml`` says.
+
+    Attributes:
+        fields: those of a :class:`~bbq_torchrl.domains.Domain`, all but ``records``, ``goals``
+            and ``error_values``; what could not be read is missing, or harmless where nothing
+            else depends on it.
+        faults: of the file's form. Whether the fields fit together is checked by ``Domain``.
+        lines: the line of each key.
+    """
+
+    fields: dict[str, Any] = field(default_factory=dict)
+    faults: list[Fault] = field(default_factory=list)
+    lines: dict[Place, int] = field(default_factory=dict)
+
+    def locate(self, place: Place) -> Location:
+        """Returns the line of a key, or of the one that it is a part of."""
+        line = self.lines.get(place[:2], self.lines.get(place[:1]))
+        return Location(SPECIFICATION_FILE, "line", line)
+
+    @property
+    def is_readable(self) -> bool:
+        """Whether a domain can be made of the fields."""
+        return set(_KEYS) <= set(self.fields)
+
 
 class _UniqueKeyLoader(yaml.SafeLoader):
     """A safe loader that refuses a key given twice, where YAML would let the last one win."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        mapping = super().construct_mapping(node, deep=True)
-        if len(mapping) != len(node.value):
-            keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-            twice = sorted({str(key) for key in keys if keys.count(key) > 1})
-            raise ValueError(f"keys must be given once, got {twice} again")
-        return mapping
+        seen = set()
+        for key_node, _ in node.value:
+            if isinstance(key_node, yaml.ScalarNode) and key_node.value in seen:
+                raise ValueError(
+                    f"keys must be given once, got {shown(key_node.value)} again "
+                    f"in line {key_node.start_mark.line + 1}"
+                )
+            seen.add(key_node.value if isinstance(key_node, yaml.ScalarNode) else None)
+        return super().construct_mapping(node, deep=True)
 
 
-def read_specification(path: Path) -> dict[str, Any]:
-    """Returns the fields of a :class:`~bbq_torchrl.domains.Domain` that ``domain.yaml`` gives.
-
-    They are all but ``records``, ``goals`` and ``error_values``. Only their form is checked here;
-    whether they fit together is checked by ``Domain``.
+def read_specification(path: Path) -> Specification:
+    """Returns what ``domain.yaml`` says, and what is wrong with its form.
 
     Args:
         path: the file.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if it is no YAML mapping, lacks a key, or has an unknown key or a wrong type.
     """
+    found = Specification()
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)
-        return _fields(content)
+        text = path.read_text(encoding="utf-8-sig")
+        content = yaml.load(text, Loader=_UniqueKeyLoader)
+        found.lines = _lines(yaml.compose(text, Loader=yaml.SafeLoader))
+    except RecursionError:
+        found.faults.append(Fault((), "it is nested too deeply"))
     except yaml.YAMLError as error:
-        raise ValueError(f"{path} is not valid YAML: {error}") from error
+        found.faults.append(Fault((), f"it is not valid YAML: {error}"))
+    except UnicodeDecodeError as error:
+        found.faults.append(Fault((), f"it must be UTF-8 text: {error}"))
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        found.faults.append(Fault((), str(error)))
+    else:
+        _Reader(found).read(content)
+    return found
 
 
-def _fields(content: object) -> dict[str, Any]:
-    specification = _mapping("the file", content)
-    _check_keys("the file", specification, _KEYS, optional=("opening_slot",))
-    fields: dict[str, Any] = {key: _names(key, specification[key]) for key in _NAME_LISTS}
-    fields |= {key: _text(key, specification[key]) for key in _TEXTS}
-    opening = specification.get("opening_slot")
-    fields["opening_slot"] = None if opening is None else _text("opening_slot", opening)
-    fields["actions"] = _actions(specification["actions"])
-    fields["policies"] = _policies(specification["policies"])
-    turn_width = specification["turn_width"]
-    if not isinstance(turn_width, int) or isinstance(turn_width, bool):
-        raise ValueError(f"turn_width must be an integer, got {turn_width!r}")
-    probability = specification["reference_slot_error_prob"]
-    if not isinstance(probability, (int, float)) or isinstance(probability, bool):
-        raise ValueError(f"reference_slot_error_prob must be a number, got {probability!r}")
-    return fields | {"turn_width": turn_width, "reference_slot_error_prob": float(probability)}
+def _lines(node: yaml.Node | None, parent: Place = ()) -> dict[Place, int]:
+    """Returns the line of every key of the first two levels."""
+    lines: dict[Place, int] = {}
+    for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+        place = (*parent, str(key.value))
+        lines[place] = key.start_mark.line + 1
+        if not parent:
+            lines |= _lines(value, place)
+    return lines
 
 
-def _actions(content: object) -> tuple[Action, ...]:
-    actions = _mapping("actions", content)
-    _check_keys("actions", actions, _ACTION_KINDS, optional=("multiple_choice",))
-    return tuple(
-        Action("act", name) if kind == "act" else Action(kind, kind, name)  # type: ignore[arg-type]
-        for kind in _ACTION_KINDS
-        for name in _names(f"actions.{kind}", actions.get(kind, []))
-    )
+class _Reader:
+    """Takes the fields out of a mapping, and notes what is wrong with each."""
 
+    def __init__(self, found: Specification) -> None:
+        self._found = found
 
-def _policies(content: object) -> dict[str, ScriptedPolicySpec]:
-    policies = {}
-    for name, entry in _mapping("policies", content).items():
-        key = f"policies.{name}"
-        policy = _mapping(key, entry)
-        _check_keys(key, policy, ("kind", "steps"))
-        policies[name] = ScriptedPolicySpec(policy["kind"], _names(f"{key}.steps", policy["steps"]))
-    return policies
+    def read(self, content: object) -> None:
+        fields, faults = self._found.fields, self._found.faults
+        try:
+            given = _mapping("the file", content)
+        except ValueError as error:
+            faults.append(Fault((), str(error)))
+            return
+        allowed = f"allowed are {', '.join(_KEYS)}"
+        faults += [
+            Fault((key,), f"it has the unknown key {shown(key)}; {allowed}")
+            for key in given
+            if key not in _KEYS
+        ]
+        needed = [key for key in _KEYS if key != "opening_slot"]
+        if missing := [key for key in needed if key not in given]:
+            faults.append(Fault((), f"it lacks the keys {', '.join(missing)}"))
+        for key in _KEYS:
+            if key in given or key not in needed:
+                self._field(key, given.get(key), fields)
+
+    def _field(self, key: str, content: object, fields: dict[str, Any]) -> None:
+        readers: dict[str, Callable[[str, object], Any]] = {
+            **dict.fromkeys(_NAME_LISTS, _names),
+            **dict.fromkeys(_TEXTS, _text),
+            "opening_slot": _opening,
+            "turn_width": _integer,
+            "reference_slot_error_prob": _number,
+        }
+        if key == "actions":
+            self._actions(content, fields)
+        elif key == "policies":
+            self._policies(content, fields)
+        else:
+            try:
+                fields[key] = readers[key](key, content)
+            except ValueError as error:
+                self._fault((key,), error)
+                if key in _HARMLESS:
+                    fields[key] = _HARMLESS[key]
+
+    def _fault(self, place: Place, error: ValueError) -> None:
+        self._found.faults.append(Fault(place, str(error)))
+
+    def _actions(self, content: object, fields: dict[str, Any]) -> None:
+        before = len(self._found.faults)
+        actions: list[Action] = []
+        try:
+            given = _mapping("actions", content)
+            _check_keys("actions", given, _ACTION_KINDS, optional=("multiple_choice",))
+        except ValueError as error:
+            self._fault(("actions",), error)
+            return
+        for kind in _ACTION_KINDS:
+            try:
+                names = _names(f"actions.{kind}", given.get(kind, []))
+            except ValueError as error:
+                self._fault(("actions", kind), error)
+                continue
+            actions += [
+                Action("act", name) if kind == "act" else Action(kind, kind, name)  # type: ignore[arg-type]
+                for name in names
+            ]
+        if len(self._found.faults) == before:
+            fields["actions"] = tuple(actions)
+
+    def _policies(self, content: object, fields: dict[str, Any]) -> None:
+        fields["policies"] = policies = {}
+        try:
+            given = _mapping("policies", content)
+        except ValueError as error:
+            self._fault(("policies",), error)
+            return
+        for name, entry in given.items():
+            key = f"policies.{name}"
+            try:
+                policy = _mapping(key, entry)
+                _check_keys(key, policy, ("kind", "steps"))
+                steps = _names(f"{key}.steps", policy["steps"])
+                policies[name] = ScriptedPolicySpec(_text(f"{key}.kind", policy["kind"]), steps)  # type: ignore[arg-type]
+            except ValueError as error:
+                self._fault(("policies", name), error)
 
 
 def _mapping(key: str, content: object) -> dict[str, Any]:
     if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
-        raise ValueError(f"{key} must be a mapping with names as keys, got {content!r}")
+        raise ValueError(f"{key} must be a mapping with names as keys, got {shown(content)}")
     return content
 
 
@@ -111,18 +223,41 @@ def _check_keys(
     where: str, mapping: dict[str, Any], allowed: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> None:
     if unknown := [key for key in mapping if key not in allowed]:
-        raise ValueError(f"{where} has the unknown keys {unknown}; allowed are {list(allowed)}")
+        raise ValueError(
+            f"{where} has the unknown keys {shown(unknown)}; allowed are {', '.join(allowed)}"
+        )
     if missing := [key for key in allowed if key not in mapping and key not in optional]:
         raise ValueError(f"{where} lacks the keys {missing}")
 
 
 def _text(key: str, content: object) -> str:
     if not isinstance(content, str):
-        raise ValueError(f"{key} must be a text, got {content!r}")
+        raise ValueError(f"{key} must be a text, got {shown(content)}")
     return content
 
 
 def _names(key: str, content: object) -> tuple[str, ...]:
     if not isinstance(content, list):
-        raise ValueError(f"{key} must be a list of names, got {content!r}")
+        raise ValueError(f"{key} must be a list of names, got {shown(content)}")
     return tuple(_text(f"every name in {key}", name) for name in content)
+
+
+def _opening(key: str, content: object) -> str | tuple[str, ...] | None:
+    if content is None:
+        return None
+    return _names(key, content) if isinstance(content, list) else _text(key, content)
+
+
+def _integer(key: str, content: object) -> int:
+    if not isinstance(content, int) or isinstance(content, bool):
+        raise ValueError(f"{key} must be an integer, got {shown(content)}")
+    return content
+
+
+def _number(key: str, content: object) -> float:
+    if not isinstance(content, (int, float)) or isinstance(content, bool):
+        raise ValueError(f"{key} must be a number, got {shown(content)}")
+    try:
+        return float(content)
+    except OverflowError:
+        raise ValueError(f"{key} must be a number, got {shown(content)}") from None

@@ -33,7 +33,7 @@ class DomainTensors:
         slot: slot name to id.
         ticket: id of the ticket slot.
         complete: id of the complete slot.
-        opening: id of the opening slot, -1 if there is none.
+        opening: bool ``[S]``, informed in every first turn if the goal constrains them.
         action_act: long ``[N]``, the act of each action.
         action_request: long ``[N]``, the slot that the action requests, or -1.
         action_inform: long ``[N]``, the slot that the action informs, or -1.
@@ -58,7 +58,7 @@ class DomainTensors:
     slot: Mapping[str, int]
     ticket: int
     complete: int
-    opening: int
+    opening: torch.Tensor
     action_act: torch.Tensor
     action_request: torch.Tensor
     action_inform: torch.Tensor
@@ -152,7 +152,7 @@ def tensorise(domain: Domain) -> DomainTensors:
         slot=slot,
         ticket=slot[domain.ticket_slot],
         complete=slot[domain.complete_slot],
-        opening=-1 if domain.opening_slot is None else slot[domain.opening_slot],
+        opening=mask(domain.opening_slots),
         action_act=torch.tensor([act[action.act] for action in domain.actions]),
         action_request=slots_of("request"),
         action_inform=slots_of("inform"),

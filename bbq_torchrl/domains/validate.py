@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.domains.faults import DomainError, Fault
 from bbq_torchrl.domains.values import DONT_CARE, RESERVED_TEXT, fold
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from bbq_torchrl.domains.domain import Domain
+    from bbq_torchrl.domains.faults import Place
 
-__all__ = ["REQUIRED_ACTS", "check_domain"]
+__all__ = ["MAX_TURN_WIDTH", "REQUIRED_ACTS", "check_domain", "repeated"]
 
 REQUIRED_ACTS = (
     "request",
@@ -27,6 +30,10 @@ REQUIRED_ACTS = (
 )
 """The acts whose meaning the user simulator knows; a domain may add others."""
 
+MAX_TURN_WIDTH = 1_000
+"""The widest one-hot turn: a feature each, in every observation."""
+
+_RESERVED = {fold(text): key for key, text in RESERVED_TEXT.items()}
 _ACTION_KINDS = ("act", "request", "inform", "multiple_choice")
 
 
@@ -34,186 +41,221 @@ def check_domain(domain: Domain) -> None:
     """Checks that names, special slots, actions, policies and data fit together.
 
     Raises:
-        ValueError: naming the key, the value and what is allowed.
+        DomainError: with every fault: key, value and what is allowed.
     """
-    _check_names(domain)
-    _check_special_slots(domain)
-    _check_actions(domain)
-    _check_policies(domain)
-    _check_numbers(domain)
-    _check_records(domain)
-    _check_goals(domain)
-    _check_error_values(domain)
+    found = [
+        *_names(domain),
+        *_special_slots(domain),
+        *_actions(domain),
+        *_policies(domain),
+        *_numbers(domain),
+        *_records(domain),
+        *_goals(domain),
+        *_error_values(domain),
+    ]
+    if found:
+        raise DomainError.of(f"domain {shown(domain.name)}", found)
 
 
-def _check_names(domain: Domain) -> None:
+def _names(domain: Domain) -> Iterator[Fault]:
     if not domain.name:
-        raise ValueError("name of a domain must not be empty")
+        yield Fault(("name",), "name of a domain must not be empty")
     for key in ("acts", "slots", "essential", "extension_order", "free_slots"):
         names: tuple[str, ...] = getattr(domain, key)
-        if repeated := _repeated(names):
-            raise ValueError(f"{key} must be distinct, got {repeated} more than once")
+        if twice := repeated(names):
+            yield Fault((key,), f"{key} must be distinct, got {twice} more than once")
     for act in domain.acts:
         if not act.isidentifier():
-            raise ValueError(f"acts must be identifiers, got {act!r}")
+            yield Fault(("acts",), f"acts must be identifiers, got {shown(act)}")
     for slot in domain.slots:
         if not re.fullmatch(r"\w+", slot):
-            raise ValueError(f"slots must consist of letters, digits and underscores, got {slot!r}")
+            yield Fault(
+                ("slots",),
+                f"slots must consist of letters, digits and underscores, got {shown(slot)}",
+            )
     if missing := [act for act in REQUIRED_ACTS if act not in domain.acts]:
-        raise ValueError(f"acts must contain {list(REQUIRED_ACTS)}, {missing} are missing")
+        yield Fault(("acts",), f"acts must contain {list(REQUIRED_ACTS)}, {missing} are missing")
     for key in ("essential", "extension_order", "free_slots"):
-        _check_slots(domain, key, getattr(domain, key))
+        yield from _unknown(domain, (key,), getattr(domain, key), f"{key} names ")
     if both := [slot for slot in domain.extension_order if slot in domain.essential]:
-        raise ValueError(f"extension_order must not contain essential slots, got {both} in both")
+        yield Fault(
+            ("extension_order",),
+            f"extension_order must not contain essential slots, got {both} in both",
+        )
 
 
-def _check_slots(domain: Domain, key: str, slots: Iterable[str]) -> None:
+def _unknown(
+    domain: Domain, place: Place, slots: Iterable[str], names: str = "it names "
+) -> Iterator[Fault]:
     for slot in slots:
         if slot not in domain.slots:
-            raise ValueError(
-                f"{key} names the unknown slot {slot!r}; the slots are {list(domain.slots)}"
+            yield Fault(
+                place,
+                f"{names}the unknown slot {shown(slot)}; the slots are {', '.join(domain.slots)}",
             )
 
 
-def _check_special_slots(domain: Domain) -> None:
-    _check_slots(domain, "ticket_slot", [domain.ticket_slot])
-    _check_slots(domain, "complete_slot", [domain.complete_slot])
+def _special_slots(domain: Domain) -> Iterator[Fault]:
+    special = {"ticket_slot": domain.ticket_slot, "complete_slot": domain.complete_slot}
+    for key, slot in special.items():
+        yield from _unknown(domain, (key,), [slot], f"{key} names ")
     if domain.ticket_slot == domain.complete_slot:
-        raise ValueError(
-            f"ticket_slot and complete_slot must differ, got {domain.ticket_slot!r} for both"
+        yield Fault(
+            ("complete_slot",),
+            f"ticket_slot and complete_slot must differ, got {domain.ticket_slot!r} for both",
         )
-    for key, slot in (("ticket_slot", domain.ticket_slot), ("complete_slot", domain.complete_slot)):
+    for key, slot in special.items():
         for group in ("essential", "free_slots"):
-            if slot not in getattr(domain, group):
-                raise ValueError(
-                    f"{key} must be among {group}, {slot!r} is not in "
-                    f"{list(getattr(domain, group))}"
+            members: tuple[str, ...] = getattr(domain, group)
+            if slot in domain.slots and slot not in members:
+                yield Fault(
+                    (key,), f"{key} must be among {group}, {slot!r} is not in {list(members)}"
                 )
-    if domain.opening_slot is not None:
-        _check_slots(domain, "opening_slot", [domain.opening_slot])
-        if domain.opening_slot in domain.special_slots:
-            raise ValueError(
-                f"opening_slot must not be the ticket or the complete slot, "
-                f"got {domain.opening_slot!r}"
+    place = ("opening_slot",)
+    yield from _unknown(domain, place, domain.opening_slots, "opening_slot names ")
+    if twice := repeated(domain.opening_slots):
+        yield Fault(place, f"opening_slot must name a slot once, got {twice} again")
+    for slot in domain.opening_slots:
+        if slot in domain.special_slots:
+            yield Fault(
+                place, f"opening_slot must not be the ticket or the complete slot, got {slot!r}"
             )
 
 
-def _check_actions(domain: Domain) -> None:
-    if repeated := _repeated(domain.action_names):
-        raise ValueError(f"actions must be distinct, got {repeated} more than once")
+def _actions(domain: Domain) -> Iterator[Fault]:
+    if twice := repeated(domain.action_names):
+        yield Fault(("actions",), f"actions must be distinct, got {twice} more than once")
     for action in domain.actions:
+        place = ("actions", action.kind)
         if action.act not in domain.acts:
-            raise ValueError(
+            yield Fault(
+                place,
                 f"action {action} has the unknown act {action.act!r}; the acts are "
-                f"{list(domain.acts)}"
+                f"{', '.join(domain.acts)}",
             )
         if action.slot is not None:
-            _check_slots(domain, f"action {action}", [action.slot])
+            yield from _unknown(domain, place, [action.slot], f"action {action} names ")
         elif action.act in ("request", "inform", "multiple_choice"):
-            raise ValueError(f"action {action} needs a slot, written {action.act}(slot)")
+            yield Fault(place, f"action {action} needs a slot, written {action.act}(slot)")
         if action.kind in ("request", "multiple_choice") and action.slot in domain.special_slots:
-            raise ValueError(f"action {action} makes no sense: no user constrains {action.slot}")
+            yield Fault(place, f"action {action} makes no sense: no user constrains {action.slot}")
     kinds = [_ACTION_KINDS.index(action.kind) for action in domain.actions]
     if kinds != sorted(kinds):
-        raise ValueError(
+        yield Fault(
+            ("actions",),
             f"actions must be slotless acts, then requests, informs and multiple choices, "
-            f"got {list(domain.action_names)}"
+            f"got {', '.join(domain.action_names)}",
         )
     offer = f"inform({domain.complete_slot})"
     if offer not in domain.action_names:
-        raise ValueError(f"actions must contain {offer}: without it nothing can be booked")
+        yield Fault(("actions",), f"actions must contain {offer}: without it nothing can be booked")
     if not {"thanks", "closing"} & set(domain.action_names):
-        raise ValueError("actions must contain thanks or closing: no dialogue succeeds without")
-
-
-def _check_policies(domain: Domain) -> None:
-    for name, policy in domain.policies.items():
-        key = f"policies.{name}"
-        if policy.kind not in ("script", "careful"):
-            raise ValueError(f"{key} must be of kind 'script' or 'careful', got {policy.kind!r}")
-        if not policy.steps:
-            raise ValueError(f"{key} must have at least one step, got none")
-        needed = policy.steps
-        if policy.kind == "careful":
-            _check_slots(domain, key, policy.steps)
-            ending = (f"inform({domain.complete_slot})", "thanks")
-            needed = (*(f"request({slot})" for slot in policy.steps), *ending)
-        for action in needed:
-            if action not in domain.action_names:
-                raise ValueError(
-                    f"{key} needs the action {action!r}, which is not among "
-                    f"{list(domain.action_names)}"
-                )
-
-
-def _check_numbers(domain: Domain) -> None:
-    if domain.turn_width < 1:
-        raise ValueError(f"turn_width must be at least 1, got {domain.turn_width}")
-    if not 0.0 <= domain.reference_slot_error_prob <= 1.0:
-        raise ValueError(
-            f"reference_slot_error_prob must be between 0 and 1, "
-            f"got {domain.reference_slot_error_prob}"
+        yield Fault(
+            ("actions",), "actions must contain thanks or closing: no dialogue succeeds without"
         )
 
 
-def _check_value(
-    domain: Domain, where: str, slot: str, value: object, *, reserved: tuple[int, ...] = ()
-) -> None:
-    _check_slots(domain, where, [slot])
-    if not isinstance(value, str) or not value.strip() or value.splitlines() != [value]:
-        raise ValueError(f"{where}: {slot} must have one line of text, not blank, got {value!r}")
-    taken = {fold(text) for key, text in RESERVED_TEXT.items() if key not in reserved}
-    if fold(value) in taken:
-        raise ValueError(f"{where}: {slot} must not have the reserved value {value!r}")
+def _policies(domain: Domain) -> Iterator[Fault]:
+    for name, policy in domain.policies.items():
+        key, place = f"policies.{name}", ("policies", name)
+        if policy.kind not in ("script", "careful"):
+            yield Fault(
+                place, f"{key} must be of kind 'script' or 'careful', got {shown(policy.kind)}"
+            )
+        if not policy.steps:
+            yield Fault(place, f"{key} must have at least one step, got none")
+        needed = policy.steps
+        if policy.kind == "careful":
+            yield from _unknown(domain, place, policy.steps, f"{key} names ")
+            known = [slot for slot in policy.steps if slot in domain.slots]
+            ending = (f"inform({domain.complete_slot})", "thanks")
+            needed = (*(f"request({slot})" for slot in known), *ending)
+        for action in needed:
+            if action not in domain.action_names:
+                yield Fault(
+                    place,
+                    f"{key} needs the action {shown(action)}, which is not among "
+                    f"{', '.join(domain.action_names)}",
+                )
 
 
-def _check_records(domain: Domain) -> None:
+def _numbers(domain: Domain) -> Iterator[Fault]:
+    if not 1 <= domain.turn_width <= MAX_TURN_WIDTH:
+        yield Fault(
+            ("turn_width",),
+            f"turn_width must be between 1 and {MAX_TURN_WIDTH}, got {shown(domain.turn_width)}",
+        )
+    if not 0.0 <= domain.reference_slot_error_prob <= 1.0:
+        yield Fault(
+            ("reference_slot_error_prob",),
+            f"reference_slot_error_prob must be between 0 and 1, "
+            f"got {domain.reference_slot_error_prob}",
+        )
+
+
+def _value(
+    domain: Domain, place: Place, slot: str, value: object, *, reserved: tuple[int, ...] = ()
+) -> Iterator[Fault]:
+    if slot not in domain.slots:
+        yield from _unknown(domain, place, [slot])
+    elif not isinstance(value, str) or not value.strip() or value.splitlines() != [value]:
+        yield Fault(place, f"{slot} must have one line of text, not blank, got {shown(value)}")
+    elif not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
+        yield Fault(place, f"{slot} must have text that UTF-8 can hold, got {shown(value)}")
+    elif _RESERVED.get(fold(value)) not in (None, *reserved):
+        yield Fault(place, f"{slot} must not have the reserved value {shown(value)}")
+
+
+def _records(domain: Domain) -> Iterator[Fault]:
     if not domain.records:
-        raise ValueError(f"the knowledge base of domain {domain.name!r} is empty")
+        yield Fault(("records",), "the knowledge base is empty")
     for row, record in enumerate(domain.records):
+        place = ("records", row)
         if not record:
-            raise ValueError(f"record {row} must have at least one value, got none")
+            yield Fault(place, "it must have at least one value, got none")
         for slot, value in record.items():
-            _check_value(domain, f"record {row}", slot, value)
+            yield from _value(domain, place, slot, value)
             if slot in domain.special_slots:
-                raise ValueError(f"record {row} must not hold the special slot {slot!r}")
+                yield Fault(place, f"it must not hold the special slot {slot!r}")
 
 
-def _check_goals(domain: Domain) -> None:
+def _goals(domain: Domain) -> Iterator[Fault]:
     if not domain.goals:
-        raise ValueError(f"domain {domain.name!r} has no goals")
+        yield Fault(("goals",), "there are no goals")
     for number, goal in enumerate(domain.goals):
-        where = f"goal {number}"
-        if repeated := _repeated(goal.requests):
-            raise ValueError(f"{where} must request a slot once, got {repeated} again")
-        _check_slots(domain, where, goal.requests)
+        place = ("goals", number)
+        if twice := repeated(goal.requests):
+            yield Fault(place, f"it must request a slot once, got {twice} again")
+        yield from _unknown(domain, place, goal.requests)
         for slot, value in goal.constraints.items():
-            _check_value(domain, where, slot, value, reserved=(DONT_CARE,))
+            yield from _value(domain, place, slot, value, reserved=(DONT_CARE,))
         for slot in (*goal.constraints, *goal.requests):
             if slot in domain.special_slots:
-                raise ValueError(
-                    f"{where} must not name {slot!r}: every goal requests the ticket as it is"
+                yield Fault(
+                    place, f"it must not name {slot!r}: every goal requests the ticket as it is"
                 )
         if both := [slot for slot in goal.requests if slot in goal.constraints]:
-            raise ValueError(f"{where} must not constrain and request the same slots {both}")
+            yield Fault(place, f"it must not constrain and request the same slots {both}")
 
 
-def _check_error_values(domain: Domain) -> None:
+def _error_values(domain: Domain) -> Iterator[Fault]:
     for slot, values in domain.error_values.items():
+        place = ("error_values", slot)
         if not values:
-            raise ValueError(f"error_values.{slot} must list at least one value, got none")
-        for value in values:
-            _check_value(domain, "error_values", slot, value)
+            yield Fault(place, f"{slot} must list at least one value, got none")
+        yield from _unknown(domain, place, [slot])
+        for value in values if slot in domain.slots else ():
+            yield from _value(domain, (*place, value), slot, value)
         if slot in domain.special_slots:
-            raise ValueError(f"error_values must not list the special slot {slot!r}")
+            yield Fault(place, f"it must not list the special slot {slot!r}")
 
 
-def _repeated(names: Iterable[str]) -> list[str]:
+def repeated(names: Iterable[str]) -> list[str]:
     """Returns the names that occur more than once, in order of their second appearance."""
     seen: set[str] = set()
-    repeated: list[str] = []
+    twice: list[str] = []
     for name in names:
-        if name in seen and name not in repeated:
-            repeated.append(name)
+        if name in seen and name not in twice:
+            twice.append(name)
         seen.add(name)
-    return repeated
+    return twice

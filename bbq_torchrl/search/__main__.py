@@ -12,7 +12,7 @@ from bbq_torchrl import interruption
 from bbq_torchrl.config.searches import SEARCH, compose_search
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.store import options
-from bbq_torchrl.text import one_line
+from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _refused(error: Exception) -> int:
-    sys.stderr.write(f"error: {one_line(error)}\n")
+    sys.stderr.write(f"error: {sentence(error)}\n")
     return 2
 
 

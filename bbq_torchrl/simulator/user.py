@@ -74,7 +74,6 @@ class User:
         self._act = domain.act
         slots = torch.arange(domain.n_slots, device=domain.records.device)
         self._is_ticket = slots == domain.ticket
-        self._is_opening = slots == domain.opening
 
     def first_turn(self, draws: TensorDictBase, active: torch.Tensor) -> FirstTurn:
         """Returns the users' first turn: a request, with what opens the dialogue informed.
@@ -88,7 +87,7 @@ class User:
         constraints = rows(domain.goal_constraints, goal) * active
         requests = (rows(domain.goal_requests, goal) & active) | self._is_ticket
         is_constraint = constraints != NONE
-        is_said = (self._is_opening & is_constraint) | pick_slot(is_constraint, draws["constraint"])
+        is_said = (domain.opening & is_constraint) | pick_slot(is_constraint, draws["constraint"])
         other_requests = requests & ~self._is_ticket
         has_other = other_requests.any(-1, keepdim=True)
         return FirstTurn(

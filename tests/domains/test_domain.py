@@ -181,6 +181,8 @@ FAULTS = {
         r"needs.*request\(terrace\)",
     ),
     "turn width": ({"turn_width": 0}, "turn_width.*0"),
+    "turn width of a trillion": ({"turn_width": 10**12}, "between 1 and 1000, got 1000000000000"),
+    "opening twice": ({"opening_slot": ("area", "area")}, "opening_slot must name a slot once"),
     "error prob": ({"reference_slot_error_prob": 1.5}, "between 0 and 1.*1.5"),
     "error prob nan": ({"reference_slot_error_prob": float("nan")}, "between 0 and 1"),
     "no records": ({"records": ()}, "knowledge base.*empty"),
@@ -210,6 +212,13 @@ FAULTS = {
 def test_a_fault_is_refused_by_name(restaurant: Domain, change, message):
     with pytest.raises(ValueError, match=message):
         replace(restaurant, **change)
+
+
+def test_all_faults_are_refused_at_once(restaurant: Domain):
+    with pytest.raises(ValueError, match="domain '' has 3 faults") as caught:
+        replace(restaurant, name="", turn_width=0, goals=())
+    for text in ("name of a domain must not", "turn_width must be between", "there are no goals"):
+        assert text in str(caught.value)
 
 
 def test_a_user_may_not_care(restaurant: Domain):

@@ -64,11 +64,13 @@ SLOTS = ["cuisine", "area", "day"]
 RECORD = st.dictionaries(st.sampled_from(SLOTS), VALUE, min_size=1)
 
 
-@given(records=st.lists(RECORD, min_size=1, max_size=5), extra=st.lists(VALUE, max_size=3))
+@given(
+    records=st.lists(RECORD, min_size=1, max_size=5), extra=st.lists(VALUE, min_size=1, max_size=3)
+)
 @settings(max_examples=60, deadline=None)
 def test_any_records_goals_and_values_survive_the_files(restaurant_folder, records, extra):
     goals = tuple(Goal(record, ("phone",)) for record in records)
-    values = {"hour": tuple(extra)} if extra else {}
+    values = {"hour": tuple(extra)}
     with tempfile.TemporaryDirectory() as name:
         shutil.copy(restaurant_folder / "domain.yaml", name)
         save_data(name, SLOTS, records, goals, values)
@@ -96,18 +98,24 @@ def test_a_missing_folder_is_named(tmp_path: Path):
 CSV_FAULTS = {
     "empty file": ("", "header.*missing"),
     "no records": ("area,day\n", "knowledge base.*empty"),
-    "too few fields": ("area,day\nnorth,today\nnorth\n", "line 3 has 1 fields.*2"),
-    "too many fields": ("area,day\nnorth,today,noon\n", "line 2 has 3 fields.*2"),
+    "too few fields": (
+        "area,day\nnorth,today\nnorth\n",
+        "line 3: it has 1 fields, the header has 2",
+    ),
+    "too many fields": (
+        "area,day\nnorth,today,noon\n",
+        "line 2: it has 3 fields, the header has 2",
+    ),
     "cut off": ("area,day\nnorth,tod", "truncated"),
-    "open quote": ('area,day\n"north,today\n', "line 2 is not valid CSV"),
-    "broken quote": ('area,day\n"nor"th,today\n', "line 2 is not valid CSV"),
+    "open quote": ('area,day\n"north,today\n', "line 2: it is not valid CSV"),
+    "broken quote": ('area,day\n"nor"th,today\n', "line 2: it is not valid CSV"),
     "unknown slot": ("area,zip\nnorth,1\n", "unknown slot 'zip'.*cuisine"),
     "no header": ("north,today\nsouth,today\n", "unknown slot 'north'"),
     "column twice": ("area,area\nnorth,south\n", "header.*once"),
     "column without name": ("area,\nnorth,south\n", "header"),
-    "empty line": ("area,day\n\nnorth,today\n", "line 2 has 0 fields"),
-    "line break": ('area,day\n"no\nrth",today\n', "record 0: area.*one line"),
-    "empty row": ("area,day\n,\n", "record 0"),
+    "empty line": ("area,day\n\nnorth,today\n", "line 2: it has 0 fields"),
+    "line break": ('area,day\n"no\nrth",today\n', "line 2: area must have one line"),
+    "empty row": ("area,day\n,\n", "line 2: it must have at least one value"),
 }
 
 
@@ -121,7 +129,7 @@ def test_a_damaged_knowledge_base_is_refused(folder: Path, text: str, message: s
 
 def test_a_file_that_is_no_text_is_refused(folder: Path):
     (folder / "knowledge_base.csv").write_bytes(b"area,day\n\xff\xfe,x\n")
-    with pytest.raises(ValueError, match=r"knowledge_base\.csv must be UTF-8"):
+    with pytest.raises(ValueError, match=r"knowledge_base\.csv: it must be UTF-8"):
         load_domain(folder)
 
 
@@ -132,21 +140,37 @@ def test_a_byte_order_mark_is_no_part_of_the_header(folder: Path, restaurant: Do
 
 
 GOAL_FAULTS = {
-    "not JSON": ("{", "line 1 is not valid JSON"),
-    "no object": ("[]", "line 1 must have the keys"),
-    "key missing": ('{"constraints": {}}', "line 1 must have the keys"),
-    "key unknown": ('{"constraints": {}, "requests": [], "mood": 1}', "line 1 must have the keys"),
+    "not JSON": ("{", "goals.jsonl, line 1: it is not valid JSON"),
+    "no object": ("[]", "line 1: it must have the keys"),
+    "key missing": ('{"constraints": {}}', "line 1: it must have the keys"),
+    "key unknown": (
+        '{"constraints": {}, "requests": [], "mood": 1}',
+        "line 1: it must have the keys",
+    ),
     "key twice": ('{"constraints": {"a": "b", "a": "c"}, "requests": []}', "once.*'a'"),
     "constraints list": ('{"constraints": [], "requests": []}', "constraints must map"),
     "requests text": ('{"constraints": {}, "requests": "area"}', "requests must be a list"),
     "request number": ('{"constraints": {}, "requests": [1]}', "requests must be a list"),
-    "value number": ('{"constraints": {"area": 1}, "requests": []}', "goal 0: area.*1"),
+    "value number": (
+        '{"constraints": {"area": 1}, "requests": []}',
+        "line 1: area must have one line of text.*1",
+    ),
     "unknown slot": ('{"constraints": {"zip": "1"}, "requests": []}', "unknown slot 'zip'"),
     "unknown value": (
         '{"constraints": {"area": "the moon"}, "requests": []}',
-        "goal 0 wants area = 'the moon'",
+        "goals.jsonl, line 1: it wants area = 'the moon'",
     ),
-    "nothing": ("", "no goals"),
+    "nothing": ("", "goals.jsonl: there are no goals"),
+    "a line separator": (
+        '{"constraints": {"area": "old\u2028town"}, "requests": []}',
+        "goals.jsonl, line 1: area must have one line of text",
+    ),
+    "half a letter": (
+        '{"constraints": {"area": "\\ud800"}, "requests": []}',
+        "line 1: area must have text that UTF-8 can hold",
+    ),
+    "nested": ("[" * 100_000, "goals.jsonl, line 1: it is nested too deeply"),
+    "long": (json.dumps("x" * 1_000_000), r"must have the keys .* characters \.\.\.\]"),
 }
 
 
@@ -169,7 +193,13 @@ VALUES_FAULTS = {
     "text": ('{"area": "north"}', "area must be a list"),
     "number": ('{"area": [1]}', "area must be a list"),
     "slot twice": ('{"area": ["x"], "area": ["y"]}', "once.*area"),
-    "unknown slot": ('{"zip": ["1"]}', "unknown slot 'zip'"),
+    "unknown slot": ('{"zip": ["1"]}', "values.json, line 1: it names the unknown slot 'zip'"),
+    "nothing": ("{}", "values of at least one slot"),
+    "nested": ("[" * 100_000, "values.json: it is nested too deeply"),
+    "blank value": (
+        '{\n "area": [\n  "north",\n  " "\n ]\n}\n',
+        "values.json, line 4: area must have one line of text",
+    ),
 }
 
 
@@ -182,7 +212,11 @@ def test_damaged_values_are_refused(folder: Path, text: str, message: str):
 
 YAML_FAULTS = {
     "not YAML": ("name: restaurant", "name: [restaurant", "not valid YAML"),
-    "unknown key": ("name: restaurant", "name: restaurant\nmood: good", "unknown keys.*mood"),
+    "unknown key": (
+        "name: restaurant",
+        "name: restaurant\nmood: good",
+        "line 4: it has the unknown key 'mood'",
+    ),
     "missing key": ("turn_width: 24", "", r"lacks the keys.*turn_width"),
     "key twice": ("turn_width: 24", "turn_width: 24\nturn_width: 30", "once.*turn_width"),
     "wrong number": ("turn_width: 24", "turn_width: wide", "turn_width must be an integer"),
@@ -208,6 +242,21 @@ YAML_FAULTS = {
         r"distinct.*inform\(cuisine\)",
     ),
     "policy key": ("kind: careful", "sort: careful", "policies.careful has the unknown keys.*sort"),
+    "opening unknown": (
+        "opening_slot: null",
+        "opening_slot: [area, zip]",
+        "line 18: opening_slot names the unknown slot 'zip'",
+    ),
+    "opening number": ("opening_slot: null", "opening_slot: 3", "opening_slot must be a text"),
+    "turn width": ("turn_width: 24", "turn_width: 1000000000000", "between 1 and 1000, got 10000"),
+    "nested": ("turn_width: 24", f"turn_width: {'[' * 5000}", "nested too deeply"),
+    "bomb": (
+        "turn_width: 24",
+        "turn_width: [&a0 [x, x], "
+        + ", ".join(f"&a{n + 1} [*a{n}, *a{n}]" for n in range(60))
+        + "]",
+        "turn_width must be an integer",
+    ),
     "ticket unknown": ("ticket_slot: table", "ticket_slot: seat", "unknown slot 'seat'"),
 }
 
@@ -230,3 +279,51 @@ def test_yaml_cannot_build_objects(folder: Path):
     edit(folder / "domain.yaml", "name: restaurant", "name: !!python/name:os.system")
     with pytest.raises(ValueError, match="not valid YAML"):
         load_domain(folder)
+
+
+def test_every_fault_of_every_file_is_named_at_once_with_its_line(folder: Path):
+    edit(folder / "domain.yaml", "turn_width: 24", "turn_width: wide")
+    edit(folder / "domain.yaml", "request(area)", "request(zip)")
+    edit(folder / "knowledge_base.csv", "saturday", " ")
+    edit(folder / "goals.jsonl", '"japanese"', '"martian"')
+    edit(folder / "goals.jsonl", '"french"', '"no match"')
+    edit(folder / "values.json", "{", '{\n "zip": ["1"],')
+    with pytest.raises(ValueError, match="has 6 faults") as caught:
+        load_domain(folder)
+    assert str(caught.value).splitlines() == [
+        f"{folder} has 6 faults:",
+        "  domain.yaml, line 19: turn_width must be an integer, got 'wide'",
+        "  domain.yaml, line 22: policies.rule needs the action 'request(zip)', which is not among "
+        + ", ".join(load_domain(Path(__file__).parents[1] / "data" / "restaurant").action_names),
+        "  knowledge_base.csv, line 2: day must have one line of text, not blank, got ' '",
+        "  goals.jsonl, line 2: it wants cuisine = 'martian', a value that is neither in "
+        "values.json nor in knowledge_base.csv",
+        "  goals.jsonl, line 3: cuisine must not have the reserved value 'no match'",
+        "  values.json, line 2: it names the unknown slot 'zip'; the slots are table, "
+        "party_size, cuisine, area, day, hour, price_range, restaurant, phone, terrace, booking",
+    ]
+
+
+def test_a_fault_of_many_lines_is_one_sentence(folder: Path):
+    edit(folder / "knowledge_base.csv", "area", "zip")
+    with pytest.raises(
+        ValueError, match=r"lines 3, 4, 5 and \d+ more: it names the unknown"
+    ) as caught:
+        load_domain(folder)
+    assert str(caught.value).count("knowledge_base.csv, line") == 1
+
+
+def test_a_file_that_cannot_be_read_hides_no_fault_of_another(folder: Path):
+    (folder / "knowledge_base.csv").write_text("")
+    edit(folder / "values.json", "cuisine", "kitchen")
+    with pytest.raises(ValueError, match="has 2 faults") as caught:
+        load_domain(folder)
+    assert "knowledge_base.csv: the header, a line of slot names, is missing" in str(caught.value)
+    assert "unknown slot 'kitchen'" in str(caught.value)
+
+
+def test_several_slots_can_open_a_dialogue(folder: Path):
+    edit(folder / "domain.yaml", "opening_slot: null", "opening_slot: [area, cuisine]")
+    assert load_domain(folder).opening_slots == ("area", "cuisine")
+    edit(folder / "domain.yaml", "opening_slot: [area, cuisine]", "opening_slot: area")
+    assert load_domain(folder).opening_slots == ("area",)

@@ -6,6 +6,7 @@ import collections
 import copyreg
 import datetime
 import pickle
+import re
 from pathlib import Path
 
 import pytest
@@ -238,15 +239,83 @@ WRONG = {
     "kb by truth": ("kb", {True: {}}, "must have int keys, got True"),
     "row a text": ("kb", {0: "x"}, "row 0 must hold a dict, got str"),
     "row value": ("kb", {0: {"city": ["x"]}}, "row 0, city must be a text"),
-    "row slot": ("kb", {0: {"area": "x"}}, "record 0.*unknown slot 'area'"),
-    "blank row": ("kb", {0: {"city": ""}}, "record 0"),
+    "row slot": ("kb", {0: {"area": "x"}}, r"kb\.p, row 0: .*unknown slot 'area'"),
+    "blank row": ("kb", {0: {"city": ""}}, r"kb\.p, row 0: it must have at least one value"),
     "empty kb": ("kb", {}, "knowledge base.*empty"),
     "values a list": ("values", [], r"values\.p must hold a dict, got list"),
     "values a text": ("values", {"city": "x"}, "city must hold a list, got str"),
     "value no text": ("values", {"city": [None]}, "city must be a text, got None"),
-    "values slot": ("values", {"area": ["x"]}, "unknown slot 'area'"),
-    "values blank": ("values", {"city": [""]}, "city must list at least one value"),
+    "no values": ("values", {}, r"values\.p must list the values of at least one slot"),
 }
+
+
+UNUSABLE = {
+    "goal 1 both": (
+        "goals",
+        [GOAL, changed(request_slots={"city": "UNK"})[0]],
+        r"goals\.p, goal 1: it must not constrain and request the same slots \['city'\]",
+        r"goals\.p: 1 of 2 goals are left out",
+    ),
+    "goal slot": (
+        "goals",
+        [changed(inform_slots={"area": "x"})[0], GOAL],
+        r"goals\.p, goal 0: it names the unknown slot 'area'",
+        r"goals\.p: 1 of 2 goals are left out",
+    ),
+    "row slot": (
+        "kb",
+        {0: {"city": "seattle", "area": "x"}, 1: {"city": "portland"}},
+        r"kb\.p, row 0: it names the unknown slot 'area'",
+        r"kb\.p: 1 of 2 rows are left out or in part",
+    ),
+    "row of nothing else": (
+        "kb",
+        {3: {"city": "seattle"}, 5: {"area": "x"}},
+        r"kb\.p, row 5: it names the unknown slot 'area'",
+        r"kb\.p: 1 of 2 rows",
+    ),
+    "values slot": (
+        "values",
+        {"area": ["x"], "city": ["seattle"]},
+        r"values\.p: it names the unknown slot 'area'",
+        r"values\.p: 1 of 2 slots",
+    ),
+    "a value": (
+        "values",
+        {"city": ["seattle", "no match"]},
+        r"values\.p: city must not have the reserved value 'no match'",
+        r"values\.p: 1 of 1 slots",
+    ),
+    "blank values": (
+        "values",
+        {"date": [""], "city": ["seattle"]},
+        r"values\.p: date must list at least one value",
+        r"values\.p: 1 of 2 slots",
+    ),
+}
+
+
+@pytest.mark.parametrize(("name", "content", "fault", "count"), UNUSABLE.values(), ids=UNUSABLE)
+def test_what_cannot_be_used_is_left_out_and_named_or_refused(folder, name, content, fault, count):
+    write(folder, name, content)
+    with pytest.raises(ValueError, match=fault):
+        load_miulab(folder, **FILES, skip_unusable=False)
+    domain = load_miulab(folder, **FILES)
+    whole = {"goals": 1, "kb": 2 if name != "kb" else len(content), "values": 1}
+    assert (len(domain.goals), len(domain.error_values)) == (1, 1)
+    assert 1 <= len(domain.records) <= whole["kb"]
+    assert any(re.search(fault, text) for text in domain.skipped)
+    assert any(re.search(count, text) for text in domain.skipped)
+
+
+def test_a_record_is_left_without_its_unknown_slots(folder: Path):
+    write(folder, "kb", {0: {"city": "seattle", "area": "x"}})
+    assert load_miulab(folder, **FILES).records == ({"city": "seattle"},)
+
+
+def test_nothing_is_left_out_of_the_default_files(miulab: Domain, tcbot: Path):
+    assert miulab.skipped == ()
+    assert load_miulab(tcbot, skip_unusable=False) == miulab
 
 
 @pytest.mark.parametrize(("name", "content", "message"), WRONG.values(), ids=WRONG)

@@ -107,9 +107,12 @@ def test_special_and_active_slots_are_ids_of_the_domains_slots(domain: Domain):
     assert [*tensors.slot] == list(domain.slots)
 
 
-def test_the_opening_slot_is_minus_one_where_there_is_none(movie: Domain, restaurant: Domain):
-    assert movie.slots[tensorise(movie).opening] == "moviename"
-    assert tensorise(restaurant).opening == -1
+@pytest.mark.parametrize("opening", ["moviename", ("city", "moviename"), (), None])
+def test_the_opening_slots_are_flags(movie: Domain, opening):
+    domain = replace(movie, opening_slot=opening)
+    flags = tensorise(domain).opening.tolist()
+    named = {opening} if isinstance(opening, str) else set(opening or ())
+    assert {slot for slot, flag in zip(movie.slots, flags, strict=True) if flag} == named
 
 
 def test_spellings_that_differ_in_case_are_one_value_shown_as_first_met(restaurant: Domain):
@@ -140,7 +143,7 @@ def test_a_domain_without_error_values_has_counts_of_zero(restaurant: Domain):
 
 def test_ids_are_long_and_flags_are_bool(domain: Domain):
     tensors = tensorise(domain)
-    flags = {"goal_requests", "constrains", "essential_slots"}
+    flags = {"goal_requests", "constrains", "essential_slots", "opening"}
     for field in fields(tensors):
         value = getattr(tensors, field.name)
         if isinstance(value, torch.Tensor):

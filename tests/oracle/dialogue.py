@@ -96,7 +96,7 @@ class Dialogue:
             slots=world.slots,
             ticket=domain.ticket_slot,
             complete=domain.complete_slot,
-            opening=domain.opening_slot,
+            opening=domain.opening_slots,
             fired=world.fired,
             draws=draws,
         )

@@ -27,7 +27,7 @@ class User:
         slots: Sequence[str],
         ticket: str,
         complete: str,
-        opening: str | None,
+        opening: tuple[str, ...],
         fired: Counter[str],
         draws: Draws,
     ) -> None:
@@ -45,10 +45,11 @@ class User:
         self.act = "request"
         self._open(opening, draws)
 
-    def _open(self, opening: str | None, draws: Draws) -> None:
-        if opening in self.constraints:
-            self.fired["open: the opening slot"] += 1
-            self._inform(opening)
+    def _open(self, opening: tuple[str, ...], draws: Draws) -> None:
+        for slot in opening:
+            if slot in self.constraints:
+                self.fired["open: the opening slot"] += 1
+                self._inform(slot)
         if self.constraints:
             self._inform(choose_slot(self.constraints, draws["constraint"], self.slots))
         else:

@@ -1,0 +1,206 @@
+"""Reads a domain's records, goals and values, each from a file of its own, line by line."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.domains.domain import Goal
+from bbq_torchrl.domains.faults import Located, Location
+from bbq_torchrl.domains.validate import repeated
+from bbq_torchrl.text import shown
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.domains.faults import Place
+
+__all__ = [
+    "GOALS_FILE",
+    "RECORDS_FILE",
+    "VALUES_FILE",
+    "Table",
+    "read_goals",
+    "read_records",
+    "read_values",
+]
+
+RECORDS_FILE = "knowledge_base.csv"
+GOALS_FILE = "goals.jsonl"
+VALUES_FILE = "values.json"
+
+
+@dataclass
+class Table:
+    """What could be read of one file, and what is wrong with its form.
+
+    Attributes:
+        name: of the file.
+        content: as the domain has it.
+        faults: of its form; whether it fits the domain is checked by ``Domain``.
+        lines: the line of each place that is known.
+    """
+
+    name: str
+    content: Any = ()
+    faults: list[Located] = field(default_factory=list)
+    lines: dict[Place, int] = field(default_factory=dict)
+
+    def fault(self, text: str, line: int | None = None) -> None:
+        """Notes what is wrong, with a line or with the file."""
+        self.faults.append((Location(self.name, "line", line), text))
+
+    def locate(self, place: Place) -> Location:
+        """Returns where a place of the domain stands in the file."""
+        while place and place not in self.lines:
+            place = place[:-1]
+        return Location(self.name, "line", self.lines.get(place))
+
+
+def read_records(path: Path) -> Table:
+    """Reads a knowledge base: a header of slots, then a record a line."""
+    table = Table(path.name)
+    text = _text(path, table)
+    if text is None:
+        return table
+    if not text.strip():
+        table.fault("the header, a line of slot names, is missing")
+        return table
+    if not text.endswith("\n"):
+        table.fault("the last line must end with a line break; the file looks truncated")
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    records: list[dict[str, str]] = []
+    try:
+        header = next(reader)
+        if len(set(header)) != len(header) or not all(name.strip() for name in header):
+            table.fault(f"the header must name every slot once, got {shown(header)}", 1)
+            return table
+        line = reader.line_num + 1
+        for row in reader:
+            if len(row) != len(header):
+                table.fault(f"it has {len(row)} fields, the header has {len(header)}", line)
+            else:
+                table.lines["records", len(records)] = line
+                pairs = zip(header, row, strict=True)
+                records.append({slot: value for slot, value in pairs if value})
+            line = reader.line_num + 1
+    except csv.Error as error:
+        table.fault(f"it is not valid CSV: {error}", reader.line_num)
+    table.content = tuple(records)
+    return table
+
+
+def read_goals(path: Path) -> Table:
+    """Reads goals, one a line: ``{"constraints": {slot: value}, "requests": [slot]}``."""
+    table = Table(path.name)
+    text = _text(path, table)
+    goals: list[Goal] = []
+    # Not splitlines: it also breaks at characters that JSON allows inside of a text.
+    lines = text.removesuffix("\n").split("\n") if text else []
+    for number, line in enumerate(lines, start=1):
+        try:
+            goal = _goal(_json(line))
+        except ValueError as error:
+            table.fault(str(error), number)
+        else:
+            table.lines["goals", len(goals)] = number
+            goals.append(goal)
+    table.content = tuple(goals)
+    return table
+
+
+def _goal(content: Any) -> Goal:
+    if not isinstance(content, dict) or set(content) != {"constraints", "requests"}:
+        raise ValueError(f"it must have the keys constraints and requests, got {shown(content)}")
+    constraints = content["constraints"]
+    if not isinstance(constraints, dict):
+        raise ValueError(f"constraints must map slots to values, got {shown(constraints)}")
+    return Goal(constraints, _texts("requests", content["requests"]))
+
+
+def read_values(path: Path) -> Table:
+    """Reads what errors put in place: ``{slot: [values]}``."""
+    table = _Values(path.name, {})
+    text = _text(path, table)
+    if text is None:
+        return table
+    try:
+        values = _json(text)
+        if not isinstance(values, dict):
+            raise ValueError(f"it must map slots to lists of values, got {shown(values)}")
+        if not values:
+            raise ValueError(
+                "it must list the values of at least one slot: without any, an error of mode "
+                "'value' changes nothing"
+            )
+    except ValueError as error:
+        table.fault(str(error))
+        return table
+    table.text = text
+    for slot, texts in values.items():
+        try:
+            table.content[slot] = _texts(slot, texts)
+        except ValueError as error:
+            table.faults.append((table.locate(("error_values", slot)), str(error)))
+    return table
+
+
+class _Values(Table):
+    """Values: JSON does not tell lines, so that they are looked for when they are asked for."""
+
+    text = ""
+
+    def locate(self, place: Place) -> Location:
+        """Returns the line of a slot, or of the first of its values that is written so."""
+        line, start = None, 0
+        for written in place[1:]:
+            colon = r"\s*:" if line is None else ""
+            match = re.compile(_written(str(written)) + colon).search(self.text, start)
+            if match is None:
+                break
+            line, start = self.text.count("\n", 0, match.start()) + 1, match.end()
+        return Location(self.name, "line", line)
+
+
+def _written(text: str) -> str:
+    """Returns a pattern for a text as JSON has it, its letters as they are or escaped."""
+    ways = dict.fromkeys(json.dumps(text, ensure_ascii=ascii) for ascii in (False, True))
+    return f"(?:{'|'.join(map(re.escape, ways))})"
+
+
+def _text(path: Path, table: Table) -> str | None:
+    """Returns a file's text; ``None`` where it is none, which is noted."""
+    try:
+        # newline="" keeps line ends inside quoted CSV fields as they are.
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return file.read()
+    except UnicodeDecodeError as error:
+        table.fault(f"it must be UTF-8 text: {error}")
+        return None
+
+
+def _json(text: str) -> Any:
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if twice := repeated(name for name, _ in pairs):
+            raise ValueError(f"it must give every key once, got {shown(twice)} again")
+        return dict(pairs)
+
+    try:
+        return json.loads(text, object_pairs_hook=unique)
+    except json.JSONDecodeError as error:
+        line = f"line {error.lineno}, " if "\n" in text else ""
+        raise ValueError(
+            f"it is not valid JSON: {error.msg} at {line}column {error.colno}"
+        ) from error
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def _texts(where: str, content: object) -> tuple[str, ...]:
+    if not isinstance(content, list) or not all(isinstance(text, str) for text in content):
+        raise ValueError(f"{where} must be a list of texts, got {shown(content)}")
+    return tuple(content)
