@@ -52,7 +52,11 @@ def replace(old, new, count=1):
     [
         ("knowledge_base.csv", replace("terrace", "balcony"), "balcony"),
         ("knowledge_base.csv", lambda text: text.splitlines()[0] + "\n", "knowledge base"),
-        ("knowledge_base.csv", lambda text: text.rstrip()[:-12], "knowledge_base.csv"),
+        (
+            "knowledge_base.csv",
+            lambda text: text.rstrip(),
+            "knowledge_base.csv: the last line must",
+        ),
         ("goals.jsonl", replace('"cuisine"', '"kitchen"'), "kitchen"),
         ("goals.jsonl", replace('"indian"', '"martian"'), "martian"),
         ("goals.jsonl", lambda text: text[: len(text) // 2], "goals.jsonl"),
