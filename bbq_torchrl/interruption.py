@@ -48,6 +48,9 @@ class _State:
 
 def listen() -> None:
     """Has Ctrl-C and SIGTERM end this process by a line, where nobody else handles them."""
+    # Python's process that clears away semaphores would add a warning to the line.
+    quiet = [os.environ.get("PYTHONWARNINGS", ""), "ignore:resource_tracker:UserWarning"]
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, quiet))
     for number in _SIGNALS:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, _handle)

@@ -89,7 +89,7 @@ def _run(config: Config, folder: Path, callbacks: Sequence[RoundCallback]) -> Ru
         result = _evaluated(config, folder, agent, trainer.env, trained, started)
         write_json(result, folder / RESULT_FILE)
     if config.protocol.keep_checkpoints == "weights":
-        trainer.checkpoints.keep_only("loss")
+        trainer.checkpoints.keep_only("loss", "best")
     _draw(config, folder, result, trainer.env)  # last: the run is finished
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     return result

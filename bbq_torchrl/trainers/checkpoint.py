@@ -185,11 +185,12 @@ class CheckpointFolder:
             ) from error
 
     def keep_only(self, *names: str) -> None:
-        """Leaves nothing but these components of the newest checkpoint, under its name.
+        """Leaves nothing but these components (as far as it has them) of the newest checkpoint.
 
-        A training cannot go on from them. At every moment there is one whole checkpoint.
+        It keeps its name. A training cannot go on from them. At every moment there is a whole
+        checkpoint.
         """
-        found, _ = self._newest(names)
+        found, _ = self._newest(())
         if found is None:
             return
         path, _ = found
@@ -197,7 +198,9 @@ class CheckpointFolder:
         try:
             with zipfile.ZipFile(path) as old, zipfile.ZipFile(smaller, "w") as new:
                 manifest = Checkpoint.manifest(path)
-                manifest["components"] = {name: manifest["components"][name] for name in names}
+                manifest["components"] = {
+                    name: record for name, record in manifest["components"].items() if name in names
+                }
                 for record in manifest["components"].values():
                     for file in record["files"]:
                         member = f"{record['path']}/{file}"
@@ -245,11 +248,12 @@ class CheckpointFolder:
                         reason = " ".join(str(error).split()) or type(error).__name__
                         damages.append(f"{path.name}: {reason}")
                     continue
-                if not manifest["components"].keys() >= set(components):
-                    parts = ", ".join(manifest["components"])
+                missing = set(components) - manifest["components"].keys()
+                if missing:
                     raise CheckpointDamagedError(
-                        f"{path} holds nothing but {parts}, which no training can go on from: "
-                        "a run that is to go on after its end needs protocol.keep_checkpoints=last"
+                        f"the checkpoint {path} has no {', '.join(sorted(missing))}, only "
+                        f"{', '.join(manifest['components'])}: a run that is to go on after its "
+                        "end needs protocol.keep_checkpoints=last"
                     )
                 return (path, dict(manifest["metadata"])), damages
         if damages:

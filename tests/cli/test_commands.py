@@ -23,6 +23,7 @@ SMALL = (
     "protocol.eval_dialogues=30",
     "protocol.eval_batch=20",
     "protocol.checkpoint_every=1",
+    "protocol.keep_checkpoints=last",
     "spike.dialogues=8",
     "agent.hidden=[16,16]",
 )

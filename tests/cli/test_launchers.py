@@ -169,7 +169,9 @@ def test_a_job_that_a_launcher_starts_again_goes_on_in_its_folder(tmp_path):
 def test_the_runs_that_are_left_are_counted_and_named(tmp_path):
     for name in ("0_dqn", "1_bbqn"):
         (tmp_path / name / ".hydra").mkdir(parents=True)
-    (tmp_path / "0_dqn" / "result.json").touch()
+    save_config(compose(["protocol.rounds=5"]), tmp_path / "0_dqn" / "config.yaml")
+    (tmp_path / "0_dqn" / "result.json").write_text('{"rounds": 5}')
+    (tmp_path / "0_dqn" / "curve.png").touch()
     assert what_is_unfinished(tmp_path, jobs=4).splitlines() == [
         f"1 of 4 runs in {tmp_path} are finished",
         f"  not finished: {tmp_path / '1_bbqn'} (train.log in it says why)",
