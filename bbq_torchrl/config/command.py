@@ -13,6 +13,7 @@ import functools
 import logging
 import multiprocessing
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -188,7 +189,9 @@ def _stop_workers() -> None:
 def _how_to_go_on(folder: Path) -> str:
     if not (folder / RUN_CONFIG).is_file():
         return "the same command begins again"
-    return f"python train.py resume={shlex.quote(os.fspath(folder))} goes on"
+    plain = re.fullmatch(r"[\w./~@%+:-]+", os.fspath(folder)) is not None
+    override = f"resume={folder if plain else _quoted(folder)}"
+    return f"python train.py {shlex.quote(override)} goes on"
 
 
 def _end(end: BaseException, sweep: _Sweep | None) -> NoReturn:

@@ -1,0 +1,66 @@
+"""What run folders have in common: metrics, weights and buffers, to the last bit."""
+
+from __future__ import annotations
+
+import csv
+import json
+import zipfile
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@dataclass
+class Reference:
+    """A run that nothing happened to.
+
+    Attributes:
+        folder: its run folder.
+        overrides: its command line, without the folder.
+        seconds: of processor time that it took.
+    """
+
+    folder: Path
+    overrides: tuple[str, ...]
+    seconds: float
+
+
+def metrics(folder: Path) -> list[dict[str, str]]:
+    """metrics.csv without its times."""
+    with (folder / "metrics.csv").open(newline="") as file:
+        return [
+            {name: value for name, value in row.items() if not name.startswith("seconds")}
+            for row in csv.DictReader(file)
+        ]
+
+
+def state(folder: Path) -> dict[str, int]:
+    """Checksums of all that the newest checkpoint holds but the metrics, which have times."""
+    newest = max((folder / "checkpoint").glob("round-*.torchrl"))
+    with zipfile.ZipFile(newest) as archive:
+        parts = {
+            info.filename: info.CRC
+            for info in archive.infolist()
+            if info.filename.startswith("components/") and "-metrics/" not in info.filename
+        }
+    assert any("-replay/" in name for name in parts)
+    assert any("-loss/" in name for name in parts)
+    return parts
+
+
+def result(folder: Path) -> dict[str, object]:
+    """result.json without its time."""
+    found = json.loads((folder / "result.json").read_text())
+    del found["wall_seconds"]
+    return found
+
+
+def assert_same(folder: Path, reference: Path) -> None:
+    """The run has ended, and as the reference did."""
+    assert metrics(folder) == metrics(reference)
+    assert state(folder) == state(reference)
+    assert result(folder) == result(reference)
+    assert (folder / "curve.png").read_bytes().startswith(b"\x89PNG")
+    assert not [path.name for path in (folder / "checkpoint").iterdir() if path.name[0] == "."]

@@ -1,0 +1,224 @@
+"""Whatever happens to a checkpoint's bytes: no code, no traceback, and never other weights."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+import torch
+from cases import DAMAGES
+from folders import state
+
+import train
+from bbq_torchrl import evaluate
+from bbq_torchrl.build import build_trainer
+from bbq_torchrl.config.resume import description
+from bbq_torchrl.config.store import load_config
+from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "trainers"))
+from planted import plant
+
+pytestmark = pytest.mark.slow
+
+
+def cut(content, rng):
+    return content[: rng.randrange(len(content))]
+
+
+def flip(content, rng):
+    changed = bytearray(content)
+    for _ in range(rng.choice([1, 1, 1, 10, 1000])):
+        changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+def zero(content, rng):
+    start = rng.randrange(len(content))
+    length = min(rng.choice([1, 512, 4096, 65536]), len(content) - start)
+    return content[:start] + bytes(length) + content[start + length :]
+
+
+def insert(content, rng):
+    place = rng.randrange(len(content))
+    return content[:place] + rng.randbytes(rng.choice([1, 100, 5000])) + content[place:]
+
+
+def append(content, rng):
+    return content + rng.randbytes(rng.choice([1, 100, 70000]))
+
+
+def replace(content, rng):
+    return rng.choice([b"", b"PK", rng.randbytes(1000), content[len(content) // 2 :]])
+
+
+BYTES = (cut, flip, zero, insert, append, replace)
+"""Damages of a disk: what is restored then is what was saved, or the checkpoint before it."""
+
+
+def rewritten(archive, change):
+    """Changes the members of an archive and gives them the right checksums."""
+    with zipfile.ZipFile(archive) as old:
+        members = {name: old.read(name) for name in old.namelist()}
+    change(members)
+    with zipfile.ZipFile(archive, "w") as new:
+        for name, content in members.items():
+            new.writestr(name, content)
+
+
+def leave_out(members, rng):
+    del members[rng.choice(sorted(members))]
+
+
+def swap(members, rng):
+    one, other = rng.sample(sorted(members), 2)
+    members[one], members[other] = members[other], members[one]
+
+
+def add(members, rng):
+    name = rng.choice(["state.pt", "x/other.pickle", "../../x", "/x", "components/x", "notes"])
+    members[name] = rng.randbytes(20)
+
+
+def shorten(members, rng):
+    name = rng.choice(sorted(members))
+    members[name] = members[name][: rng.randrange(len(members[name]) + 1) // 2]
+
+
+VALUES = (None, -1, 0, 1e308, 10**30, "", "x", [], [[]], {}, {"kind": "path", "value": "/"}, True)
+
+
+def change_json(members, rng):
+    """Puts something else in the place of one value of the JSON of an archive."""
+    name = rng.choice([item for item in sorted(members) if item.endswith(".json")])
+    tree = json.loads(members[name])
+    node = tree
+    while isinstance(node, dict | list) and node:
+        key = rng.choice(sorted(node) if isinstance(node, dict) else range(len(node)))
+        if not isinstance(node[key], dict | list) or not node[key] or rng.random() < 0.2:
+            node[key] = rng.choice(VALUES)
+            break
+        node = node[key]
+    members[name] = json.dumps(tree).encode()
+
+
+def nest(members, rng):
+    name = rng.choice([item for item in sorted(members) if item.endswith(".json")])
+    members[name] = b"[" * 100_000 + b"]" * 100_000
+
+
+FORGERIES = (leave_out, swap, add, shorten, change_json, change_json, change_json, nest)
+"""What somebody can do who rights the checksums."""
+
+
+@pytest.fixture(scope="module")
+def run(references):
+    return references("replicas").folder
+
+
+@pytest.fixture(scope="module")
+def trainer(run, tmp_path_factory):
+    config = load_config(run / "config.yaml")
+    built, _ = build_trainer(config, tmp_path_factory.mktemp("trainer"))
+    return built, description(config)
+
+
+def restored(trainer, folder):
+    """The checkpoint that is restored, and checksums of what it was restored to; or the error."""
+    built, described = trainer
+    built.checkpoints.folder = folder
+    try:
+        path, _ = built.checkpoints.restore(described)
+    except (CheckpointDamagedError, CheckpointMismatchError):
+        return None, None
+    parts = [built.loss.state_dict(), built.replay.state_dict(), built.optimiser.state_dict()]
+    leaves = torch.utils._pytree.tree_leaves(parts)
+    return path.name, [leaf.double().sum() for leaf in leaves if isinstance(leaf, torch.Tensor)]
+
+
+def test_damaged_bytes_are_found_or_do_no_harm(run, trainer, tmp_path, rng):
+    names = sorted(path.name for path in (run / "checkpoint").iterdir())
+    expected = {}
+    for name in names:
+        folder = tmp_path / f"whole-{name}"
+        folder.mkdir()
+        shutil.copy(run / "checkpoint" / name, folder)
+        found, sums = restored(trainer, folder)
+        assert found == name
+        expected[name] = sums
+    found_out = 0
+    for number in range(DAMAGES // 2):
+        folder = tmp_path / f"damaged-{number}"
+        shutil.copytree(run / "checkpoint", folder)
+        newest = folder / names[-1]
+        damage = rng.choice(BYTES)
+        newest.write_bytes(damage(newest.read_bytes(), rng))
+
+        name, sums = restored(trainer, folder)
+
+        assert name in names, damage
+        assert all(map(torch.equal, sums, expected[name])), damage
+        found_out += name != names[-1]
+        shutil.rmtree(folder)
+    assert found_out > DAMAGES // 8
+
+
+def test_a_forged_checkpoint_is_restored_or_refused(run, trainer, tmp_path, rng):
+    refused = 0
+    for number in range(DAMAGES - DAMAGES // 2):
+        folder = tmp_path / f"forged-{number}"
+        shutil.copytree(run / "checkpoint", folder)
+        newest = max(folder.iterdir())
+        for other in folder.iterdir():
+            if other != newest:
+                other.unlink()
+        forgery = rng.choice(FORGERIES)
+        rewritten(newest, lambda members, forgery=forgery: forgery(members, rng))
+
+        refused += restored(trainer, folder)[0] is None
+        shutil.rmtree(folder)
+    assert refused > DAMAGES // 8
+
+
+def test_the_commands_say_in_a_line_what_is_wrong(run, tmp_path, rng, capsys, monkeypatch):
+    """``evaluate`` and ``resume`` on folders all of whose checkpoints are damaged or forged."""
+    marker = tmp_path / "marker"
+    monkeypatch.chdir(tmp_path)
+    for number in range(max(4, DAMAGES // 10)):
+        folder = tmp_path / f"run-{number}"
+        shutil.copytree(run, folder)
+        before = state(folder)
+        for archive in (folder / "checkpoint").iterdir():
+            kind = rng.choice(["bytes", "forged", "other.pickle", "pickle.pkl"])
+            if kind == "bytes":
+                archive.write_bytes(rng.choice(BYTES)(archive.read_bytes(), rng))
+            elif kind == "forged":
+                rewritten(archive, lambda members: rng.choice(FORGERIES)(members, rng))
+            else:
+                plant(archive, marker, kind)
+        capsys.readouterr()
+        code = evaluate.main([f"policy={folder}", "dialogues=2"])
+        out, err = capsys.readouterr()
+        if code == 0:
+            json.loads(out)
+        else:
+            assert code == 2
+            assert err.splitlines()[-1].startswith("error: ")
+        assert "Traceback" not in err
+
+        arguments = ["train.py", f"resume={folder}", "protocol.rounds=5"]
+        monkeypatch.setattr(sys, "argv", arguments)
+        try:
+            train.main()
+        except SystemExit as end:
+            assert end.code in (1, 2)  # noqa: PT017
+            lines = capsys.readouterr().err.splitlines()
+            assert lines[-1].startswith("error: ")
+            assert not any(line.startswith("Traceback") for line in lines)
+        else:
+            assert state(folder) != before
+        assert not marker.exists()

@@ -1,0 +1,96 @@
+"""A disk that is full or read-only ends a run in a sentence, and the run goes on once it is not."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+from cases import KILLS
+from commands import ROOT
+from folders import assert_same
+
+pytestmark = pytest.mark.slow
+
+NAME = "bbqn"
+
+
+@pytest.fixture(scope="module")
+def disk(tmp_path_factory):
+    """Runs a shell script that may mount: as root of a namespace of its own, as anyone may be."""
+    unshare = ["unshare", "--map-root-user", "--mount"]
+    probe = "mount -t tmpfs -o size=1m none /mnt"
+    if shutil.which("unshare") is None:
+        pytest.skip("needs the program unshare")
+    if subprocess.run([*unshare, "sh", "-c", probe], capture_output=True).returncode:
+        pytest.skip("needs a kernel in which a user may mount a tmpfs in a namespace")
+
+    def run(script, cwd):
+        return subprocess.run(
+            [*unshare, "sh", "-c", script],
+            cwd=cwd,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            timeout=600,
+        )
+
+    return run
+
+
+def command(*arguments):
+    return shlex.join([sys.executable, str(ROOT / "train.py"), *arguments])
+
+
+@pytest.mark.parametrize("attempt", range(max(3, KILLS // 10)))
+def test_a_full_disk_is_a_sentence_and_the_run_goes_on(disk, references, tmp_path, rng, attempt):
+    reference = references(NAME)
+    (tmp_path / "disk").mkdir()
+    used = sum(path.stat().st_size for path in reference.folder.rglob("*") if path.is_file())
+    size = int(rng.uniform(0.05, 1.3) * used / 1024)
+    new = command(*reference.overrides, "hydra.run.dir=disk/run")
+    script = f"""
+        mount -t tmpfs -o size={size}k none disk
+        {new} > /dev/null 2> first; echo $? > code
+        mount -o remount,size=100m disk
+        if [ -e disk/run/config.yaml ]
+        then {command("resume=disk/run")}
+        else {new}
+        fi > second 2>&1
+        cp -r disk/run kept
+    """
+    ended = disk(script, tmp_path)
+    first, code = (tmp_path / "first").read_text(), int((tmp_path / "code").read_text())
+    print(size, code, first, (tmp_path / "second").read_text(), ended.stderr)
+
+    assert code in (0, 1, 2)
+    assert "Traceback" not in first
+    if code:
+        assert first.count("\n") == 1
+        assert "No space left on device" in first
+    assert_same(tmp_path / "kept", reference.folder)
+
+
+def test_a_folder_that_cannot_be_written_is_a_sentence(disk, references, tmp_path):
+    reference = references(NAME)
+    (tmp_path / "disk").mkdir()
+    script = f"""
+        mount -t tmpfs none disk; cp -r {reference.folder} disk/run; mount -o remount,ro disk
+        {command(*reference.overrides, "hydra.run.dir=disk/new")} 2> new; echo $? >> codes
+        {command("resume=disk/run", "protocol.rounds=9")} 2> resume; echo $? >> codes
+        cd disk; {command(*reference.overrides)} 2> ../unnamed; echo $? >> ../codes
+        {sys.executable} -m bbq_torchrl.evaluate policy=run dialogues=2 2> ../evaluate
+        echo $? >> ../codes
+    """
+    disk(script, tmp_path)
+
+    assert (tmp_path / "codes").read_text().split() == ["2", "2", "2", "0"]
+    for name in ("new", "resume", "unnamed"):
+        text = (tmp_path / name).read_text()
+        assert text.startswith("error: ")
+        assert text.count("\n") == 1
+        assert "Read-only file system" in text
+    assert not (tmp_path / "evaluate").read_text()

@@ -1,0 +1,98 @@
+"""Killed at any moment, again and again, every training ends as one that was not."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+
+import pytest
+from cases import CONFIGURATIONS, KILLS, TINY
+from folders import assert_same, metrics
+
+pytestmark = pytest.mark.slow
+
+NAMES = (*CONFIGURATIONS, "sweep", "search")
+SHARE = {name: -(-(KILLS - number) // len(NAMES)) for number, name in enumerate(NAMES)}
+
+
+def go_on(folder, new):
+    """The command that goes on with what is in a folder, if anything is."""
+    return (f"resume={folder}",) if (folder / "config.yaml").exists() else new
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_a_run_that_is_killed_ends_the_same(commands, references, rng, name):
+    reference, kills, attempt = references(name), 0, 0
+    while kills < SHARE[name]:
+        attempt += 1
+        folder = commands.folder / f"{name}-{attempt}"
+        new = (*reference.overrides, f"hydra.run.dir={folder}")
+        while True:
+            ended = commands.kill(
+                "train",
+                *go_on(folder, new),
+                number=signal.SIGKILL,
+                after=rng.uniform(0, reference.seconds),
+            )
+            if ended.code != -signal.SIGKILL:
+                break
+            kills += 1
+            if kills >= SHARE[name]:
+                ended = commands.start("train", *go_on(folder, new)).end()
+                break
+        # It was killed between its last file and its end, or it has ended by itself.
+        assert ended.code == 0 or "is finished" in ended.line
+        assert_same(folder, reference.folder)
+
+
+def test_the_jobs_of_a_sweep_that_is_killed_end_the_same(commands, rng):
+    command = ("--multirun", "hydra/launcher=basic", "agent=dqn,bbqn", "agent.hidden=[8]", *TINY)
+    command = (*command, "spike.dialogues=3")
+    reference = commands.folder / "sweep-reference"
+    whole = commands.run("train", *command, f"hydra.sweep.dir={reference}").seconds
+    jobs = sorted(path.name for path in reference.iterdir() if path.is_dir())
+    assert len(jobs) == 2
+    for kill in range(SHARE["sweep"]):
+        folder = commands.folder / f"sweep-{kill}"
+        ended = commands.kill(
+            "train",
+            *command,
+            f"hydra.sweep.dir={folder}",
+            number=signal.SIGKILL,
+            after=rng.uniform(0, whole),
+        )
+        assert ended.code in (0, -signal.SIGKILL)
+        for job in jobs:
+            if (folder / job / "config.yaml").exists():
+                ended = commands.start("train", f"resume={folder / job}").end()
+                assert ended.code == 0 or "is finished" in ended.line
+                assert_same(folder / job, reference / job)
+
+
+def test_a_search_that_is_killed_finds_the_same(commands, rng):
+    pytest.importorskip("optuna", reason="needs the extra search")
+    command = ("search=dqn", "search.trials=3", "agent.hidden=[8]", "spike.dialogues=3", *TINY)
+    reference = commands.folder / "search-reference"
+    whole = commands.run("search", *command, f"search.folder={reference}").seconds
+    for kill in range(SHARE["search"]):
+        folder = commands.folder / f"search-{kill}"
+        again = (*command, f"search.folder={folder}")
+        moment = rng.uniform(0, whole)
+        ended = commands.kill("search", *again, number=signal.SIGKILL, after=moment)
+        assert ended.code in (0, -signal.SIGKILL)
+        commands.run("search", *again)
+        assert trials(folder) == trials(reference)
+        best = [json.loads((place / "best.json").read_text()) for place in (folder, reference)]
+        assert best[0]["values"] == best[1]["values"]
+        for trial in ("trial_0000", "trial_0001", "trial_0002"):
+            assert metrics(folder / trial) == metrics(reference / trial)
+
+
+def trials(folder):
+    """trials.csv without its times."""
+    with (folder / "trials.csv").open(newline="") as file:
+        return [
+            {name: value for name, value in row.items() if name != "seconds"}
+            for row in csv.DictReader(file)
+        ]

@@ -1,0 +1,132 @@
+"""Two processes on one run folder: one works, the other is told in a line, and nothing is lost."""
+
+from __future__ import annotations
+
+import re
+import signal
+
+import pytest
+from cases import CONFIGURATIONS, TINY
+from folders import assert_same
+
+pytestmark = pytest.mark.slow
+
+NAME = "vime"
+BUSY = "another process is at work in"
+
+
+@pytest.fixture
+def place(commands, request):
+    """The run folder that both are given."""
+    return commands.folder / re.sub(r"\W+", "-", request.node.name)
+
+
+def new(folder):
+    return (*CONFIGURATIONS[NAME], f"hydra.run.dir={folder}")
+
+
+def killed(commands, folder):
+    """Leaves a run of which something is left to do."""
+    command = commands.start("train", *new(folder))
+    command.until((folder / "metrics.csv").exists)
+    command.send(signal.SIGKILL)
+    assert command.end().code == -signal.SIGKILL
+
+
+def first(commands, kind, folder):
+    """Starts the process that works, stopped in the middle of its work."""
+    if kind == "resume":
+        killed(commands, folder)
+        command = commands.start("train", f"resume={folder}")
+        command.until(lambda: command.works_in(folder))
+    else:
+        command = commands.start("train", *new(folder))
+        command.until((folder / "metrics.csv").exists)
+    command.send(signal.SIGSTOP)
+    return command
+
+
+@pytest.mark.parametrize("one", ["new", "resume"])
+@pytest.mark.parametrize("other", ["new", "resume", "extend"])
+def test_who_comes_second_is_told_so(commands, references, place, one, other):
+    reference = references(NAME)
+    command = first(commands, one, place)
+    arguments = {
+        "new": new(place),
+        "resume": (f"resume={place}",),
+        "extend": (f"resume={place}", "protocol.rounds=9"),
+    }[other]
+
+    ended = commands.run("train", *arguments, code=2)
+
+    assert BUSY in ended.line
+    command.send(signal.SIGCONT)
+    assert command.end().code == 0
+    assert_same(place, reference.folder)
+
+
+@pytest.mark.parametrize("one", ["new", "resume"])
+def test_an_evaluation_beside_a_training_harms_neither(commands, references, place, one):
+    reference = references(NAME)
+    command = first(commands, one, place)
+    evaluate = ("evaluate", f"policy={place}", "dialogues=2")
+    stopped = commands.start(*evaluate).end()
+    assert stopped.code == 0 or "has no checkpoint yet" in stopped.line
+    command.send(signal.SIGCONT)
+    beside = commands.start(*evaluate).end()
+
+    assert beside.code == 0 or "has no checkpoint yet" in beside.line
+    assert command.end().code == 0
+    assert_same(place, reference.folder)
+    commands.run(*evaluate)
+
+
+@pytest.mark.parametrize("kind", ["new", "resume"])
+def test_of_two_that_start_at_once_one_works(commands, references, place, kind):
+    reference = references(NAME)
+    if kind == "resume":
+        killed(commands, place)
+    arguments = (f"resume={place}",) if kind == "resume" else new(place)
+    both = [commands.start("train", *arguments) for _ in range(2)]
+    ends = sorted((command.end() for command in both), key=lambda ended: ended.code)
+
+    assert ends[0].code == 0
+    assert ends[1].code == 2
+    # The second one may have come when the first one was done.
+    assert any(text in ends[1].line for text in (BUSY, "already holds a run", "is finished"))
+    assert_same(place, reference.folder)
+
+
+@pytest.mark.parametrize("program", ["sweep", "search"])
+def test_a_run_of_a_sweep_or_a_search_is_not_resumed_beside_it(commands, place, program):
+    keys = ("agent.hidden=[8]", "spike.dialogues=3", *TINY, "protocol.rounds=8")
+    if program == "sweep":
+        start = ("--multirun", "hydra/launcher=basic", "agent=dqn", f"hydra.sweep.dir={place}")
+        command = commands.start("train", *start, *keys)
+        found = "0_dqn*/metrics.csv"
+    else:
+        pytest.importorskip("optuna", reason="needs the extra search")
+        start = ("search=dqn", "search.trials=1", f"search.folder={place}")
+        command = commands.start("search", *start, *keys)
+        found = "trial_0000/metrics.csv"
+    command.until(lambda: list(place.glob(found)))
+    command.send(signal.SIGSTOP)
+    (metrics,) = place.glob(found)
+
+    ended = commands.run("train", f"resume={metrics.parent}", code=2)
+
+    assert BUSY in ended.line
+    command.send(signal.SIGCONT)
+    assert command.end().code == 0
+
+
+def test_a_lock_is_gone_with_its_process(commands, references, place):
+    reference = references(NAME)
+    command = first(commands, "new", place)
+    command.send(signal.SIGKILL)
+    command.send(signal.SIGCONT)
+    assert command.end().code == -signal.SIGKILL
+
+    commands.run("train", f"resume={place}")
+
+    assert_same(place, reference.folder)

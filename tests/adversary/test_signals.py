@@ -1,0 +1,149 @@
+"""Ctrl-C and SIGTERM at any moment: one line, the right exit code, and the run goes on after it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from cases import CONFIGURATIONS, KILLS, TINY
+from commands import ROOT
+from folders import assert_same
+
+pytestmark = pytest.mark.slow
+
+NUMBERS = (signal.SIGINT, signal.SIGTERM)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_run_that_is_interrupted_says_how_it_goes_on(commands, references, rng, number):
+    name = rng.choice(sorted(CONFIGURATIONS))
+    reference = references(name)
+    for attempt in range(max(2, KILLS // 4)):
+        folder = commands.folder / f"interrupted-{number}-{attempt}"
+        new = (*reference.overrides, f"hydra.run.dir={folder}")
+        after = rng.uniform(0.02, reference.seconds)
+        ended = commands.kill("train", *new, number=number, after=after)
+        if ended.code != 0:
+            assert ended.code == 128 + number
+            if (folder / "config.yaml").exists():
+                assert ended.line.endswith(f": python train.py resume={folder} goes on")
+                commands.run("train", f"resume={folder}")
+            else:
+                assert ended.line == "interrupted while starting: the same command begins again"
+                commands.run("train", *new)
+        assert_same(folder, reference.folder)
+
+
+def test_a_second_signal_ends_at_once(commands, references):
+    folder = commands.folder / "twice"
+    longer = ("protocol.dialogues=400", "protocol.epochs=60", "protocol.capacity=4000")
+    new = (*CONFIGURATIONS["replicas"], *longer, f"hydra.run.dir={folder}")
+    command = commands.start("train", *new)
+    command.until((folder / "checkpoint" / "round-000000.torchrl").exists)
+    command.work(0.5)
+    command.send(signal.SIGINT)
+    time.sleep(0.2)
+    command.send(signal.SIGINT)
+
+    ended = command.end()
+
+    assert ended.code == 130
+    assert re.search(r"^interrupted after (\d) of 4 rounds, (0|2|\1) saved: ", ended.line)
+
+
+def test_an_evaluation_and_a_search_end_in_a_line_too(commands, rng):
+    ended = commands.kill(
+        "evaluate", "policy=rule", "dialogues=4000000", number=signal.SIGINT, after=0.5
+    )
+    assert (ended.code, ended.line) == (
+        130,
+        "interrupted in an evaluation: the same command begins again",
+    )
+    pytest.importorskip("optuna", reason="needs the extra search")
+    folder = commands.folder / "interrupted-search"
+    command = ("search=dqn", "search.trials=2", f"search.folder={folder}", *TINY)
+    command = (*command, "agent.hidden=[8]", "spike.dialogues=3")
+    started = commands.start("search", *command)
+    started.until((folder / "trial_0001" / "metrics.csv").exists)
+    started.send(signal.SIGTERM)
+    ended = started.end()
+    if ended.code != 0:
+        assert ended.code == 143
+        assert ended.err.splitlines()[-1].startswith("interrupted after ")
+        assert ended.err.splitlines()[-1].endswith(": the same command goes on with the search")
+    commands.run("search", *command)
+
+
+def process(*arguments, cwd):
+    """A command as a person starts it, in a process group of its own."""
+    return subprocess.Popen(
+        [sys.executable, str(ROOT / "train.py"), *arguments],
+        cwd=cwd,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_importing_is_interrupted_without_a_traceback(tmp_path, rng, number):
+    for _ in range(max(2, KILLS // 4)):
+        started = process(*CONFIGURATIONS["replicas"], "hydra.run.dir=run", cwd=tmp_path)
+        # Python itself takes some hundredths of a second until it can take a signal.
+        waiting_until = time.monotonic() + 60
+        while not _catches(started.pid):
+            assert time.monotonic() < waiting_until
+            time.sleep(0.005)
+        time.sleep(rng.uniform(0, 3))
+        started.send_signal(number)
+        _, err = started.communicate(timeout=300)
+        assert started.returncode in (0, 128 + number), err
+        assert "Traceback" not in err
+        if started.returncode:
+            assert err.count("\n") == 1
+            assert err.startswith("interrupted ")
+        if (tmp_path / "run" / "config.yaml").exists():
+            break
+
+
+def _catches(pid):
+    """Whether a process has handlers of its own for both signals."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("SigCgt:"):
+            caught = int(line.split()[1], 16)
+            return all(caught >> (other - 1) & 1 for other in NUMBERS)
+    return False
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_the_jobs_of_a_sweep_end_in_good_order(commands, tmp_path, number):
+    keys = (*TINY, "agent.hidden=[8]", "spike.dialogues=3", "protocol.rounds=400")
+    sweep = ("--multirun", "agent=dqn,bbqn", "seed=0,1", "hydra.launcher.n_jobs=2")
+    started = process(*sweep, *keys, "hydra.sweep.dir=sweep", cwd=tmp_path)
+    waiting_until = time.monotonic() + 400
+    while len(list((tmp_path / "sweep").glob("*/metrics.csv"))) < 2:
+        assert started.poll() is None, started.communicate()
+        assert time.monotonic() < waiting_until
+        time.sleep(0.05)
+    if number == signal.SIGINT:
+        os.killpg(started.pid, number)  # as a terminal does
+    else:
+        started.send_signal(number)
+
+    _, err = started.communicate(timeout=300)
+
+    assert started.returncode == 128 + number, err
+    assert "Traceback" not in err
+    assert err.splitlines()[-1].startswith("interrupted in a sweep: 0 of 4 runs in ")
+    for metrics in (tmp_path / "sweep").glob("*/metrics.csv"):
+        rounds = metrics.read_text().count("\n") - 1
+        saved = max((metrics.parent / "checkpoint").glob("round-*.torchrl")).stem
+        assert int(saved.removeprefix("round-")) == rounds
