@@ -29,12 +29,14 @@ from planted import plant
 
 TINY = (
     "agent=dqn",
+    "explore=greedy",  # no schedule, which would fall over the share of other rounds
     "agent.hidden=[8]",
     "protocol.rounds=3",
     "protocol.dialogues=2",
     "protocol.capacity=200",
     "protocol.eval_dialogues=4",
     "protocol.eval_batch=4",
+    "protocol.eval_every=0",
     "spike.dialogues=2",
 )
 

@@ -35,6 +35,7 @@ SMALL = (
     "protocol.eval_every=2",
     "protocol.eval_every_dialogues=15",
     "protocol.checkpoint_every=2",
+    "protocol.keep_checkpoints=last",
     "spike.dialogues=6",
     "spike.policy=random",
     "agent.hidden=[8,8]",
