@@ -31,9 +31,10 @@ def clear_errors() -> tuple[type[Exception], ...]:
         CheckpointDamagedError,
         CheckpointMismatchError,
         NonFiniteLossError,
+        SpikeError,
     )
 
-    return NonFiniteLossError, CheckpointDamagedError, CheckpointMismatchError
+    return NonFiniteLossError, CheckpointDamagedError, CheckpointMismatchError, SpikeError
 
 
 @command(check, clear_errors)

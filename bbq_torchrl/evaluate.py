@@ -134,7 +134,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         "policy": config.policy,
         **({} if mode is None else {"mode": mode, "weights": config.weights}),
         "env": config.env.name,
-        "domain": config.domain.name,
+        "domain": domain.name,
         "seed": config.seed,
         "success_rate": rate,
         "standard_error": binomial_standard_error(rate, played.success.numel()),
@@ -148,6 +148,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
             else {}
         ),
         **({"values_per_replica": values} if any(values) else {}),
+        **({"skipped": domain.skipped} if domain.skipped else {}),
     }
 
 

@@ -89,6 +89,7 @@ def _run(config: Config, folder: Path, callbacks: Sequence[RoundCallback]) -> Ru
             lambda: f"after {trainer.rounds_done} of {rounds} rounds, {trainer.rounds_saved} saved"
         )
         _tell_of_evaluations(config)
+        _tell_of_domain(trainer.env)
         with interruption.gently(trainer.stop):
             rows = trainer.train(resume=config.resume is not None)
         interruption.check()
@@ -116,6 +117,23 @@ def _tell_of_evaluations(config: Config) -> None:
             "protocol.rounds (%d)",
             protocol.eval_every,
             protocol.rounds,
+        )
+
+
+def _tell_of_domain(env: DialogueEnv) -> None:
+    """Says what of the corpus is not played."""
+    domain = env.domain
+    for text in domain.skipped:
+        _LOG.warning("left out of the domain %s: %s", domain.name, text)
+    never = set() if env.schedule is None else set(env.schedule.never_active(domain))
+    cut = sum(bool(never & {*goal.constraints, *goal.requests}) for goal in domain.goals)
+    if cut:
+        named = {slot for goal in domain.goals for slot in (*goal.constraints, *goal.requests)}
+        _LOG.info(
+            "domain extension never activates %s: %d of %d goals are without them",
+            ", ".join(sorted(never & named)),
+            cut,
+            len(domain.goals),
         )
 
 
@@ -205,13 +223,14 @@ def _evaluated(
         explore=config.explore.name,
         intrinsic=config.intrinsic.name,
         env=config.env.name,
-        domain=config.domain.name,
+        domain=env.domain.name,
         policy=name,
         seed=config.seed,
         rounds=protocol.rounds,
         wall_seconds=trained + time.perf_counter() - started,
         versions=_versions(),
         scripted=_scripted(config, env),
+        skipped=env.domain.skipped,
     )
 
 
@@ -251,7 +270,7 @@ def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> 
             )
             for label, same in together.items()
         ],
-        title=f"Success: env={config.env.name}, domain={config.domain.name}",
+        title=f"Success: env={config.env.name}, domain={env.domain.name}",
         spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
         if spike.dialogues
         else None,

@@ -8,14 +8,23 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.build.memory import check_memory, training_needs
-from bbq_torchrl.build.worlds import build_domain
+from bbq_torchrl.build.worlds import build_domain, build_env, build_schedule
 from bbq_torchrl.config.resume import RESULT, has_result
 from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.config.worlds import DomainExtensionConfig
+from bbq_torchrl.envs import scripted_policy
 from bbq_torchrl.evaluation.results import METRICS_FILE
-from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointFolder, check_logger
+from bbq_torchrl.trainers import (
+    CheckpointDamagedError,
+    CheckpointFolder,
+    check_logger,
+    derive_seed,
+)
+from bbq_torchrl.trainers.spiking import count_transitions
 
 if TYPE_CHECKING:
     from bbq_torchrl.config.schema import Config
+    from bbq_torchrl.domains import Domain
 
 __all__ = ["check", "check_device"]
 
@@ -25,8 +34,8 @@ def check(config: Config) -> None:
 
     Raises:
         ConfigError: the device is absent, the logger's package is not installed, the domain has
-            no such scripted policy, the device's memory cannot hold what is asked for, or the run
-            to resume has nothing that it can go on from.
+            no such scripted policy, the device's memory or the replay buffer cannot hold what is
+            asked for, or the run to resume has nothing that it can go on from.
         ValueError or OSError: the corpus is damaged or not there.
     """
     check_device(config.device)
@@ -40,6 +49,9 @@ def check(config: Config) -> None:
             f"spike.policy must be one of {', '.join(domain.policies)}, got {config.spike.policy!r}"
         )
     check_memory(training_needs(config, domain), config.device)
+    if isinstance(config.env, DomainExtensionConfig):
+        build_schedule(config.env).never_active(domain)
+    _check_spike(config, domain)
     if config.resume is not None:
         _check_resumable(Path(config.resume), config.protocol.rounds)
 
@@ -54,6 +66,32 @@ def _check_resumable(folder: Path, rounds: int) -> None:
             raise CheckpointDamagedError.gone(folder)
     except CheckpointDamagedError as error:
         raise ConfigError(str(error)) from error
+
+
+def _check_spike(config: Config, domain: Domain) -> None:
+    """Refuses a capacity that the spike fills: by playing it, where that is not plain."""
+    spike, capacity = config.spike, config.protocol.capacity
+    if spike.dialogues * (config.env.max_turn // 2 + 1) < capacity:
+        return
+    count, seed = spike.dialogues, config.seed
+    if count < capacity:
+        env = build_env(
+            config.env, domain, (config.replicas, config.protocol.dialogues), device=config.device
+        )
+        torch.manual_seed(derive_seed(seed, "torch", "spike", 0))
+        env.set_seed(derive_seed(seed, "env", "spike", 0))
+        count = count_transitions(
+            env,
+            scripted_policy(spike.policy, env),
+            spike.dialogues,
+            max_steps=env.max_agent_turns,
+            enough=capacity,
+        )
+    if count >= capacity:
+        raise ConfigError(
+            f"protocol.capacity must be more than the transitions of spike.dialogues="
+            f"{spike.dialogues}, which are at least {count}, got {capacity}"
+        )
 
 
 def check_device(device: str) -> None:

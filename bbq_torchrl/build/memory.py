@@ -22,7 +22,7 @@ from bbq_torchrl.simulator import FeatureLayout
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from bbq_torchrl.config.schema import Config, EvaluateConfig
+    from bbq_torchrl.config.schema import CalibrateConfig, Config, EvaluateConfig
     from bbq_torchrl.config.worlds import EnvConfig
     from bbq_torchrl.domains import Domain
 
@@ -77,7 +77,10 @@ def training_needs(config: Config, domain: Domain) -> list[Need]:
     protocol, agent, intrinsic = config.protocol, config.agent, config.intrinsic
     replicas = config.replicas
     transition = 2 * (_FLOAT * features + actions) + _FLAGS
-    evaluated = min(protocol.eval_batch, replicas * protocol.eval_dialogues)
+    dialogues = max(
+        protocol.eval_dialogues, protocol.eval_every_dialogues if protocol.eval_every else 0
+    )
+    evaluated = min(protocol.eval_batch, replicas * dialogues)
     needs = [
         # Stored, and once more in an epoch's order.
         Need(
@@ -94,9 +97,13 @@ def training_needs(config: Config, domain: Domain) -> list[Need]:
         ),
         _rollout(config.env, domain, evaluated, {"protocol.eval_batch": protocol.eval_batch}),
         Need(
-            "the outcomes of the final evaluation",
-            replicas * protocol.eval_dialogues * _NUMBERS,
-            {"replicas": replicas, "protocol.eval_dialogues": protocol.eval_dialogues},
+            "the outcomes of an evaluation",
+            replicas * dialogues * _NUMBERS,
+            {
+                "replicas": replicas,
+                "protocol.eval_dialogues": protocol.eval_dialogues,
+                "protocol.eval_every_dialogues": protocol.eval_every_dialogues,
+            },
         ),
     ]
     if isinstance(intrinsic, VIMEConfig):
@@ -107,7 +114,9 @@ def training_needs(config: Config, domain: Domain) -> list[Need]:
     return needs
 
 
-def evaluation_needs(config: EvaluateConfig, domain: Domain, replicas: int) -> list[Need]:
+def evaluation_needs(
+    config: EvaluateConfig | CalibrateConfig, domain: Domain, replicas: int
+) -> list[Need]:
     """What an evaluation takes, its networks left out."""
     places = replicas * min(config.batch, config.dialogues)
     outcomes = replicas * config.dialogues * _NUMBERS

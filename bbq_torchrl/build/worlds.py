@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import torch
 
-__all__ = ["build_domain", "build_env"]
+__all__ = ["build_domain", "build_env", "build_schedule"]
 
 
 def build_domain(config: DomainConfig) -> Domain:
@@ -29,10 +29,21 @@ def build_domain(config: DomainConfig) -> Domain:
         ValueError or OSError: the corpus is damaged or not there.
     """
     if isinstance(config, MiuLabDomainConfig):
-        return load_miulab(config.path, goals=config.goals, kb=config.kb, values=config.values)
+        return load_miulab(
+            config.path,
+            goals=config.goals,
+            kb=config.kb,
+            values=config.values,
+            skip_unusable=config.skip_unusable,
+        )
     if isinstance(config, FolderDomainConfig):
         return load_domain(config.path)
     return movie_domain()
+
+
+def build_schedule(config: DomainExtensionConfig) -> ExtensionSchedule:
+    """Says which slots there are in which round."""
+    return ExtensionSchedule(start=config.start, every=config.every)
 
 
 def build_env(
@@ -45,9 +56,7 @@ def build_env(
     cuda_graph: bool = True,
 ) -> DialogueEnv:
     """Makes the environment with a batch of dialogues, such as [replicas, dialogues]."""
-    schedule = None
-    if isinstance(config, DomainExtensionConfig):
-        schedule = ExtensionSchedule(start=config.start, every=config.every)
+    schedule = build_schedule(config) if isinstance(config, DomainExtensionConfig) else None
     return DialogueEnv(
         domain,
         batch_size=tuple(batch_size),

@@ -11,7 +11,7 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
 
 from bbq_torchrl.config.launchers import LAUNCHER, LAUNCHER_EXTRAS
-from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, CalibrateConfig, Config, EvaluateConfig
 from bbq_torchrl.config.values import keys_with_lists
 from bbq_torchrl.text import sentence, shown
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["explain", "not_an_option", "unknown_key", "unreadable"]
 
-ONE_EVALUATION = "an evaluation is one command, and each key has one value"
+ONE_VALUE = "each key has one value in this command"
 
 
 def explain(
@@ -128,7 +128,7 @@ def _given(key: str, overrides: Sequence[str]) -> str | None:
 def _allowed(key: str, schema: Any) -> str | None:
     """What the field of a dotted key allows; the schema is looked up where none is given."""
     group, _, name = key.rpartition(".")
-    candidates = [schema, Config, EvaluateConfig, *SCHEMAS.get(group, {}).values()]
+    candidates = [schema, Config, EvaluateConfig, CalibrateConfig, *SCHEMAS.get(group, {}).values()]
     for candidate in candidates:
         if not is_dataclass(candidate):
             continue
@@ -144,7 +144,7 @@ def _several_values(error: Exception, root: type) -> str | None:
         return None
     given = match[1]
     if root is not Config:
-        return f"{given} has several values: {ONE_EVALUATION}"
+        return f"{given} has several values: {ONE_VALUE}"
     takes_a_list = given.partition("=")[0] in keys_with_lists(SCHEMAS)
     or_list = ", or put them in brackets for the replicas of one run" if takes_a_list else ""
     return f"{given} has several values: add --multirun to run them all{or_list}"
@@ -200,7 +200,7 @@ def not_an_option(
         if group.startswith("+") and group.lstrip("+") in groups:
             return f"{override} cannot be read: a group is chosen without a plus"
         if equals and group in groups and value.strip("'\"") not in options(group):
-            several = "several options need --multirun" if root is Config else ONE_EVALUATION
+            several = "several options need --multirun" if root is Config else ONE_VALUE
             more = f"; {several}" if "," in value else ""
             return f"{group} must be one of {', '.join(options(group))}, got {shown(value)}{more}"
     return None

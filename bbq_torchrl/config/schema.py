@@ -45,6 +45,7 @@ from bbq_torchrl.config.settings import (
     ANY_TEXT,
     BOOLEAN,
     COUNT,
+    PROBABILITY,
     REQUIRED,
     SEED,
     THREADS,
@@ -63,7 +64,14 @@ from bbq_torchrl.config.worlds import (
     MovieDomainConfig,
 )
 
-__all__ = ["EXPERIMENT", "SCHEMAS", "Config", "EvaluateConfig", "option_name"]
+__all__ = [
+    "EXPERIMENT",
+    "SCHEMAS",
+    "CalibrateConfig",
+    "Config",
+    "EvaluateConfig",
+    "option_name",
+]
 
 DEVICE = Allowed(
     "'cpu', 'cuda' or 'cuda:<number>'",
@@ -122,6 +130,21 @@ class EvaluateConfig:
     )
     log: str | None = setting(None, optional(ANY_TEXT, "none"), "file for readable dialogues")
     log_dialogues: int = setting(10, COUNT, "dialogues written to log")
+    seed: int = setting(0, SEED, "seed that all random numbers derive from")
+    device: str = setting("cpu", DEVICE, "where tensors live")
+    threads: int = setting(1, THREADS, "CPU threads of torch")
+
+
+@dataclass
+class CalibrateConfig:
+    """The root of the configuration of ``python -m bbq_torchrl.domains calibrate``."""
+
+    env: EnvConfig = REQUIRED  # type: ignore[assignment]
+    domain: DomainConfig = REQUIRED  # type: ignore[assignment]
+    policy: str = setting("rule", ANY_TEXT, "scripted policy of the domain")
+    success: float = setting(0.183, PROBABILITY, "success rate that the policy is to have")
+    dialogues: int = setting(100_000, COUNT, "dialogues played for each probability tried")
+    batch: int = setting(2_500, COUNT, "dialogues that run side by side")
     seed: int = setting(0, SEED, "seed that all random numbers derive from")
     device: str = setting("cpu", DEVICE, "where tensors live")
     threads: int = setting(1, THREADS, "CPU threads of torch")

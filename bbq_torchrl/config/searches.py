@@ -37,7 +37,7 @@ from bbq_torchrl.config.store import compose_raw, conf_folder, options, session,
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 __all__ = ["SEARCH", "Search", "SearchConfig", "compose_search"]
 
@@ -103,6 +103,14 @@ class Search:
     def overrides(self, values: Mapping[str, Any]) -> list[str]:
         """The command line of ``train.py`` for a trial's values."""
         return [*self.fixed, *(_override(name, value) for name, value in values.items())]
+
+    def corners(self) -> Iterator[dict[str, Any]]:
+        """Values of trials between which those of all others lie, one key at a bound each time."""
+        lowest = {item.name: item.probes()[0] for item in self.space}
+        yield lowest
+        for item in self.space:
+            for value in item.probes()[1:]:
+                yield {**lowest, item.name: value}
 
     def config(self, values: Mapping[str, Any]) -> Config:
         """The configuration of a trial.
@@ -273,10 +281,8 @@ def _settings(given: Mapping[str, Any]) -> SearchConfig:
 def _check_bounds(search: Search) -> None:
     """Composes a trial at every bound and choice, so that none can fail for its values."""
     with session():
-        lowest = {item.name: item.probes()[0] for item in search.space}
-        for item in search.space:
-            for value in item.probes():
-                to_config(compose_raw(search.overrides({**lowest, item.name: value})), Config)
+        for values in search.corners():
+            to_config(compose_raw(search.overrides(values)), Config)
 
 
 def _override(name: str, value: Any) -> str:

@@ -27,6 +27,7 @@ from bbq_torchrl.config.pairs import explorations_table
 from bbq_torchrl.config.schema import (
     EXPERIMENT,
     SCHEMAS,
+    CalibrateConfig,
     Config,
     EvaluateConfig,
 )
@@ -49,9 +50,9 @@ __all__ = [
     "to_config",
 ]
 
-Root = TypeVar("Root", Config, EvaluateConfig)
+Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
 
-ROOTS = {"config": Config, "evaluate": EvaluateConfig}
+ROOTS = {"config": Config, "evaluate": EvaluateConfig, "calibrate": CalibrateConfig}
 """YAML file of a root -> its schema."""
 
 _ADDED = {"intrinsic": "none"}

@@ -6,7 +6,7 @@ from bbq_torchrl.config.agents import BBQNConfig, BootstrapConfig, DQNConfig
 from bbq_torchrl.config.evaluation_cost import check_evaluation
 from bbq_torchrl.config.explorations import NoisyConfig
 from bbq_torchrl.config.pairs import EXPLORATIONS
-from bbq_torchrl.config.schema import Config, EvaluateConfig
+from bbq_torchrl.config.schema import CalibrateConfig, Config, EvaluateConfig
 from bbq_torchrl.config.settings import ConfigError, check_settings
 from bbq_torchrl.config.values import check_values
 from bbq_torchrl.config.worlds import DomainExtensionConfig
@@ -17,7 +17,7 @@ TARGET_NOISE = {"map": ("mean",), "mc": ("independent", "shared")}
 """target -> the noise its weights can have, the default first."""
 
 
-def validate(config: Config | EvaluateConfig) -> None:
+def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
     """Refuses a configuration that cannot be run.
 
     Raises:

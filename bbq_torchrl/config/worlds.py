@@ -94,6 +94,11 @@ class MiuLabDomainConfig(DomainConfig):
     goals: str = setting("user_goals_first_turn_template.v2.p", ANY_TEXT, "file of user goals")
     kb: str = setting("movie_kb.1k.p", ANY_TEXT, "file of the knowledge base")
     values: str = setting("dicts.v3.p", ANY_TEXT, "file of the values that errors draw from")
+    skip_unusable: bool = setting(
+        True,
+        BOOLEAN,
+        "goals, rows and slots that cannot be used are left out and named, or refused",
+    )
 
 
 @dataclass

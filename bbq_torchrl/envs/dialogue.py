@@ -67,8 +67,8 @@ class DialogueEnv(EnvBase):
             (:class:`~bbq_torchrl.modules.CudaGraph`).
 
     Raises:
-        ValueError: if a setting is out of range, the schedule adds a slot that the domain lacks,
-            or the device is absent.
+        ValueError: if a setting is out of range, the schedule adds a slot that the domain lacks
+            or never one that the agent has actions for, or the device is absent.
 
     Example:
         >>> from bbq_torchrl.domains import movie_domain
@@ -104,6 +104,8 @@ class DialogueEnv(EnvBase):
         tensors = tensorise(domain)
         self.domain = domain
         self.schedule = schedule
+        if schedule is not None:
+            schedule.never_active(domain)
         self.simulator = Simulator(
             tensors,
             errors=ErrorModel(tensors, slot_error_prob, slot_error_mode, intent_error_prob),

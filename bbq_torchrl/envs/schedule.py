@@ -75,6 +75,25 @@ class ExtensionSchedule:
         active = {*domain.essential, *order[: self.n_added(round)]}
         return tuple(slot for slot in domain.slots if slot in active)
 
+    def never_active(self, domain: Domain) -> tuple[str, ...]:
+        """Returns the slots that are active in no round: goals are restricted to the others.
+
+        Raises:
+            ValueError: if the agent has actions for one of them that could never be played, and
+                the domain's own order is followed (a schedule with slots of its own may leave out
+                what it likes).
+        """
+        active = {*domain.essential, *self._order(domain)}
+        never = tuple(slot for slot in domain.slots if slot not in active)
+        dead = [slot for slot in never if any(action.slot == slot for action in domain.actions)]
+        if dead and self.slots is None:
+            raise ValueError(
+                f"domain extension would never activate {', '.join(dead)}, which actions of the "
+                f"agent are about: domain {domain.name!r} must have them in essential or in "
+                "extension_order"
+            )
+        return never
+
     def additions(self, domain: Domain) -> dict[int, str]:
         """Returns the slot that each round adds.
 

@@ -91,7 +91,8 @@ class RunResult:
     """What result.json holds.
 
     Attributes:
-        agent: option of the group, such as ``bbqn``; likewise ``explore``, ``env``, ``domain``.
+        agent: option of the group, such as ``bbqn``; likewise ``explore``, ``env``.
+        domain: the domain's own name.
         policy: how the agent acted when evaluated: ``mean``, ``average``, ``draw``, ``thompson``,
             ``greedy`` or ``vote``.
         seed: of the run.
@@ -110,6 +111,7 @@ class RunResult:
             the best too; None where there were none.
         scripted: success rates of the scripted policies in the environment of the final
             evaluation, by name; empty in results of versions without it.
+        skipped: what of the corpus was left out, a sentence each.
     """
 
     agent: str
@@ -132,6 +134,7 @@ class RunResult:
     intrinsic: str = "none"
     while_training: TrainingEvaluation | None = None
     scripted: dict[str, float] = field(default_factory=dict)
+    skipped: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, per_replica: Sequence[ReplicaResult], **described: Any) -> RunResult:
@@ -245,7 +248,8 @@ def read_result(folder: Path) -> RunResult:
             for item in plain["per_replica"]
         )
         plain = _only(RunResult, _with_evaluation(plain))
-        return RunResult(**{**plain, "per_replica": per_replica})
+        skipped = tuple(plain.get("skipped", ()))
+        return RunResult(**{**plain, "per_replica": per_replica, "skipped": skipped})
     except (ValueError, TypeError, KeyError) as error:
         raise ValueError(f"{file} is damaged: {error}") from error
 

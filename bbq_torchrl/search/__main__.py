@@ -51,15 +51,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from bbq_torchrl.build import check
         from bbq_torchrl.run import run
         from bbq_torchrl.search.study import run_search
-        from bbq_torchrl.trainers import CheckpointDamagedError, NonFiniteLossError
+        from bbq_torchrl.trainers import CheckpointDamagedError, NonFiniteLossError, SpikeError
 
-        check(search.config({item.name: item.probes()[0] for item in search.space}))
+        for values in search.corners():
+            check(search.config(values))
     except (ValueError, OSError) as error:
         return _refused(error)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
-        best = run_search(search, run, (NonFiniteLossError, CheckpointDamagedError))
+        best = run_search(
+            search, run, (NonFiniteLossError, CheckpointDamagedError, SpikeError), check
+        )
     except interruption.Interrupted as end:
         sys.stderr.write(f"{interruption.line()}\n")
         return end.exit_code

@@ -15,16 +15,19 @@ from typing import TYPE_CHECKING, Any
 import optuna
 import yaml
 from filelock import FileLock, Timeout
+from sqlalchemy.exc import SQLAlchemyError
 
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.search.tables import best_trial, trial_name, write_tables
 from bbq_torchrl.search.trials import Outcome, Runner, play_trial, suggest
+from bbq_torchrl.text import sentence, shown
 from bbq_torchrl.trainers.seeding import derive_seed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from bbq_torchrl.config import Config
     from bbq_torchrl.config.searches import Search
 
 __all__ = ["run_search"]
@@ -34,7 +37,10 @@ _DEFINITION = "search.yaml"
 
 
 def run_search(
-    search: Search, runner: Runner, clear_errors: tuple[type[Exception], ...] = ()
+    search: Search,
+    runner: Runner,
+    clear_errors: tuple[type[Exception], ...] = (),
+    check: Callable[[Config], None] | None = None,
 ) -> dict[str, Any] | None:
     """Runs trials until there are as many as wanted. Returns the best; None if there is none.
 
@@ -46,15 +52,20 @@ def run_search(
         runner: trains one trial: ``bbq_torchrl.run.run``.
         clear_errors: errors of a trial that the search goes on after; any other one ends it, and
             the trial is taken up when the search is started again.
+        check: what else is checked of a trial's configuration; raises ``ConfigError``. Values that
+            cannot be run together fail their trial, and the search goes on.
 
     Raises:
-        ConfigError: the folder holds another search.
+        ConfigError: the folder holds another search, or it or the storage cannot be used.
     """
     folder = search.folder
-    folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(folder / ".search.lock"):
-        _check_definition(search, folder / _DEFINITION)
-        study = _study(search, folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with FileLock(folder / ".search.lock"):
+            _check_definition(search, folder / _DEFINITION)
+            study = _study(search, folder)
+    except OSError as error:
+        raise ConfigError(f"search.folder={folder} cannot be used: {sentence(error)}") from error
     while True:
         with _claimed(search, study, folder) as trial:
             if trial is None:
@@ -62,8 +73,16 @@ def run_search(
             values = _values(search, study, trial)
             _LOG.info("trial %d: %s", trial.number, values)
             run_folder = folder / trial_name(trial.number)
-            config = search.config(values)
-            outcome = play_trial(trial, config, run_folder, search.settings, runner, clear_errors)
+            try:
+                config = search.config(values)
+                if check is not None:
+                    check(config)
+            except ConfigError as error:
+                outcome = Outcome(optuna.trial.TrialState.FAIL, reason=sentence(error))
+            else:
+                outcome = play_trial(
+                    trial, config, run_folder, search.settings, runner, clear_errors
+                )
             _tell(study, trial, outcome)
         with FileLock(folder / ".tables.lock"):
             write_tables(search, study)
@@ -77,7 +96,12 @@ def _check_definition(search: Search, file: Path) -> None:
         temporary = file.with_name(f".{file.name}.new")
         temporary.write_text(yaml.safe_dump(definition, sort_keys=False), encoding="utf-8")
         temporary.replace(file)
-    begun = yaml.safe_load(file.read_text(encoding="utf-8"))
+    try:
+        begun = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file} is damaged: {sentence(error)}") from error
+    if not isinstance(begun, dict):
+        raise ConfigError(f"{file} is damaged: it must be a mapping, got {shown(begun)}")
     for key in {**begun, **definition}:
         if begun.get(key) != definition.get(key):
             raise ConfigError(
@@ -88,7 +112,7 @@ def _check_definition(search: Search, file: Path) -> None:
 
 def _study(search: Search, folder: Path) -> optuna.Study:
     settings = search.settings
-    rounds = search.config({item.name: item.probes()[0] for item in search.space}).protocol.rounds
+    rounds = search.config(next(search.corners())).protocol.rounds
     pruner: optuna.pruners.BasePruner = optuna.pruners.NopPruner()
     if settings.pruner == "median":
         pruner = optuna.pruners.MedianPruner(
@@ -98,13 +122,18 @@ def _study(search: Search, folder: Path) -> optuna.Study:
     url = settings.storage or f"sqlite:///{folder / 'study.db'}"
     # Several processes write to the file: each waits up to a minute for the others.
     options = {"connect_args": {"timeout": 60}} if url.startswith("sqlite") else {}
-    return optuna.create_study(
-        storage=optuna.storages.RDBStorage(url, engine_kwargs=options),
-        study_name=search.name,
-        direction="maximize",
-        load_if_exists=True,
-        pruner=pruner,
-    )
+    try:
+        return optuna.create_study(
+            storage=optuna.storages.RDBStorage(url, engine_kwargs=options),
+            study_name=search.name,
+            direction="maximize",
+            load_if_exists=True,
+            pruner=pruner,
+        )
+    # A URL that is none, a database that is not there or is none, a driver that is not installed.
+    except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, RuntimeError) as error:
+        given = f"search.storage={settings.storage}" if settings.storage else url
+        raise ConfigError(f"{given} cannot be used: {sentence(error)}") from error
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from bbq_torchrl.trainers.checkpoint import (
     CheckpointMismatchError,
 )
 from bbq_torchrl.trainers.collect import Outcomes, Policy, outcomes, play, play_dialogues
-from bbq_torchrl.trainers.errors import NonFiniteLossError
+from bbq_torchrl.trainers.errors import NonFiniteLossError, SpikeError
 from bbq_torchrl.trainers.loggers import LoggerName, check_logger, make_loggers
 from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
@@ -35,6 +35,7 @@ __all__ = [
     "RoundProgress",
     "RoundSettings",
     "RoundTrainer",
+    "SpikeError",
     "SpikeSettings",
     "check_logger",
     "derive_seed",

@@ -8,7 +8,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["NonFiniteLossError"]
+__all__ = ["NonFiniteLossError", "SpikeError"]
+
+
+class SpikeError(ValueError):
+    """Spiked transitions that do not fit the replay buffer."""
 
 
 class NonFiniteLossError(RuntimeError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from pathlib import Path
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.optimiser import ReplicaAdam
 
 __all__ = ["Evaluator", "RoundCallback", "RoundTrainer"]
+
+_LOG = logging.getLogger(__name__)
 
 
 class TargetUpdater(Protocol):
@@ -271,13 +274,21 @@ class RoundTrainer:
             return
         self._seed_phase("spike", 0)
         _call_hook(self.env, "set_round", 0)
-        spike_replay(
+        successes = spike_replay(
             self.replay,
             self.env,
             self.spike_policy,
             self.spike,
             max_steps=self.settings.max_steps,
+            success_key=self.success_key,
         )
+        without = [str(replica) for replica, count in enumerate(successes) if not count]
+        if without:
+            _LOG.warning(
+                "none of the %d spiked dialogues of replica %s is a success",
+                self.spike.dialogues,
+                ", ".join(without),
+            )
 
     def _round(self, round_number: int) -> list[MetricRow]:
         """Plays and learns one round. Returns its metrics, a row for each replica."""

@@ -5,22 +5,30 @@ from __future__ import annotations
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.trainers.collect import Policy, play_dialogues, rows_per_replica
+from bbq_torchrl.trainers.collect import Policy, outcomes, play_dialogues, rows_per_replica
+from bbq_torchrl.trainers.errors import SpikeError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from tensordict import NestedKey
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.trainers.settings import SpikeSettings
 
-__all__ = ["is_spike_outgrown", "spike_replay"]
+__all__ = ["count_transitions", "is_spike_outgrown", "spike_replay"]
 
 
 def spike_replay(
-    replay: ReplicaReplay, env: EnvBase, policy: Policy, spike: SpikeSettings, *, max_steps: int
-) -> None:
+    replay: ReplicaReplay,
+    env: EnvBase,
+    policy: Policy,
+    spike: SpikeSettings,
+    *,
+    max_steps: int,
+    success_key: NestedKey = "success",
+) -> list[int]:
     """Stores dialogues of a policy, each replica's buffer its own, protected if so set.
 
     Args:
@@ -29,21 +37,49 @@ def spike_replay(
         policy (callable): writes an action.
         spike (SpikeSettings): how many dialogues, and whether they are protected.
         max_steps (int): the most turns of a dialogue.
+        success_key (NestedKey): the entry of ``next`` that tells a success. Default: ``"success"``.
+
+    Returns:
+        how many of each replica's dialogues are a success.
 
     Raises:
-        ValueError: if the transitions would fill a replica's capacity.
+        SpikeError: a ``ValueError``, if the transitions would fill a replica's capacity.
     """
+    successes = [0] * replay.replicas
     for rollout in play_dialogues(env, policy, spike.dialogues, max_steps=max_steps):
         rows = rows_per_replica(rollout, replay.keys)
         for length, td in zip(replay.lengths, rows, strict=True):
             if length + len(td) >= replay.capacity:
-                raise ValueError(
+                raise SpikeError(
                     f"the transitions of {spike.dialogues} spiked dialogues must be fewer than the "
                     f"capacity {replay.capacity}: raise the capacity or spike with fewer dialogues"
                 )
         replay.extend(rows)
+        found = outcomes(rollout, success_key=success_key).success.sum(-1).tolist()
+        successes = [before + new for before, new in zip(successes, found, strict=True)]
     if spike.protect:
         replay.protect()
+    return successes
+
+
+def count_transitions(
+    env: EnvBase, policy: Policy, dialogues: int, *, max_steps: int, enough: int
+) -> int:
+    """Returns how many transitions the dialogues of a policy are, in the longest replica.
+
+    Args:
+        env (EnvBase): batch size [replicas, places].
+        policy (callable): writes an action.
+        dialogues (int): how many each replica plays.
+        max_steps (int): the most turns of a dialogue.
+        enough (int): counting ends where there are so many.
+    """
+    total = 0
+    for rollout in play_dialogues(env, policy, dialogues, max_steps=max_steps):
+        total += int(rollout["valid"].sum((-2, -1)).max())
+        if total >= enough:
+            break
+    return total
 
 
 def is_spike_outgrown(success_rates: Sequence[float], spike: SpikeSettings) -> bool:

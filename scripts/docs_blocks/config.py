@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from bbq_torchrl.config.pairs import EXPLORATIONS
-from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, CalibrateConfig, Config, EvaluateConfig
 from bbq_torchrl.config.searches import SEARCH, SearchConfig
 from bbq_torchrl.config.store import compose_raw, options, session
 from bbq_torchrl.config.values import keys_with_lists
@@ -29,6 +29,7 @@ def config_blocks() -> dict[str, Callable[[], str]]:
     blocks: dict[str, Callable[[], str]] = {
         "config.root": partial(_root, Config, "config", ["agent=bbqn"]),
         "config.evaluate": partial(_root, EvaluateConfig, "evaluate", []),
+        "config.calibrate": partial(_root, CalibrateConfig, "calibrate", []),
         "config.search": _search,
         "config.pairs": _pairs,
         "config.groups": _groups,

@@ -125,6 +125,30 @@ def test_one_bad_job_stops_a_sweep_before_its_first(refused):
     )
 
 
+def test_a_buffer_that_the_spike_would_fill(refused):
+    line = refused("spike.dialogues=100", "protocol.capacity=800")  # a rule dialogue has 8 turns
+    assert "protocol.capacity must be more than the transitions of spike.dialogues=100" in line
+    line = refused("--multirun", "seed=1,2", "spike.dialogues=1000", "protocol.capacity=900,20000")
+    assert "which are at least 1000, got 900" in line
+
+
+def test_a_buffer_with_room_for_one_more_than_the_spike():
+    build.check(compose(["spike.dialogues=100", "protocol.capacity=801"]))
+
+
+def test_a_slot_with_actions_that_domain_extension_would_never_activate(
+    refused, restaurant_folder, tmp_path
+):
+    folder = tmp_path / "domain"
+    shutil.copytree(restaurant_folder, folder)
+    file = folder / "domain.yaml"
+    file.write_text(file.read_text().replace("extension_order: [restaurant,", "extension_order: ["))
+    where = ("domain=folder", f"domain.path={folder}")
+    line = refused(*where, "env=domain_ext")
+    assert "domain extension would never activate restaurant" in line
+    build.check(compose([*where, "env=full"]))
+
+
 def evaluation_refused(capsys, *arguments):
     assert evaluate.main(arguments) == 2
     out, err = capsys.readouterr()
@@ -143,7 +167,7 @@ def evaluation_refused(capsys, *arguments):
         ("policy=rule domain=folder domain.path=nowhere", "nowhere"),
         ("policy=rule dialogues=none", "dialogues must be an integer from 1 to 10**9, got 'none'"),
         ("polcy=rule", "did you mean policy?"),
-        ("policy=rule seed=1,2", "an evaluation is one command, and each key has one value"),
+        ("policy=rule seed=1,2", "each key has one value in this command"),
         ("policy=rule --multirun", "'--multirun' cannot be read: write key=value"),
     ],
 )
@@ -202,6 +226,7 @@ def test_an_evaluation_prints_one_line_of_json(capsys, restaurant_folder, tmp_pa
     out = capsys.readouterr().out
     assert out.count("\n") == 1
     answer = json.loads(out)
+    assert answer["domain"] == "restaurant"
     keys = ["success_rate", "standard_error", "reward", "turns", "dialogues", "turns_per_second"]
     assert answer.keys() >= set(keys)
     assert answer["dialogues"] == 7

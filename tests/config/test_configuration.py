@@ -291,8 +291,8 @@ def test_what_cannot_be_run_is_refused_in_one_sentence(command):
 
 REFUSED_EVALUATIONS = {
     "dialogues=5": "policy must be given, as policy=<value>",
-    "policy=rule seed=1,2": "seed=1,2 has several values: an evaluation is one command",
-    "policy=rule env=full,domain_ext": "got 'full,domain_ext'; an evaluation is one command",
+    "policy=rule seed=1,2": "seed=1,2 has several values: each key has one value in this command",
+    "policy=rule env=full,domain_ext": "got 'full,domain_ext'; each key has one value in this",
     "policy=rule dialogues=0": "dialogues must be an integer from 1 to 10**9, got 0",
     "policy=rule mode=nope": "mode must be one of mean, average, draw, thompson or null",
     "policy=rule weights=first": "weights must be one of last, best, got 'first'",

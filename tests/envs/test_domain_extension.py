@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torchrl.envs import ActionMask, TransformedEnv
@@ -133,3 +135,16 @@ def test_random_actions_are_legal_behind_an_action_mask(movie):
         mask = rollout["action_mask"]
         assert mask.gather(-1, rollout["action"][..., None]).all()
         assert rollout["action"].unique().numel() > 0.9 * int(mask[0, 0].sum())
+
+
+def test_a_slot_with_actions_that_no_round_would_activate_is_refused(restaurant):
+    domain = replace(restaurant, extension_order=("price_range", "phone"))
+    with pytest.raises(ValueError, match=r"never activate restaurant, .* in essential or in exten"):
+        DialogueEnv(domain, batch_size=(2,), schedule=ExtensionSchedule())
+    DialogueEnv(domain, batch_size=(2,), schedule=ExtensionSchedule(slots=("phone",)))
+    DialogueEnv(domain, batch_size=(2,))
+
+
+def test_slots_without_actions_may_stay_away(movie, restaurant):
+    assert ExtensionSchedule().never_active(restaurant) == ("terrace",)
+    assert "description" in ExtensionSchedule().never_active(movie)

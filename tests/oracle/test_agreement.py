@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import pytest
@@ -121,6 +122,15 @@ def test_the_simulator_agrees_with_the_oracle_on_restaurants(restaurant):
 
 def test_the_simulator_agrees_with_the_oracle_where_goals_and_errors_are_odd():
     assert_at_work(RARE_RULES, play(many_wishes(), 200, seed=400))
+
+
+def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogue(
+    movie, restaurant
+):
+    several = replace(movie, opening_slot=("date", "moviename", "city"))
+    assert_at_work({"open: the opening slot"}, play(several, 60, seed=600))
+    none = replace(restaurant, opening_slot=())
+    assert play(none, 20, seed=700).fired["open: the opening slot"] == 0
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

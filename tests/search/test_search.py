@@ -8,6 +8,9 @@ import dataclasses
 import json
 import math
 import shlex
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -98,11 +101,7 @@ def composed_once(monkeypatch):
 def search(folder, *arguments, trials=4):
     return compose_search(
         [
-            "search=dqn",
-            "replicas=1",
-            "search.space.agent.dropout=null",
-            "search.space.explore.anneal_fraction=null",
-            "search.space.agent.lr={type: float, low: 1e-4, high: 1e-2, log: true}",
+            f"search={Path(__file__).with_name('dqn.yaml')}",
             f"protocol.rounds={ROUNDS}",
             f"search.folder={folder}",
             f"search.trials={trials}",
@@ -233,3 +232,68 @@ def test_a_folder_is_not_used_for_another_search(tmp_path, changed, key):
     with pytest.raises(ConfigError, match="choose another") as refused:
         run_search(search(tmp_path, changed, trials=2), Training())
     assert f"holds a search with {key}" in str(refused.value)
+
+
+def test_values_that_cannot_be_run_fail_their_trial_and_the_search_goes_on(tmp_path):
+    checked = []
+
+    def check(config):
+        checked.append(config.agent.lr)
+        if len(checked) == 2:
+            raise ConfigError("protocol.capacity must be\nmore")
+
+    training = Training()
+    run_search(search(tmp_path, trials=3), training, (), check)
+    rows = table(tmp_path)
+    assert [row["state"] for row in rows] == ["complete", "fail", "complete"]
+    assert rows[1]["reason"] == "protocol.capacity must be more"
+    assert {number for number, _ in training.played} == {0, 2}
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(
+        ConfigError, match=r"search\.folder=.*file/search cannot be used: .*Not a dir"
+    ):
+        run_search(search(tmp_path / "file" / "search"), Training())
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "nonsense",
+        "nonsense://host/name",
+        "sqlite:////nowhere/study.db",
+        "postgresql://nobody@localhost:1/none",
+        "mysql://nobody@localhost:1/none",
+    ],
+)
+def test_a_storage_that_cannot_be_used_is_refused(tmp_path, url):
+    with pytest.raises(ConfigError, match="cannot be used") as refused:
+        run_search(search(tmp_path, f"search.storage={url}"), Training())
+    assert f"search.storage={url}" in str(refused.value)
+
+
+def test_a_damaged_study_or_definition_is_refused(tmp_path):
+    run_search(search(tmp_path, trials=1), Training())
+    definition = (tmp_path / "search.yaml").read_text()
+    for text in ("[", "- a list", "\x00"):
+        (tmp_path / "search.yaml").write_text(text)
+        with pytest.raises(ConfigError, match=r"search\.yaml is damaged"):
+            run_search(search(tmp_path, trials=2), Training())
+    (tmp_path / "search.yaml").write_text(definition)
+    (tmp_path / "study.db").write_bytes(b"not a database" * 100)
+    with pytest.raises(ConfigError, match=r"study\.db cannot be used"):
+        run_search(search(tmp_path, trials=2), Training())
+
+
+def test_help_and_refusals_need_no_optuna(tmp_path):
+    program = (
+        "import sys, runpy; sys.modules['optuna'] = None; sys.argv = ['search', '--help'];"
+        "runpy.run_module('bbq_torchrl.search', run_name='__main__')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=Path.cwd()
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "usage: python -m bbq_torchrl.search" in done.stdout

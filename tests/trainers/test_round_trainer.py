@@ -177,6 +177,26 @@ def test_the_spike_fills_every_replica_with_dialogues_of_its_own(tmp_path, dialo
     assert observations[1].isdisjoint(observations[2])
 
 
+class Never(nn.Module):
+    """Never guesses, so that no dialogue is a success."""
+
+    def forward(self, tensordict):
+        shape = tensordict.batch_size
+        return tensordict.set("action", torch.ones(shape, dtype=torch.long))
+
+
+def test_a_spike_without_a_success_is_told(tmp_path, caplog):
+    make_trainer(tmp_path / "a", rounds=0, capacity=400, spike=SpikeSettings(dialogues=20)).begin()
+    assert not caplog.records
+    trainer = make_trainer(
+        tmp_path / "b", rounds=0, capacity=400, spike=SpikeSettings(dialogues=20)
+    )
+    trainer.spike_policy = Never()
+    trainer.begin()
+    told = "none of the 20 spiked dialogues of replica 0, 1, 2 is a success"
+    assert [record.getMessage() for record in caplog.records] == [told]
+
+
 def test_the_spike_is_protected_by_default_and_evicted_otherwise(tmp_path):
     kept = make_trainer(tmp_path / "a", rounds=0, capacity=60)
     kept.train()

@@ -1,0 +1,155 @@
+"""``python -m bbq_torchrl.domains calibrate``: how many errors make a domain how difficult.
+
+A domain is as difficult as one of its scripted policies finds it: the reference setting is the slot
+error probability at which the policy has a wanted success rate. It is found by a root finder on
+the success of the same users with the same dice, which falls with the probability almost without
+noise, and then measured with other users.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+from bbq_torchrl.config import CalibrateConfig, ConfigError
+from bbq_torchrl.config.messages import unreadable
+from bbq_torchrl.config.store import compose_raw, session, to_config
+from bbq_torchrl.text import sentence, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+__all__ = ["Calibration", "calibrate", "main"]
+
+USAGE = """\
+usage: python -m bbq_torchrl.domains calibrate [<key>=<value> ...]
+
+Finds the slot error probability at which a scripted policy succeeds in a wanted share of dialogues,
+and prints the line to write into domain.yaml, with standard errors.
+
+  domain=, domain.path=   the domain, as in train.py
+  policy=     a scripted policy of the domain; rule by default
+  success=    the wanted success rate; 0.183 by default, that of the paper's rule agent
+  dialogues=  how many are played for each probability that is tried
+  env=, env.<key>=  turn limit, error mode and the like, as in train.py
+  batch=, seed=, device=, threads=
+
+Meaning and allowed values of a key: docs/environment.md
+"""
+
+_PRECISION = 5e-5
+_STEP = 0.02  # of the probability, over which the slope is taken
+
+
+class Calibration(NamedTuple):
+    """What was found.
+
+    Attributes:
+        slot_error_prob: four decimals.
+        error: its standard error: that of the success rates that it was found by, over the slope.
+        success_rate: at that probability, of users that were not there when it was looked for.
+        success_error: standard error of that rate.
+    """
+
+    slot_error_prob: float
+    error: float
+    success_rate: float
+    success_error: float
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line. Returns the exit code."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if not arguments or {"-h", "--help"} & set(arguments):
+        sys.stdout.write(USAGE)
+        return 0
+    try:
+        if arguments[0] != "calibrate":
+            raise ConfigError(f"the command must be calibrate, got {shown(arguments[0])}")
+        for flag in (item for item in arguments if item.startswith("-")):
+            raise ConfigError(unreadable(flag))
+        with session():
+            config = to_config(compose_raw(arguments[1:], "calibrate"), CalibrateConfig)
+        found = calibrate(config, lambda line: sys.stderr.write(f"{line}\n"))
+    except (ValueError, OSError) as error:
+        sys.stderr.write(f"error: {sentence(error)}\n")
+        return 2
+    sys.stdout.write(
+        f"reference_slot_error_prob: {found.slot_error_prob:g}"
+        f"  # ± {found.error:.4f}; {config.policy} succeeds in {found.success_rate:.4f} ± "
+        f"{found.success_error:.4f} of {config.dialogues} dialogues\n"
+    )
+    return 0
+
+
+def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibration:
+    """Finds the probability.
+
+    Args:
+        config: domain, policy and success rate wanted.
+        tell: takes a line for every probability that was tried.
+
+    Raises:
+        ConfigError: no probability gives that success rate, or the domain has no such policy.
+        ValueError or OSError: the corpus is damaged or not there.
+    """
+    import torch
+    from scipy.optimize import brentq
+
+    from bbq_torchrl.build import build_domain, build_env, check_device
+    from bbq_torchrl.build.memory import check_memory, evaluation_needs
+    from bbq_torchrl.envs import scripted_policy
+    from bbq_torchrl.evaluation.play import evaluate
+    from bbq_torchrl.evaluation.statistics import binomial_standard_error
+    from bbq_torchrl.trainers import derive_seed, keep_freed_memory
+
+    if config.env.slot_error_prob is not None:
+        raise ConfigError(
+            "env.slot_error_prob must be null: it is what is looked for, got "
+            f"{config.env.slot_error_prob}"
+        )
+    check_device(config.device)
+    torch.set_num_threads(config.threads)
+    keep_freed_memory()
+    domain = build_domain(config.domain)
+    if config.policy not in domain.policies:
+        raise ConfigError(
+            f"policy must be one of {', '.join(domain.policies)}, got {shown(config.policy)}"
+        )
+    check_memory(evaluation_needs(config, domain, 1), config.device)
+    tried: dict[tuple[float, int], float] = {}
+
+    def success(probability: float, seed: int) -> float:
+        if (probability, seed) not in tried:
+            env = build_env(
+                dataclasses.replace(config.env, slot_error_prob=probability),
+                domain,
+                (1, min(config.batch, config.dialogues)),
+                device=config.device,
+            )
+            policy = scripted_policy(config.policy, env)
+            played = evaluate(env, policy, config.dialogues, seed=seed)
+            rate = tried[probability, seed] = played.success.double().mean().item()
+            tell(f"slot_error_prob={probability:.5f}: {config.policy} succeeds in {rate:.4f}")
+        return tried[probability, seed]
+
+    def error(rate: float) -> float:
+        return binomial_standard_error(rate, config.dialogues)
+
+    for end, is_beyond in ((0.0, "at most"), (1.0, "at least")):
+        rate = success(end, config.seed)
+        if (rate <= config.success) if end == 0 else (rate >= config.success):
+            raise ConfigError(
+                f"success={config.success} cannot be reached: with slot_error_prob={end:g}, "
+                f"{config.policy} succeeds in {rate:.4f} ± {error(rate):.4f}, and that is "
+                f"{is_beyond} what it does"
+            )
+    root = brentq(lambda p: success(p, config.seed) - config.success, 0, 1, xtol=_PRECISION)
+    probability = round(float(root), 4)
+    aside = probability + (_STEP if probability + _STEP <= 1 else -_STEP)
+    other = derive_seed(config.seed, "calibrated")
+    rate = success(probability, other)
+    slope = abs(success(aside, other) - rate) / _STEP
+    uncertain = error(config.success) / slope if slope else float("inf")
+    return Calibration(probability, uncertain, rate, error(rate))

@@ -1,0 +1,82 @@
+"""The command that finds how many errors make a domain how difficult."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from bbq_torchrl import calibrate
+from bbq_torchrl.domains import load_domain
+from bbq_torchrl.envs import DialogueEnv, scripted_policy
+from bbq_torchrl.evaluation.play import evaluate
+
+LINE = re.compile(
+    r"reference_slot_error_prob: (\S+)  # ± (\S+); careful succeeds in (\S+) ± (\S+) of 2000 "
+    r"dialogues\n"
+)
+
+
+def test_at_the_probability_found_the_policy_succeeds_as_often_as_wanted(capsys, restaurant_folder):
+    wanted = 0.5
+    arguments = [
+        "calibrate",
+        "domain=folder",
+        f"domain.path={restaurant_folder}",
+        "policy=careful",
+        f"success={wanted}",
+        "dialogues=2000",
+        "batch=2000",
+    ]
+    assert calibrate.main(arguments) == 0
+    out, err = capsys.readouterr()
+    match = LINE.fullmatch(out)
+    assert match, out
+    probability, uncertain, rate, error = map(float, match.groups())
+    assert 0 < probability < 1
+    assert 0 < uncertain < 0.2
+    assert error == pytest.approx((rate * (1 - rate) / 2000) ** 0.5, abs=1e-4)
+    assert err.count("careful succeeds in") >= 4
+    # Other users, played by hand.
+    env = DialogueEnv(
+        load_domain(restaurant_folder), batch_size=(4000,), slot_error_prob=probability, seed=1
+    )
+    played = evaluate(env, scripted_policy("careful", env), 4000, seed=77).success
+    both = (0.25 / 2000 + 0.25 / 4000) ** 0.5
+    assert abs(played.double().mean().item() - wanted) < 4 * both + 0.01
+    assert abs(rate - wanted) < 4 * (2 * 0.25 / 2000) ** 0.5 + 0.01
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("calibrate success=.99", "success=0.99 cannot be reached: with slot_error_prob=0, rule"),
+        ("calibrate success=0", "success=0.0 cannot be reached: with slot_error_prob=1, rule"),
+        ("calibrate success=2", "success must be a number between 0 and 1, got 2"),
+        ("calibrate policy=nope", "policy must be one of rule, careful, got 'nope'"),
+        ("calibrate policy=random", "policy must be one of rule, careful, got 'random'"),
+        ("calibrate env.slot_error_prob=.1", "env.slot_error_prob must be null"),
+        ("calibrate dialogues=0", "dialogues must be an integer from 1 to 10**9, got 0"),
+        ("calibrate batch=1000000000 dialogues=1000000000", "batch=1000000000"),
+        ("calibrate seed=1,2", "seed=1,2 has several values: each key has one value in this"),
+        ("calibrate --multirun", "'--multirun' cannot be read: write key=value"),
+        ("calibrat", "the command must be calibrate, got 'calibrat'"),
+    ],
+)
+def test_what_cannot_be_calibrated_is_refused_in_a_line(
+    capsys, restaurant_folder, arguments, message
+):
+    given = [*arguments.split(), "domain=folder", f"domain.path={restaurant_folder}"]
+    if not any(item.startswith("dialogues=") for item in given):
+        given.append("dialogues=200")
+    assert calibrate.main(given) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    line = err.splitlines()[-1]
+    assert line.startswith("error: ")
+    assert message in line
+
+
+def test_help_says_what_there_is(capsys):
+    assert calibrate.main(["--help"]) == 0
+    assert "python -m bbq_torchrl.domains calibrate" in capsys.readouterr().out

@@ -1,0 +1,77 @@
+"""What a reader of a run is told of its domain."""
+
+from __future__ import annotations
+
+import json
+import logging
+import pickle
+import shutil
+
+import pytest
+
+import bbq_torchrl.run as runs
+from bbq_torchrl.config.store import compose
+from bbq_torchrl.evaluation.results import read_result
+
+SMALL = (
+    "agent=dqn",
+    "protocol=quick",
+    "protocol.rounds=1",
+    "protocol.dialogues=3",
+    "protocol.capacity=300",
+    "protocol.eval_dialogues=4",
+    "protocol.eval_batch=4",
+    "spike.dialogues=3",
+    "agent.hidden=[8]",
+)
+
+
+@pytest.fixture
+def played(tmp_path, monkeypatch):
+    """Runs a configuration; returns its result and the titles of its curves."""
+    titles = []
+    draw = runs.draw_run
+
+    def drawn(*arguments, title, **options):
+        titles.append(title)
+        draw(*arguments, title=title, **options)
+
+    monkeypatch.setattr(runs, "draw_run", drawn)
+
+    def play(*overrides):
+        runs.run(compose([*SMALL, *overrides]), tmp_path)
+        return read_result(tmp_path), titles
+
+    return play
+
+
+def test_results_and_curves_bear_the_name_of_domain_yaml(played, restaurant_folder):
+    result, titles = played("domain=folder", f"domain.path={restaurant_folder}")
+    assert result.domain == "restaurant"
+    assert result.skipped == ()
+    assert [title.endswith("domain=restaurant") for title in titles] == [True]
+
+
+def test_a_result_says_what_of_a_corpus_was_left_out(played, tcbot, tmp_path_factory, caplog):
+    corpus = tmp_path_factory.mktemp("corpus")
+    for name in ("movie_kb.1k.p", "dicts.v3.p"):
+        shutil.copyfile(tcbot / name, corpus / name)
+    goal = {"diaact": "request", "inform_slots": {"city": "seattle"}, "request_slots": {}}
+    both = goal | {"request_slots": {"city": "UNK"}}
+    (corpus / "goals.p").write_bytes(pickle.dumps([both, goal, both], 0))
+    with caplog.at_level(logging.WARNING):
+        result, _ = played("domain=miulab", f"domain.path={corpus}", "domain.goals=goals.p")
+    assert result.skipped == (
+        "goals.p: 2 of 3 goals are left out or in part",
+        "goals.p, goals 0, 2: it must not constrain and request the same slots ['city']",
+    )
+    assert all(any(text in told for told in caplog.messages) for text in result.skipped)
+
+
+def test_results_of_versions_that_skipped_nothing_are_read(played, tmp_path):
+    result, _ = played()
+    plain = json.loads((tmp_path / "result.json").read_text())
+    del plain["skipped"]
+    (tmp_path / "result.json").write_text(json.dumps(plain))
+    assert read_result(tmp_path) == result
+    assert result.domain == "movie"
