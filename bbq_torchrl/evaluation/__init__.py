@@ -6,7 +6,6 @@ from bbq_torchrl.evaluation.results import (
     Metrics,
     ReplicaResult,
     RunResult,
-    TrainingEvaluation,
     read_metrics,
     read_result,
 )
@@ -23,7 +22,6 @@ __all__ = [
     "Metrics",
     "ReplicaResult",
     "RunResult",
-    "TrainingEvaluation",
     "binomial_standard_error",
     "estimate",
     "interquartile_mean",
