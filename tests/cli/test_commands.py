@@ -165,7 +165,7 @@ def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, t
         answers[mode] = json.loads(out)
     assert answers["mean"]["env"] == "domain_ext"
     assert answers["mean"]["dialogues"] == 75
-    assert [answers[mode]["mode"] for mode in answers] == ["mean", "average"]
+    assert [answers[mode]["mode"] for mode in answers] == ["mean", "average", "thompson"]
 
 
 def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(tmp_path):
