@@ -6,9 +6,10 @@ import random
 from pathlib import Path
 
 import pytest
-from cases import CONFIGURATIONS, SEED
-from commands import Commands
-from folders import Reference
+
+from .cases import CONFIGURATIONS, SEED
+from .commands import Commands
+from .folders import Reference
 
 
 @pytest.fixture(scope="session")

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from cases import DAMAGES
-from folders import state
 
 import train
 from bbq_torchrl import evaluate
@@ -19,6 +17,9 @@ from bbq_torchrl.build import build_trainer
 from bbq_torchrl.config.resume import description
 from bbq_torchrl.config.store import load_config
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
+
+from .cases import DAMAGES
+from .folders import state
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "trainers"))
 from planted import plant

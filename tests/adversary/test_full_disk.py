@@ -9,9 +9,10 @@ import subprocess
 import sys
 
 import pytest
-from cases import KILLS
-from commands import ROOT
-from folders import assert_same
+
+from .cases import KILLS
+from .commands import ROOT
+from .folders import assert_same
 
 pytestmark = pytest.mark.slow
 

@@ -7,8 +7,9 @@ import json
 import signal
 
 import pytest
-from cases import CONFIGURATIONS, KILLS, TINY
-from folders import assert_same, metrics
+
+from .cases import CONFIGURATIONS, KILLS, TINY
+from .folders import assert_same, metrics
 
 pytestmark = pytest.mark.slow
 

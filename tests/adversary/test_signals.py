@@ -11,9 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
-from cases import CONFIGURATIONS, KILLS, TINY
-from commands import ROOT
-from folders import assert_same
+
+from .cases import CONFIGURATIONS, KILLS, TINY
+from .commands import ROOT
+from .folders import assert_same
 
 pytestmark = pytest.mark.slow
 

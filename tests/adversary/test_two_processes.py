@@ -6,8 +6,9 @@ import re
 import signal
 
 import pytest
-from cases import CONFIGURATIONS, TINY
-from folders import assert_same
+
+from .cases import CONFIGURATIONS, TINY
+from .folders import assert_same
 
 pytestmark = pytest.mark.slow
 
