@@ -187,7 +187,6 @@ def _evaluated(
         trainer.env.domain,
         (config.replicas, evaluation_places(config, protocol.eval_dialogues)),
         device=config.device,
-        cuda_graph=config.cuda_graph,
     )
     env.set_round(max(protocol.rounds - 1, 0))
     name, policy = agent.evaluation(None)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from host_waits import HostWaitError, NeverWaits, use_tapes
-from tensordict import TensorDict
-
-from bbq_torchrl.modules import CudaGraph
+from host_waits import HostWaitError, NeverWaits
 
 WAITING = {
     "a number": lambda x: float(x.sum()),
@@ -39,40 +36,3 @@ def test_what_waits_is_refused(what):
 def test_what_does_not_wait_is_let_through(what):
     with NeverWaits():
         NOT_WAITING[what](torch.arange(3.0))
-
-
-def test_a_graph_takes_in_new_inputs_and_draws_new_numbers(monkeypatch):
-    (made, total) = use_tapes(monkeypatch), torch.zeros(3)
-
-    def add(inputs):
-        drawn = torch.rand(3)
-        total.add_(inputs["x"] * drawn)
-        return TensorDict(drawn=drawn)
-
-    graph = CudaGraph(add, torch.device("cpu"))
-    torch.manual_seed(0)
-    outputs = [graph(TensorDict(x=torch.full((3,), n)))["drawn"].clone() for n in (1.0, 2.0, 3.0)]
-    assert graph.is_captured
-    assert made[0].launches == 1
-    torch.manual_seed(0)
-    drawn = [torch.rand(3) for _ in range(3)]
-    torch.testing.assert_close(torch.stack(outputs), torch.stack(drawn), rtol=0, atol=0)
-    torch.testing.assert_close(total, drawn[0] + 2 * drawn[1] + 3 * drawn[2])
-
-
-def test_what_is_put_in_the_place_of_a_tensor_is_lost_on_a_graph(monkeypatch):
-    use_tapes(monkeypatch)
-    held = {"x": torch.zeros(1)}
-    graph = CudaGraph(lambda inputs: held["x"] + inputs["y"], torch.device("cpu"))
-    inputs = TensorDict(y=torch.ones(1))
-    graph(inputs), graph(inputs)
-    held["x"] = torch.ones(1)
-    assert graph(inputs).item() == 1.0
-
-
-def test_inputs_of_another_shape_are_refused(monkeypatch):
-    use_tapes(monkeypatch)
-    graph = CudaGraph(lambda inputs: inputs["x"] + 1, torch.device("cpu"))
-    graph(TensorDict(x=torch.ones(3)))
-    with pytest.raises(ValueError, match=r"'x' must have the shape \[3\] .* got \[1\]"):
-        graph(TensorDict(x=torch.ones(1)))

@@ -45,7 +45,6 @@ def build_trainer(
         (config.replicas, protocol.dialogues),
         seed=config.seed,
         device=config.device,
-        cuda_graph=config.cuda_graph,
     )
     agent = build_agent(config, env)
     logger = config.logger
@@ -75,7 +74,6 @@ def build_trainer(
             keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
             seed=config.seed,
             max_steps=env.max_agent_turns,
-            cuda_graph=config.cuda_graph,
         ),
         run_folder,
         spike_policy=scripted_policy(spike.policy, env),
@@ -119,7 +117,6 @@ def _evaluator(config: Config, domain: Domain, agent: Agent) -> RoundEvaluator |
             domain,
             (config.replicas, places),
             device=config.device,
-            cuda_graph=config.cuda_graph,
         ),
         lambda: agent.evaluation(None)[1],
         every=protocol.eval_every,

@@ -53,7 +53,6 @@ def build_env(
     *,
     seed: int = 0,
     device: torch.device | str = "cpu",
-    cuda_graph: bool = True,
 ) -> DialogueEnv:
     """Makes the environment with a batch of dialogues, such as [replicas, dialogues]."""
     schedule = build_schedule(config) if isinstance(config, DomainExtensionConfig) else None
@@ -71,5 +70,4 @@ def build_env(
         seed=seed,
         device=device,
         compile_turns=config.compile_turns,
-        cuda_graph=cuda_graph,
     )

@@ -44,7 +44,6 @@ _NOT_OF_THE_TRAINING = (
     *CHANGEABLE,
     "resume",
     "threads",
-    "cuda_graph",
     "domain.path",  # a folder may be moved
     "protocol.checkpoint_every",
     "protocol.eval_dialogues",

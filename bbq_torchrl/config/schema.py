@@ -43,7 +43,6 @@ from bbq_torchrl.config.protocols import (
 )
 from bbq_torchrl.config.settings import (
     ANY_TEXT,
-    BOOLEAN,
     COUNT,
     PROBABILITY,
     REQUIRED,
@@ -97,9 +96,6 @@ class Config:
     replicas: int = setting(1, COUNT, "independent seeds trained side by side")
     seed: int = setting(0, SEED, "seed that all random numbers derive from")
     device: str = setting("cpu", DEVICE, "where tensors live")
-    cuda_graph: bool = setting(
-        True, BOOLEAN, "on a CUDA device, updates and turns are launched as CUDA graphs"
-    )
     threads: int = setting(1, THREADS, "CPU threads of torch")
     resume: str | None = setting(
         None, optional(ANY_TEXT, "a new run"), "run folder of the run to go on with"

@@ -61,6 +61,9 @@ _ADDED = {"intrinsic": "none"}
 _ADDED_KEYS = {"protocol": {"eval_every": 0}}
 """Keys that configurations of earlier versions lack, and what those versions did."""
 
+_REMOVED_KEYS = ("cuda_graph",)
+"""Keys of earlier versions that changed no number."""
+
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -276,6 +279,8 @@ def load_config(file: Path) -> Config:
         raise ConfigError(f"{file} is not a YAML file of a run: {error}") from error
     if not isinstance(plain, DictConfig):
         raise ConfigError(f"{file} must hold a mapping of groups, got a list")
+    for key in _REMOVED_KEYS:
+        plain.pop(key, None)
     for group, option in _ADDED.items():
         if group not in plain and "agent" in plain:
             plain[group] = {"name": option}

@@ -63,8 +63,6 @@ class DialogueEnv(EnvBase):
         compile_turns: whether turns run as code that ``torch.compile`` makes of them, at the first
             turn and in up to a minute. (TorchRL's ``compile`` is another thing: the whole of
             ``step_and_maybe_reset``.)
-        cuda_graph: whether turns on a CUDA device are launched as one CUDA graph
-            (:class:`~bbq_torchrl.modules.CudaGraph`).
 
     Raises:
         ValueError: if a setting is out of range, the schedule adds a slot that the domain lacks
@@ -96,7 +94,6 @@ class DialogueEnv(EnvBase):
         seed: int | None = None,
         device: torch.device | str = "cpu",
         compile_turns: bool = False,
-        cuda_graph: bool = True,
     ) -> None:
         super().__init__(device=_present(device), batch_size=torch.Size(batch_size))
         if slot_error_prob is None:
@@ -113,7 +110,7 @@ class DialogueEnv(EnvBase):
             max_turn=max_turn,
         ).to(self.device)
         self._dialogues: TensorDict | None = None
-        self._turn = TurnProgram(compile=compile_turns, cuda_graph=cuda_graph)
+        self._turn = TurnProgram(compile=compile_turns)
         self._generator = torch.Generator(self.device)
         self._set_seed(seed)
         self._make_specs()

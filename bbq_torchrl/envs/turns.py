@@ -1,18 +1,15 @@
-"""How a turn of the simulator is run: as it is, compiled, as a CUDA graph."""
+"""How a turn of the simulator is run: as it is, or compiled."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import torch
-from tensordict import TensorDict
-
-from bbq_torchrl.modules import CudaGraph
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tensordict import TensorDictBase
+    from tensordict import TensorDict, TensorDictBase
 
     from bbq_torchrl.simulator import Simulator
 
@@ -22,18 +19,15 @@ __all__ = ["TurnProgram"]
 class TurnProgram:
     """A turn and what is observed after it, for one simulator at a time.
 
-    A turn is some hundred small operations: on a device, launching them takes longer than they
-    do. Whichever way it is run, a turn gives the same numbers, but for what a compiler may do to
-    floating-point ones (the features, which are ratios of small integers).
+    Compiled, a turn gives the same numbers, but for what a compiler may do to floating-point ones
+    (the features, which are ratios of small integers).
 
     Args:
         compile: whether a turn is compiled by ``torch.compile``.
-        cuda_graph: whether a turn on a CUDA device is captured as a CUDA graph.
     """
 
-    def __init__(self, *, compile: bool = False, cuda_graph: bool = True) -> None:
+    def __init__(self, *, compile: bool = False) -> None:
         self._is_compiled = compile
-        self._is_captured = cuda_graph
         self._simulator: Simulator | None = None
         self._shape: torch.Size | None = None
 
@@ -55,33 +49,18 @@ class TurnProgram:
             active: bool ``[S]``.
         """
         if simulator is not self._simulator or action.shape != self._shape:
-            self._make(simulator, action.shape)
-        if self._graph is None:
-            return self._turn(state, action, draws, active)
-        after, observation = self._graph(
-            TensorDict({"state": state, "action": action, "draws": draws, "active": active})
-        )
-        # The next launch writes over what this one returned.
-        return after.clone(), observation.clone()
-
-    def _make(self, simulator: Simulator, shape: torch.Size) -> None:
-        self._simulator, self._shape = simulator, shape
-        self._turn = _turn_of(simulator)
-        if self._is_compiled:
-            self._turn = torch.compile(self._turn, fullgraph=True, dynamic=False)
-        self._graph: CudaGraph[tuple[TensorDict, torch.Tensor]] | None = None
-        if self._is_captured and CudaGraph.works_on(simulator.device):
-            self._graph = CudaGraph(self._turn_of_inputs, simulator.device)
-
-    def _turn_of_inputs(self, inputs: TensorDictBase) -> tuple[TensorDict, torch.Tensor]:
-        return self._turn(inputs["state"], inputs["action"], inputs["draws"], inputs["active"])
+            self._simulator, self._shape = simulator, action.shape
+            self._turn = _turn_of(simulator)
+            if self._is_compiled:
+                self._turn = torch.compile(self._turn, fullgraph=True, dynamic=False)
+        return self._turn(state, action, draws, active)
 
     def __getstate__(self) -> dict[str, bool]:
-        # Compiled code and graphs do not travel to another process, nor into a copy.
-        return {"_is_compiled": self._is_compiled, "_is_captured": self._is_captured}
+        # Compiled code does not travel to another process, nor into a copy.
+        return {"compile": self._is_compiled}
 
     def __setstate__(self, state: dict[str, bool]) -> None:
-        self.__init__(compile=state["_is_compiled"], cuda_graph=state["_is_captured"])  # type: ignore[misc]
+        self.__init__(**state)  # type: ignore[misc]
 
 
 def _turn_of(simulator: Simulator) -> Callable[..., tuple[TensorDict, torch.Tensor]]:

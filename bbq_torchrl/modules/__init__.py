@@ -3,7 +3,6 @@
 from bbq_torchrl.modules.annealed import BatchedEGreedy, Boltzmann
 from bbq_torchrl.modules.bayes_mlp import BayesLinear, BayesMLP
 from bbq_torchrl.modules.bootstrap import BootstrapMLP
-from bbq_torchrl.modules.cuda_graph import CudaGraph
 from bbq_torchrl.modules.dynamics import DynamicsModel
 from bbq_torchrl.modules.evaluation_policy import EvaluationPolicy
 from bbq_torchrl.modules.exploration import Greedy, ThompsonSampling
@@ -37,7 +36,6 @@ __all__ = [
     "BootstrapMLP",
     "BootstrapSampling",
     "CarefulPolicy",
-    "CudaGraph",
     "DynamicsModel",
     "EvaluationPolicy",
     "FlatLayout",

@@ -82,8 +82,7 @@ class BBQNLoss(NumData, Holds, OneStepQLoss):
             reported in ``kl`` and in the losses until then (its gradient is every batch's own).
             That saves a quarter of an update on a CPU, and needs the call at least after each
             update of the target network. On other devices nothing is held: there it would save
-            little, and a CUDA graph would go on reading what it was captured with. Defaults to
-            False.
+            little. Defaults to False.
 
     Raises:
         ValueError: for an argument outside of what is listed, or a network without Bayesian

@@ -35,11 +35,7 @@ class Holds(nn.Module):
         self._pool.clear()
 
     def _holds(self, tensors: Sequence[Tensor]) -> bool:
-        """Whether anything is held for a network of these parameters: on a CPU only.
-
-        Elsewhere it would save little, and a CUDA graph would go on reading what it was captured
-        with.
-        """
+        """Whether anything is held for a network of these parameters: on a CPU only."""
         return self.hold and tensors[0].device.type == "cpu"
 
     def _random_numbers(self, tensors: Sequence[Tensor]) -> AbstractContextManager[Any]:

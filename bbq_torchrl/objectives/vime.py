@@ -105,11 +105,6 @@ class VIMELoss(LossModule):
         if hasattr(self.q_loss, "begin_epoch"):
             self.q_loss.begin_epoch()
 
-    @property
-    def branch(self) -> bool:
-        """Whether the dynamics learn on the next batch: a captured update knows only one answer."""
-        return self.batches % self.dynamics_every == 0
-
     def get_extra_state(self) -> Tensor:
         """Returns the number of batches since the schedule began, int64, shape []."""
         return torch.tensor(self.batches)
@@ -130,12 +125,11 @@ class VIMELoss(LossModule):
             their sum, or the Q-loss's where the dynamics do not learn.
         """
         out: TensorDictBase = self.q_loss(tensordict)
-        is_due = self.branch
+        is_due = self.batches % self.dynamics_every == 0
         self.batches += 1
         if is_due:
             learned = self.dynamics_loss(tensordict)
             out.set("loss", out.get("loss") + learned.get("loss"))
-            # in place, and nobody else gets the buffer itself: a captured update finds it again
             self.held.copy_(torch.stack([learned.get("dynamics_loss"), learned.get("dynamics_kl")]))
         dynamics_loss, dynamics_kl = self.held.clone().unbind(0)
         return out.set("dynamics_loss", dynamics_loss).set("dynamics_kl", dynamics_kl)

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bbq_torchrl.modules import CudaGraph
-
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable
+    from collections.abc import Callable, Iterable
 
     from tensordict import TensorDictBase
 
@@ -108,21 +106,12 @@ class LossSums:
 class Update:
     """Moves the replicas that a batch is active for: loss, gradient, step, sums.
 
-    Nothing in it waits for the device. With ``cuda_graph``, and where the parameters are on a
-    CUDA device, the update is captured (:class:`~bbq_torchrl.modules.CudaGraph`) and launched
-    as one; a batch that is not active for all replicas (the ends of epochs of different lengths)
-    is worked operation by operation.
-
-    A loss whose program changes from batch to batch says so by two attributes, such as
-    :class:`~bbq_torchrl.objectives.VIMELoss`'s: ``batches`` (int), which its forward counts up,
-    and ``branch`` (hashable), which of its programs the next forward runs, as ``batches`` has it.
-    Each gets a graph of its own.
+    Nothing in it waits for the device.
 
     Args:
         loss (callable): returns ``loss``, the scalar to differentiate, and ``loss_value``
             [replicas]; whatever else it returns in shape [replicas] is averaged and reported.
         optimiser (ReplicaAdam): of its parameters.
-        cuda_graph (bool): whether the update is captured. Default: ``True``.
 
     Attributes:
         sums (LossSums): takes in what the loss returns.
@@ -132,54 +121,20 @@ class Update:
         self,
         loss: Callable[[TensorDictBase], TensorDictBase],
         optimiser: ReplicaAdam,
-        *,
-        cuda_graph: bool = True,
     ) -> None:
         self.loss = loss
         self.optimiser = optimiser
         self.sums = LossSums(optimiser.replicas)
-        self._is_captured = cuda_graph and CudaGraph.works_on(optimiser.device)
-        self._graphs: dict[Hashable, CudaGraph[None]] = {}
 
     def __call__(self, batch: Batch) -> None:
         """Updates once."""
-        if not all(batch.active):
-            self._work(batch.transitions, batch)
-        elif self._is_captured:
-            self._launch(batch.transitions)
-        else:
-            self._work(batch.transitions)
-        self.sums.count(batch.active)
-
-    def _work(self, transitions: TensorDictBase, batch: Batch | None = None) -> None:
-        losses = self.loss(transitions)
+        everyone = all(batch.active)
+        losses = self.loss(batch.transitions)
         self.optimiser.zero_grad()
         losses["loss"].backward()
-        self.optimiser.step(None if batch is None else batch.active)
-        self.sums.add(losses, None if batch is None else batch.active_mask)
-
-    def _launch(self, transitions: TensorDictBase) -> None:
-        branch = (getattr(self.loss, "branch", None), transitions.batch_size)
-        graph = self._graphs.get(branch)
-        if graph is None:
-            graph = CudaGraph(self._program(), self.optimiser.device)
-            self._graphs[branch] = graph
-        batches = getattr(self.loss, "batches", None)
-        graph(transitions)
-        if batches is not None:
-            # The forward of a graph does not run on the host, and that of a capture runs twice.
-            self.loss.batches = batches + 1  # type: ignore[attr-defined]
-
-    def _program(self) -> Callable[[TensorDictBase], None]:
-        """Returns the update in the branch that the loss is in now, as often as it is run."""
-        batches = getattr(self.loss, "batches", None)
-
-        def work(transitions: TensorDictBase) -> None:
-            if batches is not None:
-                self.loss.batches = batches  # type: ignore[attr-defined]
-            self._work(transitions)
-
-        return work
+        self.optimiser.step(None if everyone else batch.active)
+        self.sums.add(losses, None if everyone else batch.active_mask)
+        self.sums.count(batch.active)
 
 
 def learn_epoch(update: Update, batches: Iterable[Batch]) -> None:

@@ -87,11 +87,7 @@ class ReplicaAdam:
             for replica in range(replicas)
         ]
         groups = self._groups(lr)
-        # A step that belongs to a CUDA graph has to be told so.
-        self._capturable = self.device.type == "cuda"
-        self._adam = torch.optim.Adam(
-            groups, betas=betas, eps=eps, fused=True, capturable=self._capturable
-        )
+        self._adam = torch.optim.Adam(groups, betas=betas, eps=eps, fused=True)
         self._states: list[_GroupState] = []
 
     @property
@@ -175,7 +171,6 @@ class ReplicaAdam:
                 [],
                 group.steps,
                 fused=True,
-                capturable=self._capturable,
                 amsgrad=False,
                 beta1=options["betas"][0],
                 beta2=options["betas"][1],
@@ -191,16 +186,7 @@ class ReplicaAdam:
         return self._adam.state_dict()
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restores a copy of what :meth:`state_dict` returned, in the memory that there is."""
+        """Restores a copy of what :meth:`state_dict` returned."""
         self._states = []
-        before = {view: dict(state) for view, state in self._adam.state.items()}
         # torch's own would go on in the very tensors of the state that it is given.
         self._adam.load_state_dict(deepcopy(dict(state_dict)))
-        for group in self._adam.param_groups:
-            group["capturable"] = self._capturable  # the state may come from another device
-        for view, own in before.items():
-            # A captured step goes on reading and writing the moments that it was captured with.
-            restored = self._adam.state[view]
-            for name, tensor in own.items():
-                tensor.copy_(restored[name]) if name in restored else tensor.zero_()
-                restored[name] = tensor

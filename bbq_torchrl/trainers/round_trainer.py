@@ -173,7 +173,7 @@ class RoundTrainer:
         self.described = {"seed": settings.seed, "replicas": replicas, **(described or {})}
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
-        self._update = Update(loss, optimiser, cuda_graph=settings.cuda_graph)
+        self._update = Update(loss, optimiser)
         self.metrics = MetricsFile(self.run_folder / "metrics.csv")
         best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
         self.checkpoints = CheckpointFolder(

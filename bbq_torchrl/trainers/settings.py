@@ -23,7 +23,6 @@ class RoundSettings:
         keep_checkpoints: how many of the newest are kept; ``None``: all.
         seed: what every random number of the training derives from.
         max_steps: the most agent turns of a dialogue; one that is longer is an error.
-        cuda_graph: whether an update on a CUDA device is captured as a CUDA graph.
     """
 
     rounds: int
@@ -35,7 +34,6 @@ class RoundSettings:
     keep_checkpoints: int | None = 2
     seed: int = 0
     max_steps: int = 1000
-    cuda_graph: bool = True
 
     def __post_init__(self) -> None:
         lower = {

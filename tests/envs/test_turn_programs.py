@@ -1,12 +1,10 @@
-"""A turn waits for no device, and is the same compiled, as a CUDA graph and as it is."""
+"""A turn waits for no device, and is the same compiled and as it is."""
 
 from __future__ import annotations
 
-import copy
-
 import pytest
 import torch
-from host_waits import NeverWaits, use_tapes
+from host_waits import NeverWaits
 
 from bbq_torchrl.domains import tensorise
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
@@ -75,31 +73,6 @@ def test_everything_that_a_turn_uses_is_on_its_device(movie, mode):
         state = simulator.turn(state, action, simulator.draw_turn((7,)), active)
         features = simulator.observe(state, active)
     assert {features.device.type, *(entry.device.type for entry in state.values())} == {"meta"}
-
-
-def test_a_captured_turn_is_the_turn(restaurant, monkeypatch):
-    plain = turns(make_env(restaurant))
-    graphs = use_tapes(monkeypatch)
-    captured = turns(make_env(restaurant))
-    assert [graph.launches > 10 for graph in graphs] == [True]
-    assert_same(plain, captured)
-
-
-def test_a_turn_can_be_left_uncaptured(restaurant, monkeypatch):
-    graphs = use_tapes(monkeypatch)
-    turns(make_env(restaurant, cuda_graph=False))
-    assert graphs == []
-
-
-def test_a_copy_of_an_environment_captures_its_own_turn(restaurant, monkeypatch):
-    graphs = use_tapes(monkeypatch)
-    env = make_env(restaurant)
-    turns(env)
-    other = copy.deepcopy(env)
-    env.set_seed(1)
-    other.set_seed(1)
-    assert_same(turns(env), turns(other))
-    assert len(graphs) == 2
 
 
 @pytest.mark.slow
