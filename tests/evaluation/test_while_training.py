@@ -39,6 +39,7 @@ SMALL = (
     "spike.dialogues=6",
     "spike.policy=random",
     "agent.hidden=[8,8]",
+    "env.max_turn=12",
     "replicas=2",
     "domain=folder",
 )
@@ -173,7 +174,7 @@ def test_a_run_says_that_it_is_not_evaluated_while_training(small, tmp_path, cap
 
 
 def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_path, caplog):
-    choices = ("protocol.eval_dialogues=400", "protocol.eval_batch=800")
+    choices = ("protocol.eval_dialogues=400", "protocol.eval_batch=800", "env.max_turn=40")
     config = small("agent=dqn", "protocol.rounds=1", *choices)
     with caplog.at_level(logging.INFO, "bbq_torchrl"):
         result = run(config, tmp_path)
