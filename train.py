@@ -9,20 +9,20 @@ if __name__ == "__main__":  # before anything that takes time to import
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.config.command import command
+from bbq_torchrl.cli.command import command
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from bbq_torchrl.config import Config
+    from bbq_torchrl.options import Config
 
 
 # The parts are imported when they are needed: torch and torchrl take ten seconds, --help none.
 def check(config: Config) -> None:
     """Checks device and corpus before anything runs."""
-    from bbq_torchrl import build
+    from bbq_torchrl.cli import checks
 
-    build.check(config)
+    checks.check(config)
 
 
 def clear_errors() -> tuple[type[Exception], ...]:

@@ -12,9 +12,9 @@ import dataclasses
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.config import CalibrateConfig, ConfigError
-from bbq_torchrl.config.messages import unreadable
-from bbq_torchrl.config.store import compose_raw, session, to_config
+from bbq_torchrl.cli.messages import take_config_dir
+from bbq_torchrl.cli.store import compose_raw, session, to_config
+from bbq_torchrl.options import CalibrateConfig, ConfigError
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
@@ -67,8 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if arguments[0] != "calibrate":
             raise ConfigError(f"the command must be calibrate, got {shown(arguments[0])}")
-        for flag in (item for item in arguments if item.startswith("-")):
-            raise ConfigError(unreadable(flag))
+        arguments = take_config_dir(arguments)
         with session():
             config = to_config(compose_raw(arguments[1:], "calibrate"), CalibrateConfig)
         found = calibrate(config, lambda line: sys.stderr.write(f"{line}\n"))
@@ -97,22 +96,29 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     import torch
     from scipy.optimize import brentq
 
-    from bbq_torchrl.build import build_domain, build_env, check_device
-    from bbq_torchrl.build.memory import check_memory, evaluation_needs
+    from bbq_torchrl.cli.checks import check_device
+    from bbq_torchrl.cli.memory import check_memory, evaluation_needs
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
+    from bbq_torchrl.options.env.dialogue import DialogueOption
     from bbq_torchrl.trainers import derive_seed, keep_freed_memory
 
-    if config.env.slot_error_prob is not None:
+    option = config.env
+    if not isinstance(option, DialogueOption):
+        raise ConfigError(
+            f"env must be one of full, domain_ext, whose error level can be set, got "
+            f"{option.name!r}"
+        )
+    if option.slot_error_prob is not None:
         raise ConfigError(
             "env.slot_error_prob must be null: it is what is looked for, got "
-            f"{config.env.slot_error_prob}"
+            f"{option.slot_error_prob}"
         )
     check_device(config.device)
     torch.set_num_threads(config.threads)
     keep_freed_memory()
-    domain = build_domain(config.domain)
+    domain = config.domain.make()
     if config.policy not in domain.policies:
         raise ConfigError(
             f"policy must be one of {', '.join(domain.policies)}, got {shown(config.policy)}"
@@ -122,8 +128,7 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
 
     def success(probability: float, seed: int) -> float:
         if (probability, seed) not in tried:
-            env = build_env(
-                dataclasses.replace(config.env, slot_error_prob=probability),
+            env = dataclasses.replace(option, slot_error_prob=probability).make(
                 domain,
                 (1, min(config.batch, config.dialogues)),
                 device=config.device,

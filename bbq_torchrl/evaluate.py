@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl import interruption
-from bbq_torchrl.config import ConfigError, EvaluateConfig
-from bbq_torchrl.config.messages import unreadable
-from bbq_torchrl.config.resume import description, run_config
-from bbq_torchrl.config.store import compose_raw, session, to_config
-from bbq_torchrl.config.values import replica_values
+from bbq_torchrl.cli.messages import take_config_dir
+from bbq_torchrl.cli.resume import run_config
+from bbq_torchrl.cli.store import compose_raw, session, to_config
+from bbq_torchrl.options import ConfigError, EvaluateConfig
+from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from tensordict.nn import TensorDictModuleBase
 
-    from bbq_torchrl.config import Config
     from bbq_torchrl.envs import DialogueEnv
 
 __all__ = ["evaluation", "main"]
@@ -40,6 +39,7 @@ dialogues, turns_per_second.
   weights=     last, or best: each replica's at its best evaluation while training
   log=<file>   writes the first log_dialogues= dialogues as readable acts
   seed=, device=, threads=
+  --config-dir <folder>   of options of your own, as in train.py
 
 Meaning and allowed values of a key: docs/configuration.md
 """
@@ -52,8 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(USAGE)
         return 0
     try:
-        for flag in (item for item in arguments if item.startswith("-")):
-            raise ConfigError(unreadable(flag))
+        arguments = take_config_dir(arguments)
         with session():
             config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
         line = evaluation(config, arguments)
@@ -77,9 +76,10 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     """
     import torch
 
-    from bbq_torchrl.build import build_domain, build_env, check_device
-    from bbq_torchrl.build.memory import check_memory, evaluation_needs
-    from bbq_torchrl.envs import scripted_policy
+    from bbq_torchrl.cli.agent import make_domain
+    from bbq_torchrl.cli.checks import check_device
+    from bbq_torchrl.cli.loading import trained_policy
+    from bbq_torchrl.cli.memory import check_memory, evaluation_needs
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
     from bbq_torchrl.trainers import keep_freed_memory
@@ -94,9 +94,9 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         given = {key.partition(".")[0] for key in keys}
         config.env = config.env if "env" in given else run.env
         config.domain = config.domain if "domain" in given else run.domain
-    domain = build_domain(config.domain)
+    domain = make_domain(config)
     if run is None:
-        names = ("random", *domain.policies)
+        names = config.env.policies(domain, with_random=True)
         if config.policy not in names:
             raise ConfigError(
                 f"policy must be a run folder or one of {', '.join(names)}, "
@@ -111,8 +111,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     replicas = 1 if run is None else run.replicas
     values = [] if run is None else replica_values(run)
     check_memory(evaluation_needs(config, domain, replicas), config.device)
-    env = build_env(
-        config.env,
+    env = config.env.make(
         domain,
         (replicas, min(config.batch, config.dialogues)),
         device=config.device,
@@ -120,13 +119,15 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     mode: str | None = None
     policy: TensorDictModuleBase
     if run is None:
-        policy = scripted_policy(config.policy, env)
+        policy = config.env.make_policy(config.policy, env)
     else:
-        mode, policy = _trained(run, folder, env, config)
+        policy, mode = trained_policy(run, folder, env, mode=config.mode, weights=config.weights)
     if config.log is not None:
+        if domain is None:
+            raise ConfigError(f"log must be null with env={config.env.name}, got {config.log!r}")
         _write_log(config, env, policy)
     started = time.perf_counter()
-    played = evaluate(env, policy, config.dialogues, seed=config.seed)
+    played = evaluate(env, policy, config.dialogues, seed=config.seed, max_steps=config.env.steps())
     seconds = time.perf_counter() - started
     rate = played.success.double().mean().item()
     turns = int(played.turns.sum())
@@ -134,7 +135,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         "policy": config.policy,
         **({} if mode is None else {"mode": mode, "weights": config.weights}),
         "env": config.env.name,
-        "domain": domain.name,
+        **({} if domain is None else {"domain": domain.name}),
         "seed": config.seed,
         "success_rate": rate,
         "standard_error": binomial_standard_error(rate, played.success.numel()),
@@ -148,38 +149,8 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
             else {}
         ),
         **({"values_per_replica": values} if any(values) else {}),
-        **({"skipped": domain.skipped} if domain.skipped else {}),
+        **({"skipped": domain.skipped} if domain is not None and domain.skipped else {}),
     }
-
-
-def _trained(
-    run: Config, folder: Path, env: DialogueEnv, config: EvaluateConfig
-) -> tuple[str, TensorDictModuleBase]:
-    """Returns the policy of a run's newest readable checkpoint; ``env`` enters its round."""
-    from bbq_torchrl.build import build_agent
-    from bbq_torchrl.trainers import BestWeights, CheckpointDamagedError, CheckpointFolder
-
-    agent = build_agent(run, env)
-    mode, policy = agent.evaluation(config.mode)
-    best = None
-    if config.weights == "best":
-        if not run.protocol.eval_every:
-            raise ConfigError(
-                f"weights must be last for {folder}, which was not evaluated while it was trained "
-                "(protocol.eval_every=0), got 'best'"
-            )
-        best = BestWeights(policy, run.replicas)
-    saved = {"loss": agent.loss} if best is None else {"best": best}
-    try:
-        found = CheckpointFolder(folder / "checkpoint", **saved).restore(description(run))
-    except CheckpointDamagedError as error:
-        raise ConfigError(str(error)) from error
-    if found is None:
-        raise ConfigError(f"{folder} has no checkpoint yet")
-    env.set_round(max(int(found[1]["round"]) - 1, 0))
-    if best is not None:
-        best.put_back()
-    return mode, policy
 
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:

@@ -15,13 +15,11 @@ import torch
 
 import bbq_torchrl
 from bbq_torchrl import interruption
-from bbq_torchrl.build import build_env, build_trainer, evaluation_places
-from bbq_torchrl.config.resume import CURVE, RUN_CONFIG
-from bbq_torchrl.config.run_lock import run_lock
-from bbq_torchrl.config.store import save_config
-from bbq_torchrl.config.values import replica_values
-from bbq_torchrl.envs import scripted_policy
-from bbq_torchrl.envs.policies import RANDOM_POLICY
+from bbq_torchrl.cli.agent import make_domain
+from bbq_torchrl.cli.resume import CURVE, RUN_CONFIG
+from bbq_torchrl.cli.run_lock import run_lock
+from bbq_torchrl.cli.store import save_config
+from bbq_torchrl.cli.training import build_trainer, evaluation_places
 from bbq_torchrl.evaluation.figures import Curves, draw_run
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.play import evaluate
@@ -35,15 +33,18 @@ from bbq_torchrl.evaluation.results import (
     training_evaluation,
     write_json,
 )
+from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.trainers import keep_freed_memory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from bbq_torchrl.build import Agent
-    from bbq_torchrl.config import Config
-    from bbq_torchrl.envs import DialogueEnv
+    from torchrl.envs import EnvBase
+
+    from bbq_torchrl.cli.agent import Agent
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import RoundTrainer
     from bbq_torchrl.trainers.round_trainer import RoundCallback
 
@@ -82,25 +83,27 @@ def _run(config: Config, folder: Path, callbacks: Sequence[RoundCallback]) -> Ru
     keep_freed_memory()
     _quieten_torchrl()
     save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
-    trainer, agent = build_trainer(config, folder, callbacks)
+    domain = make_domain(config)
+    trainer, agent = build_trainer(config, folder, callbacks, domain=domain)
     result = None if config.resume is None else _result_of(folder, rounds)
     if result is None:
         interruption.tell(
             lambda: f"after {trainer.rounds_done} of {rounds} rounds, {trainer.rounds_saved} saved"
         )
         _tell_of_evaluations(config)
-        _tell_of_domain(trainer.env)
+        if domain is not None:
+            _tell_of_domain(domain, config.env.never(domain))
         with interruption.gently(trainer.stop):
             rows = trainer.train(resume=config.resume is not None)
         interruption.check()
         trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
         started = time.perf_counter()
         _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
-        result = _evaluated(config, folder, agent, trainer, trained, started)
+        result = _evaluated(config, folder, domain, agent, trainer, trained, started)
         write_json(result, folder / RESULT_FILE)
     if config.protocol.keep_checkpoints == "weights":
         trainer.checkpoints.keep_only("loss", "best")
-    _draw(config, folder, result, trainer.env)  # last: the run is finished
+    _draw(config, folder, result, domain)  # last: the run is finished
     _LOG.info("%s", _result_line(config, result))
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     return result
@@ -120,12 +123,10 @@ def _tell_of_evaluations(config: Config) -> None:
         )
 
 
-def _tell_of_domain(env: DialogueEnv) -> None:
-    """Says what of the corpus is not played."""
-    domain = env.domain
+def _tell_of_domain(domain: Domain, never: set[str]) -> None:
+    """Says what of the corpus is not played; some slots, it may be, in no round."""
     for text in domain.skipped:
         _LOG.warning("left out of the domain %s: %s", domain.name, text)
-    never = set() if env.schedule is None else set(env.schedule.never_active(domain))
     cut = sum(bool(never & {*goal.constraints, *goal.requests}) for goal in domain.goals)
     if cut:
         named = {slot for goal in domain.goals for slot in (*goal.constraints, *goal.requests)}
@@ -175,6 +176,7 @@ def _quieten_torchrl() -> None:
 def _evaluated(
     config: Config,
     folder: Path,
+    domain: Domain | None,
     agent: Agent,
     trainer: RoundTrainer,
     trained: float,
@@ -182,15 +184,16 @@ def _evaluated(
 ) -> RunResult:
     """Plays the final evaluation, in the state of the domain in which training ended."""
     protocol = config.protocol
-    env = build_env(
-        config.env,
-        trainer.env.domain,
+    env = config.env.make(
+        domain,
         (config.replicas, evaluation_places(config, protocol.eval_dialogues)),
         device=config.device,
     )
-    env.set_round(max(protocol.rounds - 1, 0))
-    name, policy = agent.evaluation(None)
-    played = evaluate(env, policy, protocol.eval_dialogues, seed=config.seed)
+    config.env.enter_round(env, max(protocol.rounds - 1, 0))
+    name, policy = config.agent.make_evaluation(agent.actor)
+    played = evaluate(
+        env, policy, protocol.eval_dialogues, seed=config.seed, max_steps=config.env.steps()
+    )
     metrics = read_metrics(folder)
     training_success = metrics.training_success
     evaluated: list[TrainingEvaluation | None] = [None] * config.replicas
@@ -222,30 +225,29 @@ def _evaluated(
         explore=config.explore.name,
         intrinsic=config.intrinsic.name,
         env=config.env.name,
-        domain=env.domain.name,
+        domain="" if domain is None else domain.name,
         policy=name,
         seed=config.seed,
         rounds=protocol.rounds,
         wall_seconds=trained + time.perf_counter() - started,
         versions=_versions(),
-        scripted=_scripted(config, env),
-        skipped=env.domain.skipped,
+        scripted=_scripted(config, env, domain),
+        skipped=() if domain is None else domain.skipped,
     )
 
 
-def _scripted(config: Config, env: DialogueEnv) -> dict[str, float]:
+def _scripted(config: Config, env: EnvBase, domain: Domain | None) -> dict[str, float]:
     """Returns success rates of the scripted policies with the users of the final evaluation."""
     dialogues = min(config.protocol.eval_dialogues, -(-SCRIPTED_DIALOGUES // config.replicas))
-    return {
-        name: evaluate(env, scripted_policy(name, env), dialogues, seed=config.seed)
-        .success.double()
-        .mean()
-        .item()
-        for name in (*env.domain.policies, RANDOM_POLICY)
-    }
+    rates = {}
+    for name in config.env.policies(domain, with_random=True):
+        policy = config.env.make_policy(name, env)
+        played = evaluate(env, policy, dialogues, seed=config.seed, max_steps=config.env.steps())
+        rates[name] = played.success.double().mean().item()
+    return rates
 
 
-def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> None:
+def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None) -> None:
     spike = config.spike
     name = f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}"
     metrics = read_metrics(folder)
@@ -269,11 +271,12 @@ def _draw(config: Config, folder: Path, result: RunResult, env: DialogueEnv) -> 
             )
             for label, same in together.items()
         ],
-        title=f"Success: env={config.env.name}, domain={env.domain.name}",
+        title=f"Success: env={config.env.name}"
+        + ("" if domain is None else f", domain={domain.name}"),
         spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
         if spike.dialogues
         else None,
-        extensions={} if env.schedule is None else env.schedule.additions(env.domain),
+        extensions=config.env.additions(domain),
     )
 
 

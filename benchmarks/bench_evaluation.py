@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import pytest
 
-from bbq_torchrl.build import build_agent
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.agent import make_agent
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.play import evaluate
@@ -26,9 +26,11 @@ def test_dialogues(benchmark, policy):
     if policy == "rule":
         player = scripted_policy("rule", env)
     elif policy == "dqn":
-        _, player = build_agent(compose(["agent=dqn"]), env).evaluation(None)
+        config = compose(["agent=dqn"])
+        _, player = config.agent.make_evaluation(make_agent(config, env).actor)
     else:
-        _, player = build_agent(compose(["agent=bbqn"]), env).evaluation(policy)
+        config = compose(["agent=bbqn"])
+        _, player = config.agent.make_evaluation(make_agent(config, env).actor, policy)
     played = benchmark.pedantic(lambda: evaluate(env, player, dialogues), rounds=3)
     assert played.success.shape == (1, dialogues)
     if not benchmark.disabled:

@@ -17,7 +17,7 @@ COMMANDS = {
     "evaluate --help": ("-m", "bbq_torchrl.evaluate", "--help"),
     "compose a configuration": (
         "-c",
-        "from bbq_torchrl.config.store import compose; compose(['agent=dqn'])",
+        "from bbq_torchrl.cli.store import compose; compose(['agent=dqn'])",
     ),
     **{f"import {name}": ("-c", f"import {name}") for name in ("torch", "torchrl.objectives")},
     **{f"import {name}": ("-c", f"import {name}") for name in processes.IMPORTS},

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python benchmarks/whole_run.py` finds its own packages
 
 from bbq_torchrl import run as run_module  # noqa: E402
-from bbq_torchrl.config.store import compose  # noqa: E402
+from bbq_torchrl.cli.store import compose  # noqa: E402
 from bbq_torchrl.evaluation.markdown import table  # noqa: E402
 from benchmarks.parts.accounts import RoundAccounts  # noqa: E402
 from benchmarks.parts.rows import number  # noqa: E402

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.envs import scripted_policy
 from bbq_torchrl.trainers import play_dialogues
 from bbq_torchrl.trainers.collect import rows_per_replica

@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tensordict import TensorDictBase
-
-    from bbq_torchrl.envs import DialogueEnv
+    from torchrl.envs import EnvBase
 
 __all__ = ["evaluate", "evaluation_rollouts"]
 
 
 def evaluate(
-    env: DialogueEnv,
+    env: EnvBase,
     policy: Policy,
     dialogues: int,
     *,
     seed: int = 0,
+    max_steps: int = 1000,
     exploration: ExplorationType = ExplorationType.DETERMINISTIC,
 ) -> Outcomes:
     """Plays exactly so many dialogues, each to its end, and returns how they went.
@@ -36,22 +36,26 @@ def evaluate(
         policy: writes an action.
         dialogues: for each replica.
         seed: of everything random in them.
+        max_steps: the most turns of a dialogue; one that is longer is an error.
         exploration: what the policy finds as ``exploration_type()``.
 
     Returns:
         success (bool), reward (float64) and turns (int64), each of shape [*replicas, dialogues].
     """
-    rollouts = evaluation_rollouts(env, policy, dialogues, seed=seed, exploration=exploration)
+    rollouts = evaluation_rollouts(
+        env, policy, dialogues, seed=seed, max_steps=max_steps, exploration=exploration
+    )
     played = [outcomes(rollout) for rollout in rollouts]
     return Outcomes(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))
 
 
 def evaluation_rollouts(
-    env: DialogueEnv,
+    env: EnvBase,
     policy: Policy,
     dialogues: int,
     *,
     seed: int = 0,
+    max_steps: int = 1000,
     exploration: ExplorationType = ExplorationType.DETERMINISTIC,
 ) -> Iterator[TensorDictBase]:
     """Yields the dialogues that :func:`evaluate` counts, a batch at a time.
@@ -61,6 +65,4 @@ def evaluation_rollouts(
     """
     torch.manual_seed(derive_seed(seed, "torch", "evaluate"))
     env.set_seed(derive_seed(seed, "env", "evaluate"))
-    yield from play_dialogues(
-        env, policy, dialogues, max_steps=env.max_agent_turns, exploration=exploration
-    )
+    yield from play_dialogues(env, policy, dialogues, max_steps=max_steps, exploration=exploration)

@@ -9,11 +9,10 @@ from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.trainers import BestWeights, derive_seed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     from tensordict.nn import TensorDictModuleBase
-
-    from bbq_torchrl.envs import DialogueEnv
+    from torchrl.envs import EnvBase
 
 __all__ = ["RoundEvaluator"]
 
@@ -34,6 +33,9 @@ class RoundEvaluator:
         every: rounds between two evaluations: the first is at the end of round ``every - 1``.
         dialogues: of an evaluation, for each replica.
         seed: the run's.
+        max_steps: the most turns of a dialogue.
+        enter_round: has the environment be as in a round of the training.
+        changes: the rounds in which the environment becomes another one.
 
     Attributes:
         best: each replica's weights at its best evaluation. Where the domain has grown, what was
@@ -42,30 +44,37 @@ class RoundEvaluator:
 
     def __init__(
         self,
-        env: DialogueEnv,
+        env: EnvBase,
         policy: Callable[[], TensorDictModuleBase],
         *,
         every: int,
         dialogues: int,
         seed: int,
+        max_steps: int = 1000,
+        enter_round: Callable[[EnvBase, int], None] = lambda env, round: None,
+        changes: Collection[int] = (),
     ) -> None:
         self.env = env
         self.policy = policy
         self.every = every
         self.dialogues = dialogues
         self.seed = seed
+        self.max_steps = max_steps
+        self.enter_round = enter_round
+        self.changes = changes
         self.best = BestWeights(policy(), env.batch_size[0])
 
     def __call__(self, round_number: int) -> list[dict[str, float]]:
         """Returns each replica's mean outcomes; NaN in a round without an evaluation."""
         if (round_number + 1) % self.every:
             return [dict.fromkeys(_COLUMNS, math.nan) for _ in range(self.env.batch_size[0])]
-        self.env.set_round(round_number)
+        self.enter_round(self.env, round_number)
         seed = derive_seed(self.seed, "evaluate while training", round_number)
-        played = evaluate(self.env, self.policy(), self.dialogues, seed=seed)
+        played = evaluate(
+            self.env, self.policy(), self.dialogues, seed=seed, max_steps=self.max_steps
+        )
         means = [outcome.double().mean(-1) for outcome in played]
-        schedule = self.env.schedule
-        since = 0 if schedule is None else schedule.last_addition(self.env.domain, round_number)
+        since = max((change for change in self.changes if change <= round_number), default=0)
         self.best.update(round_number, means[0], since=since)
         columns = zip(*(mean.tolist() for mean in means), strict=True)
         return [dict(zip(_COLUMNS, values, strict=True)) for values in columns]

@@ -9,9 +9,10 @@ import sys
 from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption
-from bbq_torchrl.config.searches import SEARCH, compose_search
-from bbq_torchrl.config.settings import ConfigError
-from bbq_torchrl.config.store import options
+from bbq_torchrl.cli.messages import take_config_dir
+from bbq_torchrl.cli.searches import SEARCH, compose_search
+from bbq_torchrl.cli.store import options
+from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(USAGE.format(names=", ".join(options(SEARCH))))
         return 0
     try:
-        search = compose_search(arguments)
+        search = compose_search(take_config_dir(arguments))
         if importlib.util.find_spec("optuna") is None:
             raise ConfigError(
                 "a search needs the package optuna: pip install 'bbq-torchrl[search]'"
@@ -48,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Imported here: torch, torchrl and Optuna take seconds, what is refused above takes none.
         import optuna
 
-        from bbq_torchrl.build import check
+        from bbq_torchrl.cli.checks import check
         from bbq_torchrl.run import run
         from bbq_torchrl.search.study import run_search
         from bbq_torchrl.trainers import CheckpointDamagedError, NonFiniteLossError, SpikeError

@@ -17,7 +17,7 @@ import yaml
 from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 
-from bbq_torchrl.config.settings import ConfigError
+from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.search.tables import best_trial, trial_name, write_tables
 from bbq_torchrl.search.trials import Outcome, Runner, play_trial, suggest
 from bbq_torchrl.text import sentence, shown
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from bbq_torchrl.config import Config
-    from bbq_torchrl.config.searches import Search
+    from bbq_torchrl.cli.searches import Search
+    from bbq_torchrl.options import Config
 
 __all__ = ["run_search"]
 

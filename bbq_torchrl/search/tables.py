@@ -12,7 +12,7 @@ import optuna
 from bbq_torchrl.evaluation.results import write_json
 
 if TYPE_CHECKING:
-    from bbq_torchrl.config.searches import Search
+    from bbq_torchrl.cli.searches import Search
 
 __all__ = ["BEST", "TRIALS", "best_trial", "trial_name", "write_tables"]
 

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import optuna
 
-from bbq_torchrl.config.resume import RUN_CONFIG, is_finished
+from bbq_torchrl.cli.resume import RUN_CONFIG, is_finished
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.statistics import interquartile_mean
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from bbq_torchrl.config import Config
-    from bbq_torchrl.config.parameters import Parameter
-    from bbq_torchrl.config.searches import SearchConfig
+    from bbq_torchrl.cli.parameters import Parameter
+    from bbq_torchrl.cli.searches import SearchConfig
     from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import RoundTrainer
     from bbq_torchrl.trainers.metrics import MetricRow
 

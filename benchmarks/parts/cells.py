@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.domains import Domain, movie_domain
 from bbq_torchrl.envs import DialogueEnv
 from benchmarks.parts.dialogues import play_simulator

@@ -7,8 +7,8 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.evaluation.play import evaluate
@@ -212,7 +212,7 @@ def evaluation(sizes: Sizes, timer: Timer) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         trainer, agent = build_trainer(config, Path(folder) / "run")
     env = DialogueEnv(trainer.env.domain, batch_size=(1, places), seed=0)
-    _, policy = agent.evaluation(None)
+    _, policy = config.agent.make_evaluation(agent.actor)
     seconds = timer.time(lambda: evaluate(env, policy, sizes.eval_dialogues))
     what = f"evaluation of bbqn, {sizes.eval_dialogues:,} dialogues, {places:,} in parallel"
     return [Row("evaluation", what, "dialogues/s", sizes.eval_dialogues / seconds)]

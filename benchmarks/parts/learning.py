@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.envs import scripted_policy
 from bbq_torchrl.trainers import play
 from bbq_torchrl.trainers.collect import rows_per_replica

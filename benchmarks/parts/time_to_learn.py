@@ -8,8 +8,8 @@ from pathlib import Path
 from statistics import median_low
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
 from benchmarks.parts import processes
 from benchmarks.parts.learning import AGENTS
 from benchmarks.parts.rows import Row

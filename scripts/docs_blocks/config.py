@@ -1,4 +1,4 @@
-"""Tables of configuration keys, from the schemas and the YAML files."""
+"""Tables of configuration keys, from the options."""
 
 from __future__ import annotations
 
@@ -9,11 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from bbq_torchrl.config.pairs import EXPLORATIONS
-from bbq_torchrl.config.schema import EXPERIMENT, SCHEMAS, CalibrateConfig, Config, EvaluateConfig
-from bbq_torchrl.config.searches import SEARCH, SearchConfig
-from bbq_torchrl.config.store import compose_raw, options, session
-from bbq_torchrl.config.values import keys_with_lists
+from bbq_torchrl.cli.searches import SEARCH, SearchConfig
+from bbq_torchrl.cli.store import compose_raw, options, session
+from bbq_torchrl.options import (
+    CalibrateConfig,
+    Config,
+    EvaluateConfig,
+    explorations,
+    schemas,
+)
+from bbq_torchrl.options.registry import EXPERIMENT
+from bbq_torchrl.options.values import keys_with_lists
 from scripts.docs_blocks.markdown import code, table
 
 if TYPE_CHECKING:
@@ -35,13 +41,13 @@ def config_blocks() -> dict[str, Callable[[], str]]:
         "config.groups": _groups,
         "config.lists": _lists,
     }
-    return blocks | {f"config.{group}": partial(_group, group) for group in SCHEMAS}
+    return blocks | {f"config.{group}": partial(_group, group) for group in schemas()}
 
 
 def _root(schema: type, name: str, overrides: list[str]) -> str:
     with session():
         composed = compose_raw(overrides, name)
-    leaves = [item for item in fields(schema) if item.name not in SCHEMAS]
+    leaves = [item for item in fields(schema) if item.name not in schemas()]
     return table(_HEAD, _rows(leaves, composed))
 
 
@@ -93,25 +99,25 @@ def _summary(schema: type) -> str:
 
 
 def _pairs() -> str:
-    strategies = sorted({name for names in EXPLORATIONS.values() for name in names})
+    strategies = sorted({name for names in explorations().values() for name in names})
     rows = [
         (
             code(name),
             *(
                 "default" if name == names[0] else "yes" if name in names else "refused"
-                for names in EXPLORATIONS.values()
+                for names in explorations().values()
             ),
         )
         for name in strategies
     ]
-    return table(("explore", *(code(f"agent={agent}") for agent in EXPLORATIONS)), rows)
+    return table(("explore", *(code(f"agent={agent}") for agent in explorations())), rows)
 
 
 def _lists() -> str:
     rows = []
-    for key, names in keys_with_lists(SCHEMAS).items():
+    for key, names in keys_with_lists(schemas()).items():
         group, _, name = key.partition(".")
-        items = [item for item in fields(SCHEMAS[group][names[0]]) if item.name == name]
+        items = [item for item in fields(schemas()[group][names[0]]) if item.name == name]
         options_with_it = ", ".join(code(f"{group}={option}") for option in names)
         rows.append((code(key), options_with_it, items[0].metadata["meaning"]))
     return table(("key", "of", "meaning"), rows)
@@ -126,6 +132,6 @@ def _groups() -> str:
             ", ".join(map(code, options(group))),
             code(chosen[group]) if chosen.get(group) else "none",
         )
-        for group in (*SCHEMAS, EXPERIMENT)
+        for group in (*schemas(), EXPERIMENT)
     ]
     return table(("group", "options", "default"), rows)

@@ -13,9 +13,9 @@ import torch
 
 import train
 from bbq_torchrl import evaluate
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config.resume import description
-from bbq_torchrl.config.store import load_config
+from bbq_torchrl.cli.resume import description
+from bbq_torchrl.cli.store import load_config
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
 
 from .cases import DAMAGES

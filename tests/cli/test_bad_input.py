@@ -12,9 +12,11 @@ import pytest
 import torch
 
 import train
-from bbq_torchrl import build, evaluate
-from bbq_torchrl.config.command import REFUSED, prepare
-from bbq_torchrl.config.store import compose, save_config
+from bbq_torchrl import evaluate
+from bbq_torchrl.cli.agent import make_agent
+from bbq_torchrl.cli.checks import check
+from bbq_torchrl.cli.command import REFUSED, prepare
+from bbq_torchrl.cli.store import compose, save_config
 
 
 @pytest.fixture
@@ -133,7 +135,7 @@ def test_a_buffer_that_the_spike_would_fill(refused):
 
 
 def test_a_buffer_with_room_for_one_more_than_the_spike():
-    build.check(compose(["spike.dialogues=100", "protocol.capacity=801"]))
+    check(compose(["spike.dialogues=100", "protocol.capacity=801"]))
 
 
 def test_a_slot_with_actions_that_domain_extension_would_never_activate(
@@ -146,7 +148,7 @@ def test_a_slot_with_actions_that_domain_extension_would_never_activate(
     where = ("domain=folder", f"domain.path={folder}")
     line = refused(*where, "env=domain_ext")
     assert "domain extension would never activate restaurant" in line
-    build.check(compose([*where, "env=full"]))
+    check(compose([*where, "env=full"]))
 
 
 def evaluation_refused(capsys, *arguments):
@@ -161,7 +163,7 @@ def evaluation_refused(capsys, *arguments):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("policy=nope", "policy must be a run folder or one of random, rule"),
+        ("policy=nope", "policy must be a run folder or one of rule, rule_inform"),
         ("policy=rule mode=mean", "mode must be null for policy=rule, got 'mean'"),
         ("policy=rule device=cuda:99", "device=cuda:99 is absent"),
         ("policy=rule domain=folder domain.path=nowhere", "nowhere"),
@@ -189,11 +191,11 @@ def test_a_run_folder_that_is_none_or_has_no_checkpoint(capsys, tmp_path):
 def test_a_schedule_falls_over_its_share_of_the_rounds(fraction, epsilons):
     given = ["explore.eps_init=.5", "explore.eps_end=.1", f"explore.anneal_fraction={fraction}"]
     config = compose(["agent=dqn", "protocol.rounds=4", *given])
-    env = build.build_env(config.env, build.build_domain(config.domain), (1, 2))
-    agent = build.build_agent(config, env)
+    env = config.env.make(config.domain.make(), (1, 2))
+    agent = make_agent(config, env)
     seen = []
     for _ in range(4):
-        seen.append(float(agent.gauges["epsilon"]()))
+        seen.append(float(agent.metrics["epsilon"]()))
         for module in agent.policy.modules():
             if hasattr(module, "step"):
                 module.step(1)
@@ -202,10 +204,10 @@ def test_a_schedule_falls_over_its_share_of_the_rounds(fraction, epsilons):
 
 def test_an_agent_without_a_posterior_has_no_modes():
     config = compose(["agent=dqn"])
-    env = build.build_env(config.env, build.build_domain(config.domain), (1, 2))
-    agent = build.build_agent(config, env)
+    env = config.env.make(config.domain.make(), (1, 2))
+    agent = make_agent(config, env)
     with pytest.raises(ValueError, match="mode must be null for agent=dqn, got 'mean'"):
-        agent.evaluation("mean")
+        config.agent.make_evaluation(agent.actor, "mean")
 
 
 def test_an_evaluation_prints_one_line_of_json(capsys, restaurant_folder, tmp_path):

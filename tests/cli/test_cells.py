@@ -10,16 +10,16 @@ import pytest
 import torch
 
 from bbq_torchrl import evaluate
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config import EXPLORATIONS, SCHEMAS, EvaluateConfig
-from bbq_torchrl.config.store import compose, options
+from bbq_torchrl.cli.store import compose, options
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.results import read_metrics
+from bbq_torchrl.options import EvaluateConfig, explorations, schemas
 from bbq_torchrl.run import run
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from bbq_torchrl.config import Config
+    from bbq_torchrl.options import Config
 
 SHRUNKEN = (
     "protocol.rounds=2",
@@ -40,10 +40,10 @@ SHRUNKEN = (
 EXTENSION = ("env.start=1", "env.every=1")
 NEEDED = {("dqn", "noisy"): ("agent.noisy=true", "agent.dropout=0")}
 # Each pair once, its environment and reward in turn, so that each agent meets all four of them.
-PAIRS = [(agent, explore) for agent, explores in EXPLORATIONS.items() for explore in explores]
+PAIRS = [(agent, explore) for agent, explores in explorations().items() for explore in explores]
 CELLS = [
     (*pair, *surroundings)
-    for pair, surroundings in zip(PAIRS, cycle(product(SCHEMAS["env"], SCHEMAS["intrinsic"])))
+    for pair, surroundings in zip(PAIRS, cycle(product(schemas()["env"], schemas()["intrinsic"])))
 ]
 VARIANTS = {
     "BBQN-MC": ("agent=bbqn", "agent.target=mc"),
@@ -168,6 +168,6 @@ RECIPES = [name for name in options("experiment") if "/" in name]
 
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_a_recipe_of_an_agent_goes_with_either_environment(recipe, restaurant_folder):
-    for env in SCHEMAS["env"]:
+    for env in schemas()["env"]:
         config = compose(command(f"+experiment={recipe}", f"env={env}", domain=restaurant_folder))
         assert config.env.name == env

@@ -10,7 +10,7 @@ import shutil
 import pytest
 
 import bbq_torchrl.run as runs
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.results import read_result
 
 SMALL = (

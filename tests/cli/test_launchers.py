@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from bbq_torchrl.config import ConfigError
-from bbq_torchrl.config.command import prepare
-from bbq_torchrl.config.resume import restarted_config
-from bbq_torchrl.config.store import compose, compose_raw, options, save_config, session
+from bbq_torchrl.cli.command import prepare
+from bbq_torchrl.cli.resume import restarted_config
+from bbq_torchrl.cli.store import compose, compose_raw, options, save_config, session
+from bbq_torchrl.options import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = (

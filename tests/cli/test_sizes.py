@@ -5,15 +5,16 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bbq_torchrl.build import build_domain, build_env, build_trainer, memory
-from bbq_torchrl.build.memory import check_memory, device_memory, training_needs
-from bbq_torchrl.config import ConfigError
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli import memory
+from bbq_torchrl.cli.memory import check_memory, device_memory, training_needs
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.options import ConfigError
 
 
 def check(*overrides):
     config = compose(overrides)
-    check_memory(training_needs(config, build_domain(config.domain)), config.device)
+    check_memory(training_needs(config, config.domain.make()), config.device)
 
 
 @pytest.mark.parametrize(
@@ -67,12 +68,12 @@ def test_the_estimate_of_the_buffer_is_what_it_takes(tmp_path):
 
 def test_the_estimate_of_a_rollout_is_not_less_than_its_tensors():
     config = compose(["agent=dqn", "protocol.dialogues=20"])
-    domain = build_domain(config.domain)
-    env = build_env(config.env, domain, (1, 20))
+    domain = config.domain.make()
+    env = config.env.make(domain, (1, 20))
     rollout = env.rollout(30, env.rand_action, break_when_any_done=False)
     per_turn = rollout.bytes() / rollout.numel()
     most = 20 * env.max_agent_turns * per_turn
-    estimated = training_needs(config, domain)[2].size
+    estimated = training_needs(config, domain)[1].size
     assert most < estimated < 4 * most
 
 
@@ -85,4 +86,4 @@ def test_the_estimate_of_the_networks_is_what_a_loss_and_adam_hold(tmp_path):
     )
     assert trainer.optimiser is not None
     taken = torch.finfo(torch.float32).bits // 8 * (weights * 4 + frozen)
-    assert training_needs(config, trainer.env.domain)[1].size == pytest.approx(taken, rel=0.05)
+    assert training_needs(config, trainer.env.domain)[4].size == pytest.approx(taken, rel=0.05)

@@ -15,12 +15,12 @@ import pytest
 
 import train
 from bbq_torchrl import evaluate, interruption
-from bbq_torchrl.config import ConfigError
-from bbq_torchrl.config.command import REFUSED
-from bbq_torchrl.config.resume import is_finished, run_config
-from bbq_torchrl.config.run_lock import LOCK, run_lock
-from bbq_torchrl.config.store import compose, load_config, save_config
-from bbq_torchrl.config.sweeps import table_of_runs
+from bbq_torchrl.cli.command import REFUSED
+from bbq_torchrl.cli.resume import is_finished, run_config
+from bbq_torchrl.cli.run_lock import LOCK, run_lock
+from bbq_torchrl.cli.store import compose, load_config, save_config
+from bbq_torchrl.cli.sweeps import table_of_runs
+from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 from bbq_torchrl.trainers import CheckpointDamagedError
 
@@ -128,7 +128,7 @@ def rows(folder):
 
 def resumed(folder, *overrides):
     """Goes on with a run as ``train.py resume=<folder>`` does, in this process."""
-    from bbq_torchrl.config.resume import resumed_config
+    from bbq_torchrl.cli.resume import resumed_config
 
     arguments = [f"resume={folder}", *overrides]
     return run(resumed_config(compose(arguments), arguments), folder)

@@ -13,10 +13,10 @@ import pytest
 import torch
 
 from bbq_torchrl import evaluate
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config import EvaluateConfig
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.run import run
 
 if TYPE_CHECKING:

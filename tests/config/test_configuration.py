@@ -9,46 +9,27 @@ from itertools import product
 import pytest
 import yaml
 
-from bbq_torchrl.config import EXPLORATIONS, SCHEMAS, ConfigError, EvaluateConfig, store
-from bbq_torchrl.config.command import prepare
-from bbq_torchrl.config.resume import resumed_config
-from bbq_torchrl.config.schema import Config
-from bbq_torchrl.config.settings import walk
-from bbq_torchrl.config.store import compose, conf_folder, load_config, options, save_config
-from bbq_torchrl.config.values import keys_with_lists, replica_values
+from bbq_torchrl.cli import store
+from bbq_torchrl.cli.command import prepare
+from bbq_torchrl.cli.resume import resumed_config
+from bbq_torchrl.cli.store import compose, conf_folder, load_config, options, save_config
+from bbq_torchrl.options import Config, ConfigError, EvaluateConfig, explorations, schemas
+from bbq_torchrl.options.settings import walk
+from bbq_torchrl.options.values import keys_with_lists, replica_values
 
 
-@pytest.mark.parametrize(("group", "option"), [(g, o) for g in SCHEMAS for o in SCHEMAS[g]])
+@pytest.mark.parametrize(("group", "option"), [(g, o) for g in schemas() for o in schemas()[g]])
 def test_every_key_of_every_option_says_what_it_means_and_allows(group, option):
-    for key, item, _ in walk(SCHEMAS[group][option]()):
+    for key, item, _ in walk(schemas()[group][option]()):
         if key != "name":
             assert item.metadata["meaning"], key
             assert item.metadata["allowed"].text, key
 
 
-@pytest.mark.parametrize("group", SCHEMAS)
-def test_the_yaml_files_of_a_group_are_the_options_of_its_schema(group):
-    assert set(options(group)) == set(SCHEMAS[group])
-
-
-@pytest.mark.parametrize(("group", "option"), [(g, o) for g in SCHEMAS for o in SCHEMAS[g]])
-def test_yaml_and_dataclass_give_the_same_values(group, option):
-    plain = yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text())
-    schema = SCHEMAS[group][option]()
-    plain.pop("defaults")
-    expected = {item.name: getattr(schema, item.name) for item in fields(schema)}
-    assert expected.pop("name") == option
-    unwritten = expected.keys() - plain.keys()
-    assert {key: plain.get(key) for key in expected.keys() - unwritten} == plain
-    assert {key: expected[key] for key in plain} == plain
-    # What a YAML file leaves out is a key that only others of its group are about.
-    assert unwritten <= ({"policy", "protect", "drop_above", "drop_window"} & expected.keys())
-
-
-@pytest.mark.parametrize(("agent", "explore"), list(product(EXPLORATIONS, options("explore"))))
+@pytest.mark.parametrize(("agent", "explore"), list(product(explorations(), options("explore"))))
 def test_every_pair_is_composed_or_refused_by_name(agent, explore):
     command = [f"agent={agent}", f"explore={explore}"]
-    if explore in EXPLORATIONS[agent]:
+    if explore in explorations()[agent]:
         noisy = ["agent.noisy=true", "agent.dropout=0"] if explore == "noisy" else []
         config = compose([*command, *noisy])
         assert (config.agent.name, config.explore.name) == (agent, explore)
@@ -92,9 +73,9 @@ def test_a_recipe_is_what_table_1_has():
     assert agents == set(TABLE_1)
 
 
-@pytest.mark.parametrize("agent", EXPLORATIONS)
+@pytest.mark.parametrize("agent", explorations())
 def test_an_agent_brings_its_own_exploration(agent):
-    assert compose([f"agent={agent}"]).explore.name == EXPLORATIONS[agent][0]
+    assert compose([f"agent={agent}"]).explore.name == explorations()[agent][0]
 
 
 def test_rounds_follow_the_environment_unless_given():
@@ -106,12 +87,12 @@ def test_rounds_follow_the_environment_unless_given():
 BEYOND_AGENTS = [n for n in options("experiment") if "/" not in n and n != "paper_start"]
 
 
-@pytest.mark.parametrize("agent", EXPLORATIONS)
+@pytest.mark.parametrize("agent", explorations())
 @pytest.mark.parametrize("experiment", BEYOND_AGENTS)
 def test_an_experiment_leaves_the_agent_to_the_command_line(experiment, agent):
     files = ["domain.path=corpus"] if experiment == "tcbot" else []
     config = compose([f"+experiment={experiment}", f"agent={agent}", "protocol.rounds=7", *files])
-    assert (config.agent.name, config.explore.name) == (agent, EXPLORATIONS[agent][0])
+    assert (config.agent.name, config.explore.name) == (agent, explorations()[agent][0])
     assert config.protocol.rounds == 7
 
 
@@ -127,7 +108,7 @@ def test_the_public_setting_has_no_errors_and_the_goals_of_the_first_template():
     assert config.protocol.rounds * config.protocol.dialogues == 2_000
 
 
-@pytest.mark.parametrize("agent", EXPLORATIONS)
+@pytest.mark.parametrize("agent", explorations())
 def test_the_learning_rate_goes_with_the_batch_size_unless_given(agent):
     assert compose([f"agent={agent}"]).agent.lr == 1e-3
     assert compose([f"agent={agent}", "protocol=quick"]).agent.lr == 2e-3
@@ -325,7 +306,7 @@ def test_a_list_is_shared_out_among_the_replicas(tmp_path):
 
 
 def test_lists_are_for_these_keys():
-    assert list(keys_with_lists(SCHEMAS)) == [
+    assert list(keys_with_lists(schemas())) == [
         "agent.lr",
         "agent.gamma",
         "agent.prior_std",

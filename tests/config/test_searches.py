@@ -6,10 +6,10 @@ import shlex
 
 import pytest
 
-from bbq_torchrl.config import ConfigError
-from bbq_torchrl.config.parameters import parse_parameter
-from bbq_torchrl.config.searches import compose_search
-from bbq_torchrl.config.store import options
+from bbq_torchrl.cli.parameters import parse_parameter
+from bbq_torchrl.cli.searches import compose_search
+from bbq_torchrl.cli.store import options
+from bbq_torchrl.options import ConfigError
 
 FLOAT = {"type": "float", "low": 0.1, "high": 1.0}
 

@@ -6,9 +6,8 @@ import math
 
 import pytest
 
-from bbq_torchrl.config import SCHEMAS, ConfigError, check_settings
-from bbq_torchrl.config.schema import Config, EvaluateConfig
-from bbq_torchrl.config.settings import (
+from bbq_torchrl.options import Config, ConfigError, EvaluateConfig, check_settings, schemas
+from bbq_torchrl.options.settings import (
     NON_NEGATIVE,
     POSITIVE,
     PROBABILITY,
@@ -26,7 +25,7 @@ from bbq_torchrl.config.settings import (
 
 CANDIDATES = (-1, 0, 1, 2, 1.5, -0.5, math.nan, math.inf, True, None, "", "nope", [], [0], [8], {})
 
-OPTIONS = [schema for schemas in SCHEMAS.values() for schema in schemas.values()]
+OPTIONS = [schema for schemas in schemas().values() for schema in schemas.values()]
 
 
 def leaves(schema):
@@ -70,7 +69,7 @@ def test_the_default_of_a_key_is_allowed(schema, key):
 
 
 def test_what_has_to_be_given_is_asked_for():
-    schema = SCHEMAS["domain"]["folder"]
+    schema = schemas()["domain"]["folder"]
     with pytest.raises(ConfigError, match="path must be given: it must be a text"):
         check_settings(schema())
 

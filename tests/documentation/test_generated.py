@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import pytest
 
-from bbq_torchrl.config.schema import SCHEMAS, Config, EvaluateConfig
+from bbq_torchrl.options import Config, EvaluateConfig, schemas
 from scripts import write_docs
 
 from .pages import ROOT
@@ -25,15 +25,15 @@ def test_every_block_is_on_a_page() -> None:
     assert missing == []
 
 
-@pytest.mark.parametrize("group", SCHEMAS)
+@pytest.mark.parametrize("group", schemas())
 def test_every_key_of_a_group_is_documented(group: str) -> None:
-    keys = {item.name for schema in SCHEMAS[group].values() for item in fields(schema)} - {"name"}
+    keys = {item.name for schema in schemas()[group].values() for item in fields(schema)} - {"name"}
     assert [key for key in keys if f"`{group}.{key}`" not in CONFIGURATION] == []
 
 
 @pytest.mark.parametrize("schema", [Config, EvaluateConfig])
 def test_every_key_of_a_root_is_documented(schema: type) -> None:
-    keys = {item.name for item in fields(schema)} - set(SCHEMAS)
+    keys = {item.name for item in fields(schema)} - set(schemas())
     assert [key for key in keys if f"| `{key}` |" not in CONFIGURATION] == []
 
 

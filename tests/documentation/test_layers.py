@@ -20,7 +20,7 @@ DOMAINS = sorted((ROOT / "bbq_torchrl" / "domains").rglob("*.py"))
 @pytest.mark.parametrize(
     ("packages", "forbidden"),
     [
-        (["config"], "torch"),
+        (["options"], "torch"),
         (["domains", "simulator"], "torchrl"),
         (["modules", "objectives", "data"], "bbq_torchrl.domains"),
     ],

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 
-from bbq_torchrl.config import EvaluateConfig
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation import ReplicaResult, RunResult
+from bbq_torchrl.options import EvaluateConfig
 from scripts import keep_result, measure_policies
 from scripts.docs_blocks import policies, results
 

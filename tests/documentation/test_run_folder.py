@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.run import run
 
 from .pages import ROOT

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bbq_torchrl.config import EvaluateConfig
-from bbq_torchrl.config.searches import compose_search
-from bbq_torchrl.config.store import compose, conf_folder
+from bbq_torchrl.cli.searches import compose_search
+from bbq_torchrl.cli.store import compose, conf_folder
+from bbq_torchrl.options import EvaluateConfig
 
 from .pages import PAGES, commands, snippets
 

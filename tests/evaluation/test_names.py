@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.names import agent_name
 
 NAMES = {

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from result_folders import make_run
 from scipy import stats
 
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import estimate, paired_differences, summarise
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.pairs import NO_PARTNER, pair, pairings

@@ -12,18 +12,18 @@ import pytest
 import torch
 
 from bbq_torchrl import evaluate as command
-from bbq_torchrl.build import build_domain, build_env, build_trainer
-from bbq_torchrl.config import ConfigError, EvaluateConfig
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.evaluation.results import read_metrics, read_result
+from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.run import run
 from bbq_torchrl.trainers import derive_seed
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from bbq_torchrl.config import Config
+    from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import RoundTrainer
 
 SMALL = (
@@ -99,10 +99,10 @@ def test_a_row_has_what_the_policy_does_at_the_end_of_its_round(small, tmp_path,
     assert (metrics["seconds_eval"] < metrics["seconds"]).all()
 
     # By hand: another environment, in the state of the last round, and the same users.
-    env = build_env(config.env, trainer.env.domain, (2, 15))
+    env = config.env.make(trainer.env.domain, (2, 15))
     env.set_round(3)
     seed = derive_seed(config.seed, "evaluate while training", 3)
-    played = evaluate(env, parts.evaluation(None)[1], 15, seed=seed)
+    played = evaluate(env, config.agent.make_evaluation(parts.actor)[1], 15, seed=seed)
     for name, values in played._asdict().items():
         column = {"success": "success_rate"}.get(name, name)
         expected = values.double().mean(-1).tolist()
@@ -129,9 +129,9 @@ def test_the_best_network_plays_as_it_did(small, tmp_path):
         assert found.best_round == rates.argmax()
         assert found.last == rates[-1]
         assert found.last_five == pytest.approx(rates[2:].mean())
-        env = build_env(config.env, trainer.env.domain, (2, 15))
+        env = config.env.make(trainer.env.domain, (2, 15))
         seed = derive_seed(config.seed, "evaluate while training", int(found.best_round))
-        played = evaluate(env, parts.evaluation(None)[1], 15, seed=seed)
+        played = evaluate(env, config.agent.make_evaluation(parts.actor)[1], 15, seed=seed)
         turns = metrics["eval_turns"][int(found.best_round), replica]
         assert played.turns[replica].double().mean().item() == pytest.approx(turns)
         assert played.success[replica].double().mean().item() == pytest.approx(found.best)
@@ -179,7 +179,7 @@ def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_pat
     with caplog.at_level(logging.INFO, "bbq_torchrl"):
         result = run(config, tmp_path)
 
-    domain = build_domain(config.domain)
+    domain = config.domain.make()
     assert list(result.scripted) == [*domain.policies, "random"]
     line = next(text for text in caplog.messages if " books " in text)
     assert line.startswith("DQN books ")

@@ -15,9 +15,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from bbq_torchrl.config import ConfigError, searches
-from bbq_torchrl.config.searches import Search, compose_search
-from bbq_torchrl.config.store import compose, save_config
+from bbq_torchrl.cli import searches
+from bbq_torchrl.cli.searches import Search, compose_search
+from bbq_torchrl.cli.store import compose, save_config
+from bbq_torchrl.options import ConfigError
 
 optuna = pytest.importorskip("optuna", reason="needs the extra search")
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

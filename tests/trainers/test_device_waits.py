@@ -8,15 +8,14 @@ import pytest
 import torch
 from host_waits import NeverWaits, draw_as_on_a_device
 
-from bbq_torchrl.build import build_trainer
-from bbq_torchrl.build.intrinsic import with_intrinsic_reward
-from bbq_torchrl.build.parts import Surroundings, agent_parts
-from bbq_torchrl.config.store import compose
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.options import Task
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from bbq_torchrl.config import Config
+    from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import RoundTrainer
 
 SHRUNKEN = (
@@ -93,9 +92,9 @@ def test_everything_that_an_update_uses_is_on_its_device(agent, restaurant_folde
     # tensors of the CPU, fails.
     env, config = trainer.env, config_of(agent, restaurant_folder)
     spec, device = env.action_spec_unbatched, torch.device("meta")
-    around = Surroundings(env.layout.size, spec, (3,), None, None, device)
-    q_loss = agent_parts(config.agent, around).loss
-    loss, _ = with_intrinsic_reward(config.intrinsic, q_loss, around)
+    task = Task(env.layout.size, spec, replicas=3, rounds=2, device=device)
+    q_loss = config.agent.make_loss(config.agent.make_actor(task), task)
+    loss, _ = config.intrinsic.make(q_loss, task)
     loss._has_update_associated.update(dict.fromkeys(loss._has_update_associated, True))
     if hasattr(loss, "set_num_data"):
         loss.set_num_data(10)

@@ -1,0 +1,1 @@
+"""The command lines: configurations composed by Hydra, checked, and what they run."""

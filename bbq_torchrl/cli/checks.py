@@ -1,0 +1,104 @@
+"""What the configuration alone does not tell, such as device, corpus, memory and checkpoint."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.cli.agent import make_domain
+from bbq_torchrl.cli.memory import check_memory, training_needs
+from bbq_torchrl.cli.resume import RESULT, has_result
+from bbq_torchrl.evaluation.results import METRICS_FILE
+from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.trainers import (
+    CheckpointDamagedError,
+    CheckpointFolder,
+    derive_seed,
+)
+from bbq_torchrl.trainers.spiking import count_transitions
+
+if TYPE_CHECKING:
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.options import Config
+
+__all__ = ["check", "check_device"]
+
+
+def check(config: Config) -> None:
+    """Checks device, logger, corpus, scripted policy, memory and checkpoint before anything runs.
+
+    Raises:
+        ConfigError: the device is absent, the logger's package is not installed, the domain has
+            no such scripted policy, the device's memory or the replay buffer cannot hold what is
+            asked for, or the run to resume has nothing that it can go on from.
+        ValueError or OSError: the corpus is damaged or not there.
+    """
+    check_device(config.device)
+    try:
+        config.logger.check_package()
+    except ImportError as error:
+        raise ConfigError(str(error)) from error
+    domain = make_domain(config)
+    policies = config.env.policies(domain)
+    if config.env.has_domain and config.spike.policy not in policies:
+        raise ConfigError(
+            f"spike.policy must be one of {', '.join(policies)}, got {config.spike.policy!r}"
+        )
+    if config.spike.dialogues and not policies:
+        raise ConfigError(
+            f"spike must be none with env={config.env.name}, which has no scripted policies, got "
+            f"{config.spike.name!r}"
+        )
+    check_memory(training_needs(config, domain), config.device)
+    config.env.check_domain(domain)
+    _check_spike(config, domain)
+    if config.resume is not None:
+        _check_resumable(Path(config.resume), config.protocol.rounds)
+
+
+def _check_resumable(folder: Path, rounds: int) -> None:
+    """Raises ConfigError if a run has begun, but there is no checkpoint to go on from."""
+    if has_result(folder, rounds):
+        return  # what is missing is drawn, not trained
+    try:
+        found = CheckpointFolder(folder / "checkpoint").holds("replay")
+        if not found and any((folder / name).exists() for name in (METRICS_FILE, RESULT)):
+            raise CheckpointDamagedError.gone(folder)
+    except CheckpointDamagedError as error:
+        raise ConfigError(str(error)) from error
+
+
+def _check_spike(config: Config, domain: Domain | None) -> None:
+    """Refuses a capacity that the spike fills: by playing it, where that is not plain."""
+    spike, capacity = config.spike, config.protocol.capacity
+    if spike.dialogues * config.env.steps() < capacity:
+        return
+    count, seed = spike.dialogues, config.seed
+    if count < capacity:
+        env = config.env.make(
+            domain, (config.replicas, config.protocol.dialogues), device=config.device
+        )
+        torch.manual_seed(derive_seed(seed, "torch", "spike", 0))
+        env.set_seed(derive_seed(seed, "env", "spike", 0))
+        count = count_transitions(
+            env,
+            config.env.make_policy(spike.policy, env),
+            spike.dialogues,
+            max_steps=config.env.steps(),
+            enough=capacity,
+        )
+    if count >= capacity:
+        raise ConfigError(
+            f"protocol.capacity must be more than the transitions of spike.dialogues="
+            f"{spike.dialogues}, which are at least {count}, got {capacity}"
+        )
+
+
+def check_device(device: str) -> None:
+    """Raises ConfigError if a device is absent."""
+    if device.startswith("cuda"):
+        found = torch.cuda.device_count()
+        if int(device.partition(":")[2] or 0) >= found:
+            raise ConfigError(f"device={device} is absent: {found} CUDA devices found; use cpu")

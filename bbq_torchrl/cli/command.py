@@ -1,0 +1,375 @@
+"""The command line of ``train.py``: everything is checked before Hydra runs anything.
+
+Hydra composes, names run folders, sweeps and launches. Around it stands one step: the command line
+is composed once more beforehand (each job of a sweep too), so that a wrong key, value, combination,
+device or corpus is refused in one sentence, with exit code 2, before a folder exists. The step
+also reserves the run folder (two runs of the same second never share one) and turns
+``resume=<folder>`` into the configuration of that folder.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import multiprocessing
+import os
+import re
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import hydra
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import CompactHydraException, HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+from bbq_torchrl import interruption
+from bbq_torchrl.cli.launchers import LAUNCHER, check_launcher
+from bbq_torchrl.cli.messages import explain
+from bbq_torchrl.cli.resume import (
+    RUN_CONFIG,
+    restarted_config,
+    resumed_config,
+)
+from bbq_torchrl.cli.run_lock import run_lock
+from bbq_torchrl.cli.store import (
+    compose_raw,
+    conf_folder,
+    options,
+    register_options,
+    session,
+    to_config,
+)
+from bbq_torchrl.cli.sweeps import table_of_runs
+from bbq_torchrl.options import Config
+from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options_folder
+from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.text import sentence
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterator
+
+__all__ = ["REFUSED", "Refusal", "command", "prepare"]
+
+_LOG = logging.getLogger(__name__)
+
+REFUSED = 2
+"""Exit code of a command that was refused; a run that an error stops ends with 1, Hydra's code."""
+
+Task = Callable[[Config, Path], float]
+Check = Callable[[Config], None]
+ClearErrors = Callable[[], "tuple[type[Exception], ...]"]
+
+
+class Refusal(CompactHydraException):
+    """A job that stopped for a reason that its text says; Hydra prints it without a traceback."""
+
+
+class _Stopped(BaseException):
+    """Carries a refusal past Hydra, which would add to what it says."""
+
+
+def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callable[[], None]]:
+    """Makes a training function the main function of a command line.
+
+    Args:
+        check: what else to check of a configuration before anything runs, such as its device and
+            its corpus; raises ``ValueError`` or ``OSError``.
+        clear_errors: returns the exceptions of a run whose text is enough for a person.
+
+    Returns:
+        a decorator for a function from configuration and run folder to the final success rate,
+        which is what sweepers get.
+    """
+
+    def decorate(task: Task) -> Callable[[], None]:
+        @functools.wraps(task)
+        def job(composed: DictConfig) -> float:
+            settings = HydraConfig.get()
+            folder = Path(settings.runtime.output_dir)
+            swept = settings.mode is RunMode.MULTIRUN
+            interruption.tell(how_to_go_on=lambda: _how_to_go_on(folder))
+            try:
+                config = _job_config(composed, list(settings.overrides.task))
+                if not swept:
+                    return task(config, folder)
+                interruption.listen()
+                interruption.check()
+                return task(restarted_config(config, folder), folder)
+            except interruption.Interrupted:
+                if not swept:
+                    raise
+                raise Refusal(interruption.line()) from None  # the other jobs end in good order
+            except Exception as error:
+                if swept:  # Hydra reports the first job that fails, at the end; the log has each
+                    _LOG.error("this run failed: %s", sentence(error) or type(error).__name__)
+                if isinstance(error, (ConfigError, OSError, *clear_errors())):
+                    refusal = Refusal(sentence(error))
+                    raise refusal if swept else _Stopped(refusal) from error
+                raise
+
+        @functools.wraps(task)
+        def main() -> None:
+            arguments = sys.argv[1:]
+            with ExitStack() as held:
+                try:
+                    prepared, sweep = _prepare(arguments, check, held)
+                except (ValueError, OSError) as error:
+                    _refuse(error)
+                sys.argv[1:] = prepared
+                logging.raiseExceptions = False  # a full disk is told once, not for every message
+                try:
+                    if sweep is not None:
+                        held.enter_context(sweep.interruptible())
+                    hydra.main(
+                        version_base="1.3", config_path=str(conf_folder()), config_name="config"
+                    )(job)()
+                    if sweep is not None:
+                        sweep.show()
+                except BaseException as end:
+                    _end(end, sweep)
+                finally:
+                    sys.argv[1:] = arguments
+
+        return main
+
+    return decorate
+
+
+def prepare(arguments: Sequence[str], check: Check) -> list[str]:
+    """The command line for Hydra, once everything on it has been checked.
+
+    Args:
+        arguments: the command line without the program's name.
+        check: see :func:`command`.
+
+    Raises:
+        ConfigError: one sentence that says what is wrong and what is allowed.
+        ValueError or OSError: what ``check`` raises.
+    """
+    with ExitStack() as held:
+        return _prepare(arguments, check, held)[0]
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """Where a sweep's runs are, and how many (0 where only its sweeper knows)."""
+
+    folder: Path
+    jobs: int
+    launcher: str
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Within it, a signal has the jobs on this machine end their rounds first."""
+        interruption.tell(lambda: "in a sweep", self.how_to_go_on)
+        if self.launcher not in ("cores", "joblib", "basic"):
+            yield
+            return
+        with interruption.gently(_stop_workers):
+            yield
+
+    def show(self) -> None:
+        """Writes the table of its runs to stderr."""
+        sys.stderr.write(f"{table_of_runs(self.folder, self.jobs)}\n")
+
+    def how_to_go_on(self) -> str:
+        """What is finished, and what goes on with the others."""
+        finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
+        return f"{finished}; python train.py resume=<run folder> goes on with one that is not"
+
+
+def _stop_workers() -> None:
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # what becomes of the jobs is not told one by one
+    for worker in multiprocessing.active_children():
+        worker.terminate()
+
+
+def _how_to_go_on(folder: Path) -> str:
+    if not (folder / RUN_CONFIG).is_file():
+        return "the same command begins again"
+    plain = re.fullmatch(r"[\w./~@%+:-]+", os.fspath(folder)) is not None
+    override = f"resume={folder if plain else _quoted(folder)}"
+    own = options_folder()
+    flag = "" if own is None else f"--config-dir {shlex.quote(str(own))} "
+    return f"python train.py {flag}{shlex.quote(override)} goes on"
+
+
+def _end(end: BaseException, sweep: _Sweep | None) -> NoReturn:
+    """Ends the command by a sentence where there is one."""
+    number = interruption.received()
+    if number is not None:
+        if sweep is not None:
+            interruption.tell(lambda: "in a sweep", sweep.how_to_go_on)
+        sys.stderr.write(f"{interruption.line()}\n")
+        sys.exit(128 + number)
+    if isinstance(end, _Stopped):
+        if os.environ.get("HYDRA_FULL_ERROR") == "1":
+            raise end.args[0]
+        sys.stderr.write(f"error: {end.args[0]}\n")
+        sys.exit(1)
+    if sweep is not None:
+        sweep.show()
+    raise end
+
+
+def _prepare(
+    arguments: Sequence[str], check: Check, held: ExitStack
+) -> tuple[list[str], _Sweep | None]:
+    """The command line for Hydra, and its sweep; ``held`` takes the lock of a single run."""
+    parsed = get_args_parser().parse_args(list(arguments))
+    if parsed.config_dir is not None:
+        load_folder(Path(parsed.config_dir))
+    register_options()
+    if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
+        return list(arguments), None
+    sweep = None
+    with session() as hydra_session:
+        _refuse_unread(parsed)
+        mode = None if parsed.multirun else hydra_session.get_mode("config", parsed.overrides)
+        if not parsed.multirun and mode is not RunMode.MULTIRUN:
+            composed = compose_raw(parsed.overrides, with_hydra=True)
+            folder = _resumed_folder(composed.resume)
+            if folder is not None:
+                held.enter_context(run_lock(folder))
+            config = _job_config(_without_hydra(composed), parsed.overrides)
+            check(config)
+            extra = _run_folder(composed, folder, held)
+        else:
+            composed, jobs = _sweep(hydra_session, parsed.overrides)
+            check_launcher(composed.hydra.runtime.choices[LAUNCHER])
+            for overrides in jobs:
+                job = compose_raw(overrides)
+                if job.resume is not None:
+                    raise ConfigError("resume cannot be combined with --multirun")
+                check(to_config(job, Config))
+            launcher = composed.hydra.runtime.choices[LAUNCHER]
+            sweep = _Sweep(_sweep_folder(composed, parsed.overrides), len(jobs), launcher)
+            extra = [f"hydra.sweep.dir={_quoted(sweep.folder)}"]
+    return [*arguments, *extra], sweep
+
+
+def _refuse_unread(parsed: Namespace) -> None:
+    for flag in ("config_path", "config_name", "experimental_rerun"):
+        if getattr(parsed, flag, None) is not None:
+            name = "--" + flag.replace("_", "-")
+            raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
+
+
+def _without_hydra(composed: DictConfig) -> DictConfig:
+    plain = composed.copy()
+    OmegaConf.set_struct(plain, False)
+    OmegaConf.set_readonly(plain, False)
+    del plain["hydra"]
+    return plain
+
+
+def _job_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
+    config = to_config(composed, Config)
+    return config if config.resume is None else resumed_config(config, overrides)
+
+
+def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[list[str]]]:
+    """The configuration of a sweep, and the overrides of each of its jobs.
+
+    Only Hydra's own sweeper says beforehand what its jobs are. Of another one (Optuna's, say) none
+    are returned: each job is checked when it starts.
+    """
+    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
+    try:
+        parsed = parser.parse_overrides(list(arguments))
+        of_sweeper = [
+            str(item.input_line)
+            for item in parsed
+            if not item.is_sweep_override()
+            and item.key_or_group.partition(".")[0].partition("/")[0] in ("hydra", EXPERIMENT)
+        ]
+        composed = compose_raw(of_sweeper, with_hydra=True)
+        sweeper = composed.hydra.sweeper
+        if not str(sweeper._target_).endswith(f".{BasicSweeper.__name__}"):
+            return composed, []
+        swept = [f"{key}={value}" for key, value in (sweeper.params or {}).items()]
+        parsed = parser.parse_overrides([*swept, *arguments])
+        jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
+    except HydraException as error:
+        raise ConfigError(explain(error, arguments, options)) from error
+    if not jobs:
+        raise ConfigError(
+            f"{' '.join(arguments)} is a sweep without a job: a glob() names no option "
+            "(globs of a folder of options stand behind its name: '+experiment/agents=glob(*)')"
+        )
+    return compose_raw(jobs[0], with_hydra=True), jobs
+
+
+def _resumed_folder(resume: str | None) -> Path | None:
+    """The run folder to go on in, if it is one."""
+    if resume is None:
+        return None
+    folder = Path(resume).expanduser().resolve()
+    return folder if (folder / RUN_CONFIG).is_file() else None
+
+
+def _run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> list[str]:
+    """The overrides that name the run folder, which is locked."""
+    if resumed is not None:
+        # Hydra's own record stays as the first process wrote it.
+        return [f"hydra.run.dir={_quoted(resumed)}", "hydra.output_subdir=null"]
+    chosen = Path(composed.hydra.run.dir)
+    if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
+        held.enter_context(run_lock(chosen))
+        if (chosen / RUN_CONFIG).exists():
+            raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")
+        return []
+    folder = _reserve(chosen)
+    held.enter_context(run_lock(folder))
+    return [f"hydra.run.dir={_quoted(folder)}"]
+
+
+def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
+    """The folder of a sweep: the one given, which must not be there yet, or one of a free name."""
+    folder = Path(composed.hydra.sweep.dir)
+    if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
+        return _reserve(folder)
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise ConfigError(
+            f"hydra.sweep.dir must be a folder that is not there yet, got {folder}, which is: "
+            "choose another name, or remove it"
+        ) from None
+    return folder
+
+
+def _reserve(folder: Path) -> Path:
+    """Makes a folder that nobody else has: the given one, or the first free ``<folder>_<n>``."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    candidate, number = folder, 1
+    while True:
+        try:
+            candidate.mkdir()
+        except FileExistsError:
+            number += 1
+            candidate = folder.with_name(f"{folder.name}_{number}")
+        else:
+            return candidate
+
+
+def _quoted(path: Path) -> str:
+    text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{text}'"
+
+
+def _refuse(error: Exception) -> NoReturn:
+    if os.environ.get("HYDRA_FULL_ERROR") == "1":
+        raise error
+    sys.stderr.write(f"error: {sentence(error)}\n")
+    sys.exit(REFUSED)

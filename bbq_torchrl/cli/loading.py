@@ -1,0 +1,114 @@
+"""A finished run as parts: environment, policy and configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from bbq_torchrl.cli.agent import make_agent, make_domain
+from bbq_torchrl.cli.resume import description, run_config
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.trainers import BestWeights, CheckpointDamagedError, CheckpointFolder
+
+if TYPE_CHECKING:
+    import torch
+    from tensordict.nn import TensorDictModuleBase
+    from torchrl.envs import EnvBase
+
+    from bbq_torchrl.options import Config
+
+__all__ = ["LoadedRun", "load_run", "trained_policy"]
+
+
+class LoadedRun(NamedTuple):
+    """What :func:`load_run` returns.
+
+    Attributes:
+        env: the run's environment, in the round in which the training ended, with as many
+            replicas as the run: batch size [replicas, dialogues].
+        policy: the policy that the run reports, on the environment's TensorDict.
+        config: the run's configuration.
+        mode: the name of the policy, such as ``mean`` or ``vote``.
+    """
+
+    env: EnvBase
+    policy: TensorDictModuleBase
+    config: Config
+    mode: str
+
+
+def load_run(
+    folder: Path | str,
+    *,
+    dialogues: int = 50,
+    mode: str | None = None,
+    weights: Literal["last", "best"] = "last",
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+) -> LoadedRun:
+    """Loads a run: its environment, the policy that it learned, and its configuration.
+
+    Nothing is written into the folder.
+
+    Args:
+        folder: the run folder.
+        dialogues: how many run side by side in the environment, of each replica.
+        mode: the policy of a Bayesian agent: ``mean``, ``average``, ``draw`` or ``thompson``;
+            None for the run's own.
+        weights: the newest, or each replica's at its best evaluation while training.
+        seed: of the environment.
+        device: where the environment and the weights are.
+
+    Raises:
+        ValueError: no run folder, or none whose checkpoint can be read.
+
+    Example:
+        >>> from bbq_torchrl import load_run
+        >>> env, policy, config, mode = load_run("runs/my_run")  # doctest: +SKIP
+        >>> env.rollout(20, policy, break_when_any_done=False)  # doctest: +SKIP
+    """
+    folder = Path(folder).expanduser()
+    config = run_config(folder)
+    env = config.env.make(
+        make_domain(config), (config.replicas, dialogues), seed=seed, device=device
+    )
+    policy, name = trained_policy(config, folder, env, mode=mode, weights=weights)
+    return LoadedRun(env, policy, config, name)
+
+
+def trained_policy(
+    config: Config,
+    folder: Path,
+    env: EnvBase,
+    *,
+    mode: str | None = None,
+    weights: str = "last",
+) -> tuple[TensorDictModuleBase, str]:
+    """Returns the policy of a run's newest readable checkpoint, and its name.
+
+    The environment enters the round in which that was saved.
+
+    Raises:
+        ConfigError: no checkpoint that can be read, or none of such weights.
+    """
+    agent = make_agent(config, env)
+    name, policy = config.agent.make_evaluation(agent.actor, mode)
+    best = None
+    if weights == "best":
+        if not config.protocol.eval_every:
+            raise ConfigError(
+                f"weights must be last for {folder}, which was not evaluated while it was trained "
+                "(protocol.eval_every=0), got 'best'"
+            )
+        best = BestWeights(policy, config.replicas)
+    saved = {"loss": agent.loss} if best is None else {"best": best}
+    try:
+        found = CheckpointFolder(folder / "checkpoint", **saved).restore(description(config))
+    except CheckpointDamagedError as error:
+        raise ConfigError(str(error)) from error
+    if found is None:
+        raise ConfigError(f"{folder} has no checkpoint yet")
+    config.env.enter_round(env, max(int(found[1]["round"]) - 1, 0))
+    if best is not None:
+        best.put_back()
+    return policy, name

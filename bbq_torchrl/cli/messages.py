@@ -1,0 +1,232 @@
+"""Hydra's and OmegaConf's refusals, said in one sentence that names what is allowed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
+
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
+
+from bbq_torchrl.cli.launchers import LAUNCHER, LAUNCHER_EXTRAS
+from bbq_torchrl.options import CalibrateConfig, Config, ConfigError, EvaluateConfig, schemas
+from bbq_torchrl.options.registry import EXPERIMENT, load_folder
+from bbq_torchrl.options.values import keys_with_lists
+from bbq_torchrl.text import sentence, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+__all__ = ["explain", "not_an_option", "take_config_dir", "unknown_key", "unreadable"]
+
+ONE_VALUE = "each key has one value in this command"
+
+
+def explain(
+    error: Exception,
+    overrides: Sequence[str],
+    options: Callable[[str], list[str]],
+    root: type = Config,
+) -> str:
+    """One sentence for a configuration that could not be composed.
+
+    Args:
+        error: what Hydra or OmegaConf raised.
+        overrides: the command line it was composed from.
+        options: the options of a group.
+        root: the schema of the whole configuration.
+    """
+    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
+    if isinstance(error, OverrideParseException):
+        return unreadable(str(error.override), "write key=value, and quote special characters")
+    if isinstance(error, MissingConfigException):
+        return _missing_option(error, options)
+    if isinstance(cause, InterpolationResolutionError):
+        return f"{cause.full_key}: {_first_line(cause)}" if cause.full_key else _first_line(cause)
+    if isinstance(cause, ValidationError):
+        return _wrong_type(cause, overrides)
+    if not isinstance(error, (HydraException, OmegaConfBaseException)):
+        return _too_much(error, overrides)
+    return (
+        _several_values(error, root)
+        or _removed(overrides)
+        or _not_merged(error, cause)
+        or _unknown_key(error, cause, root)
+        or sentence(error)
+    )
+
+
+def take_config_dir(arguments: Sequence[str]) -> list[str]:
+    """Returns a command line without ``--config-dir <folder>``, whose options are loaded.
+
+    Raises:
+        ConfigError: any other flag, no folder behind this one, or one that cannot be loaded.
+    """
+    rest: list[str] = []
+    given = iter(arguments)
+    for argument in given:
+        flag, equals, folder = argument.partition("=")
+        if flag == "--config-dir":
+            load_folder(folder if equals else next(given, ""))
+        elif argument.startswith("-"):
+            raise ConfigError(unreadable(argument))
+        else:
+            rest.append(argument)
+    return rest
+
+
+def unreadable(override: str, hint: str = "write key=value") -> str:
+    """One sentence for a part of a command line that is no key and value."""
+    return f"{shown(override)} cannot be read: {hint}"
+
+
+def _too_much(error: Exception, overrides: Sequence[str]) -> str:
+    """A sentence for what Python or the operating system gave up on: very long or deep texts."""
+    longest = max(overrides, key=len, default="the configuration")
+    reason = _first_line(error)
+    if isinstance(error, RecursionError):
+        reason = "it is nested too deeply"
+    elif isinstance(error, OSError):
+        reason = error.strerror or reason
+    return unreadable(longest, reason)
+
+
+def _not_merged(error: Exception, cause: BaseException | None) -> str | None:
+    """A sentence for a value that does not fit its key, where OmegaConf does not say which."""
+    match = re.match(r"Error merging override ([^=]+)=(.*)", _first_line(error))
+    if match is None or cause is None:
+        return None
+    key = match[1].lstrip("+~")
+    allowed = _allowed(key, None)
+    if allowed is None:
+        return unreadable(f"{key}={match[2]}", _first_line(cause))
+    return f"{key} must be {allowed}, got {shown(match[2])}"
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).splitlines()[0]
+
+
+def _missing_option(error: MissingConfigException, options: Callable[[str], list[str]]) -> str:
+    missing = str(error.missing_cfg_file or "")
+    group, _, option = missing.partition("/")
+    if missing.startswith(f"{LAUNCHER}/"):
+        group, option = LAUNCHER, missing.removeprefix(f"{LAUNCHER}/")
+        if option in LAUNCHER_EXTRAS:
+            extra = LAUNCHER_EXTRAS[option]
+            return (
+                f"{group}={option} needs a package that is missing: "
+                f"pip install 'bbq-torchrl[{extra}]'"
+            )
+    if group in (*schemas(), EXPERIMENT, LAUNCHER):
+        return f"{group} must be one of {', '.join(options(group))}, got {shown(option)}"
+    return _first_line(error)
+
+
+def _wrong_type(error: ValidationError, overrides: Sequence[str]) -> str:
+    key = str(error.full_key or "").split("[")[0]
+    given = _given(key, overrides)
+    got = f", got {given}" if given is not None else f": {_first_line(error)}"
+    allowed = _allowed(key, error.object_type)
+    if allowed is not None:
+        return f"{key} must be {allowed}{got}"
+    if key in schemas():
+        return f"{key} must be one option, as {key}={next(iter(schemas()[key]))}{got}"
+    return f"{key}: {_first_line(error)}"
+
+
+def _given(key: str, overrides: Sequence[str]) -> str | None:
+    for override in reversed(overrides):
+        name, equals, value = override.partition("=")
+        if equals and name.lstrip("+") == key:
+            return shown(value)
+    return None
+
+
+def _allowed(key: str, schema: Any) -> str | None:
+    """What the field of a dotted key allows; the schema is looked up where none is given."""
+    group, _, name = key.rpartition(".")
+    candidates = [
+        schema,
+        Config,
+        EvaluateConfig,
+        CalibrateConfig,
+        *schemas().get(group, {}).values(),
+    ]
+    for candidate in candidates:
+        if not is_dataclass(candidate):
+            continue
+        for item in fields(candidate):
+            if item.name == name and "allowed" in item.metadata:
+                return str(item.metadata["allowed"].text)
+    return None
+
+
+def _several_values(error: Exception, root: type) -> str | None:
+    match = re.match(r"(?:Ambiguous value for argument|Sweep parameters) '([^']+)'", str(error))
+    if match is None:
+        return None
+    given = match[1]
+    if root is not Config:
+        return f"{given} has several values: {ONE_VALUE}"
+    takes_a_list = given.partition("=")[0] in keys_with_lists(schemas())
+    or_list = ", or put them in brackets for the replicas of one run" if takes_a_list else ""
+    return f"{given} has several values: add --multirun to run them all{or_list}"
+
+
+def _removed(overrides: Sequence[str]) -> str | None:
+    removed = next((item for item in overrides if item.startswith("~")), None)
+    return removed and f"{removed} cannot be read: no key can be removed, each has a value"
+
+
+def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> str | None:
+    match = re.match(r"(?:Could not (?:\w+) |Key )[^']*'([^']+)'", _first_line(error))
+    if match is None:
+        return None
+    key = match.group(1).lstrip("+~").partition("=")[0]
+    schema = getattr(cause, "object_type", None)
+    return unknown_key(key, schema if is_dataclass(schema) else root)
+
+
+def unknown_key(key: str, schema: Any) -> str:
+    """One sentence for a dotted key that the schema of its group lacks."""
+    parent, _, name = key.rpartition(".")
+    keys = [item.name for item in fields(schema)]
+    if name in keys:
+        return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
+    close = get_close_matches(name, keys, n=1)
+    hint = f" (did you mean {f'{parent}.' if parent else ''}{close[0]}?)" if close else ""
+    place = _place(parent, schema)
+    return f"{sentence(key)} is not a key{hint}; the keys of {place} are {', '.join(keys)}"
+
+
+def _place(parent: str, schema: Any) -> str:
+    options = [option for option, known in schemas().get(parent, {}).items() if known is schema]
+    if len(options) == 1:
+        return f"{parent}={options[0]}"
+    return parent or "the configuration"
+
+
+def not_an_option(
+    overrides: Sequence[str], options: Callable[[str], list[str]], root: type
+) -> str | None:
+    """A sentence for a group that was given something else than the name of an option.
+
+    Hydra itself takes a mapping, ``agent={lr: 1}``, for changes to whatever option is the default.
+    """
+    groups = [item.name for item in fields(root) if item.name in schemas()]
+    for override in overrides:
+        group, equals, value = override.partition("=")
+        if group.lstrip("+") == EXPERIMENT and root is not Config:
+            return f"{EXPERIMENT} is for training only: write the keys of {value} one by one"
+        if equals and group == EXPERIMENT:
+            return f"{EXPERIMENT} is added with a plus: write +{EXPERIMENT}={value}"
+        if group.startswith("+") and group.lstrip("+") in groups:
+            return f"{override} cannot be read: a group is chosen without a plus"
+        if equals and group in groups and value.strip("'\"") not in options(group):
+            several = "several options need --multirun" if root is Config else ONE_VALUE
+            more = f"; {several}" if "," in value else ""
+            return f"{group} must be one of {', '.join(options(group))}, got {shown(value)}{more}"
+    return None

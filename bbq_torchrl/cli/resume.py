@@ -1,0 +1,174 @@
+"""Going on with a run: its folder's configuration, and the few keys that may differ from it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.cli.store import load_config
+from bbq_torchrl.options.registry import EXPERIMENT
+from bbq_torchrl.options.settings import ConfigError, walk
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.options import Config
+
+__all__ = [
+    "CURVE",
+    "RESULT",
+    "RUN_CONFIG",
+    "description",
+    "has_result",
+    "is_finished",
+    "restarted_config",
+    "resumed_config",
+    "run_config",
+]
+
+RUN_CONFIG = "config.yaml"
+"""The composed configuration in a run folder."""
+
+RESULT = "result.json"
+"""The final evaluation in a run folder, of as many rounds as it says."""
+
+CURVE = "curve.png"
+"""The learning curve in a run folder: the last file that a run writes."""
+
+CHANGEABLE = ("protocol.rounds", "protocol.keep_checkpoints", "logger", "device")
+"""What may be given beside ``resume``; the rest is the run's own."""
+
+_NOT_OF_THE_TRAINING = (
+    *CHANGEABLE,
+    "resume",
+    "threads",
+    "domain.path",  # a folder may be moved
+    "protocol.checkpoint_every",
+    "protocol.eval_dialogues",
+    "protocol.eval_batch",
+    "protocol.eval_every",
+    "protocol.eval_every_dialogues",
+    "agent.evaluate",
+    "agent.evaluate_draws",
+)
+"""Keys, and groups, that a checkpoint does not depend on."""
+
+
+def description(config: Config) -> dict[str, Any]:
+    """What a checkpoint of a run depends on, as JSON values by dotted key."""
+    return {
+        key: value
+        for key, _, value in walk(config)
+        if not {key, key.partition(".")[0]} & set(_NOT_OF_THE_TRAINING)
+    }
+
+
+def has_result(folder: Path, rounds: int) -> bool:
+    """Whether the folder has the final evaluation of a training of so many rounds."""
+    try:
+        result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        return bool(result["rounds"] == rounds)
+    except (OSError, ValueError, TypeError, KeyError):
+        return False
+
+
+def is_finished(folder: Path, rounds: int) -> bool:
+    """Whether nothing is left to do in a run folder whose configuration asks for so many rounds."""
+    return has_result(folder, rounds) and (folder / CURVE).is_file()
+
+
+def run_config(folder: Path) -> Config:
+    """The configuration of a run folder.
+
+    Raises:
+        ConfigError: the folder is not there, or is no run folder.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder} is not a run folder: there is no such folder")
+    if not (folder / RUN_CONFIG).is_file():
+        raise ConfigError(f"{folder} is not a run folder: it has no {RUN_CONFIG}")
+    return load_config(folder / RUN_CONFIG)
+
+
+def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
+    """The configuration of the run ``given.resume``, with the changes that are allowed.
+
+    Args:
+        given: the configuration that the command line alone stands for.
+        overrides: the command line.
+
+    Raises:
+        ConfigError: no run folder, a finished run, or an override that contradicts the run.
+    """
+    assert given.resume is not None
+    folder = Path(given.resume).expanduser().resolve()
+    saved = run_config(folder)
+    config = dataclasses.replace(saved, resume=str(folder))
+    for override in overrides:
+        key = override.lstrip("+~").partition("=")[0]
+        if key == "resume":
+            continue
+        if key in (EXPERIMENT, "hydra.run.dir"):
+            raise ConfigError(_refusal(override, folder))
+        if key == "protocol.rounds":
+            config.protocol.rounds = _extended(saved, given, folder)
+        elif key == "protocol.keep_checkpoints":
+            config.protocol.keep_checkpoints = given.protocol.keep_checkpoints
+        elif key.partition(".")[0] == "logger":
+            config.logger = given.logger
+        elif key == "device":
+            config.device = given.device
+        elif _value(given, key) != _value(saved, key):
+            raise ConfigError(_refusal(override, folder))
+    if is_finished(folder, config.protocol.rounds):
+        only = " of a run with protocol.keep_checkpoints=last"
+        extended = only if config.protocol.keep_checkpoints == "weights" else ""
+        raise ConfigError(
+            f"the run in {folder} is finished ({config.protocol.rounds} rounds): "
+            f"protocol.rounds=<more> goes on beyond the end{extended}"
+        )
+    return config
+
+
+def restarted_config(config: Config, folder: Path) -> Config:
+    """The configuration of a job of a sweep: it goes on with what its folder holds already.
+
+    Launchers start a job again whose worker died (Ray) or that ran out of time (SLURM).
+
+    Raises:
+        ConfigError: the folder holds a run of another configuration.
+    """
+    if not (folder / RUN_CONFIG).is_file():
+        return config
+    if run_config(folder) != dataclasses.replace(config, resume=None):
+        raise ConfigError(
+            f"{folder} already holds another run: hydra.sweep.subdir must give each job of a "
+            f"sweep a folder of its own"
+        )
+    return dataclasses.replace(config, resume=str(folder))
+
+
+def _extended(saved: Config, given: Config, folder: Path) -> int:
+    before, after = saved.protocol.rounds, given.protocol.rounds
+    if after < before:
+        raise ConfigError(
+            f"protocol.rounds must be at least {before}, which {folder} was started with, "
+            f"got {after}"
+        )
+    return after
+
+
+def _refusal(override: str, folder: Path) -> str:
+    return (
+        f"{override} contradicts the run in {folder}: beside resume only "
+        f"{', '.join(CHANGEABLE)} can be given"
+    )
+
+
+def _value(config: Any, key: str) -> Any:
+    """The value of a dotted key; the option's name where the key is a group."""
+    for name in key.split("."):
+        config = getattr(config, name, None)
+    return getattr(config, "name", config)

@@ -1,0 +1,291 @@
+"""The configuration of a search: what varies, between which bounds, and what counts as good.
+
+``conf/search/<name>.yaml`` holds the space and what is fixed; the command line may change both::
+
+    search=bbqn search.trials=30 search.space.agent.lr.high=0.003 replicas=3 protocol=quick
+
+What begins with ``search`` is the search's, everything else is an override of ``train.py`` that
+all trials have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from bbq_torchrl.cli.messages import unreadable
+from bbq_torchrl.cli.parameters import Parameter, parse_parameter
+from bbq_torchrl.cli.store import compose_raw, conf_folder, options, session, to_config
+from bbq_torchrl.options import Config
+from bbq_torchrl.options.settings import (
+    ANY_TEXT,
+    BELOW_ONE,
+    COUNT,
+    SEED,
+    ConfigError,
+    check_settings,
+    one_of,
+    optional,
+    setting,
+)
+from bbq_torchrl.text import sentence, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+__all__ = ["SEARCH", "Search", "SearchConfig", "compose_search"]
+
+SEARCH = "search"
+"""What the search's own keys begin with, and the folder of its YAML files."""
+
+_SPACE = f"{SEARCH}.space."
+_REFUSED = ("resume", "hydra")
+
+
+@dataclass
+class SearchConfig:
+    """The keys ``search.<key>``."""
+
+    folder: str | None = setting(
+        None,
+        optional(ANY_TEXT, "runs/search_ and its name"),
+        "where the search is kept",
+    )
+    trials: int = setting(50, COUNT, "trials in all, of all processes together")
+    objective: str = setting(
+        "training",
+        one_of("training", "final"),
+        "success of all training dialogues (area under the curve), or of the final evaluation",
+    )
+    statistic: str = setting("mean", one_of("mean", "iqm"), "how a trial's replicas are summed up")
+    sampler: str = setting("tpe", one_of("tpe", "random"), "how values are chosen")
+    pruner: str = setting(
+        "median", one_of("median", "none"), "median: stop a trial that is below the others' median"
+    )
+    startup_trials: int = setting(
+        10, COUNT, "trials at random before the sampler and the pruner go by results"
+    )
+    prune_after: float = setting(0.25, BELOW_ONE, "share of its rounds that every trial is given")
+    seed: int = setting(0, SEED, "seed of the sampler")
+    storage: str | None = setting(
+        None, optional(ANY_TEXT, "SQLite in the folder"), "URL of another database of Optuna's"
+    )
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search that has been checked.
+
+    Attributes:
+        name: of its YAML file.
+        settings: how it searches.
+        space: what varies.
+        fixed: the overrides of ``train.py`` that all trials have.
+    """
+
+    name: str
+    settings: SearchConfig
+    space: tuple[Parameter, ...]
+    fixed: tuple[str, ...]
+
+    @property
+    def folder(self) -> Path:
+        """Where the search is kept."""
+        chosen = self.settings.folder or f"runs/search_{self.name}"
+        return Path(chosen).expanduser().resolve()
+
+    def overrides(self, values: Mapping[str, Any]) -> list[str]:
+        """The command line of ``train.py`` for a trial's values."""
+        return [*self.fixed, *(_override(name, value) for name, value in values.items())]
+
+    def corners(self) -> Iterator[dict[str, Any]]:
+        """Values of trials between which those of all others lie, one key at a bound each time."""
+        lowest = {item.name: item.probes()[0] for item in self.space}
+        yield lowest
+        for item in self.space:
+            for value in item.probes()[1:]:
+                yield {**lowest, item.name: value}
+
+    def config(self, values: Mapping[str, Any]) -> Config:
+        """The configuration of a trial.
+
+        Raises:
+            ConfigError: the values cannot be run.
+        """
+        with session():
+            return to_config(compose_raw(self.overrides(values)), Config)
+
+    def definition(self) -> dict[str, Any]:
+        """All that the outcomes of trials depend on, as plain values by dotted key."""
+        settings = asdict(self.settings)
+        for free in ("folder", "trials", "storage"):
+            del settings[free]
+        return {
+            **{f"{SEARCH}.{key}": value for key, value in settings.items()},
+            **{f"{_SPACE}{item.name}": item.plain() for item in self.space},
+            "fixed": sorted(self.fixed),
+        }
+
+
+@dataclass
+class _Given:
+    """A search as it was written down, before it is checked."""
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    space: dict[str, Any] = field(default_factory=dict)
+    fixed: dict[str, str] = field(default_factory=dict)
+
+
+def compose_search(arguments: Sequence[str]) -> Search:
+    """The checked search that a command line stands for.
+
+    Args:
+        arguments: ``search=<name>``, keys of the search, and overrides of ``train.py``. A key that
+            is given a value there does not vary.
+
+    Raises:
+        ConfigError: one sentence that names the key that is wrong and what it may be.
+
+    Example:
+        >>> search = compose_search(["search=bbqn", "search.trials=9", "agent.prior_std=.1"])
+        >>> [parameter.name for parameter in search.space], search.settings.trials
+        (['agent.mean_init', 'agent.std_init', 'agent.kl_temperature'], 9)
+    """
+    chosen = [text.partition("=")[2] for text in arguments if text.partition("=")[0] == SEARCH]
+    if len(chosen) != 1:
+        raise ConfigError(f"{SEARCH} must be given once, as one of {', '.join(options(SEARCH))}")
+    given = _read(chosen[0])
+    for argument in arguments:
+        key, equals, text = argument.partition("=")
+        if not equals or argument.startswith("-"):
+            raise ConfigError(unreadable(argument))
+        if key.startswith(_SPACE):
+            _change_space(given.space, key.removeprefix(_SPACE), _value(argument, text))
+        elif key.startswith(f"{SEARCH}."):
+            given.settings[key.removeprefix(f"{SEARCH}.")] = _value(argument, text)
+        elif key != SEARCH:
+            given.fixed[key.lstrip("+")] = argument
+    for key in given.fixed:
+        _refuse_several(key, given.fixed[key])
+        if key.partition(".")[0].partition("/")[0] in _REFUSED:
+            raise ConfigError(f"{sentence(given.fixed[key])} cannot be part of a search")
+        given.space.pop(key, None)
+    space = tuple(parse_parameter(f"{_SPACE}{name}", plain) for name, plain in given.space.items())
+    if not space:
+        raise ConfigError(f"{SEARCH}.space must have a key that varies, but all are given")
+    name = Path(chosen[0]).stem
+    search = Search(name, _settings(given.settings), space, tuple(given.fixed.values()))
+    _check_bounds(search)
+    return search
+
+
+def _refuse_several(key: str, override: str) -> None:
+    """Refuses ``key=1,2``: what varies in a search is written as a choice."""
+    try:
+        several = OverridesParser.create().parse_override(override).is_sweep_override()
+    except (HydraException, RecursionError):
+        return  # refused with the others, when they are composed
+    if several:
+        raise ConfigError(
+            f"{sentence(override)} has several values: in a search write "
+            f"{_SPACE}{key}={{type: categorical, choices: [...]}}"
+        )
+
+
+def _read(chosen: str) -> _Given:
+    """The YAML file of a search: one of ours by its name, or anybody's by its path."""
+    own = chosen.endswith((".yaml", ".yml"))
+    if not own and chosen not in options(SEARCH):
+        raise ConfigError(
+            f"{SEARCH} must be one of {', '.join(options(SEARCH))} or a YAML file, "
+            f"got {shown(chosen)}"
+        )
+    file = Path(chosen).expanduser() if own else conf_folder() / SEARCH / f"{chosen}.yaml"
+    try:
+        loaded = OmegaConf.load(file)
+        plain = OmegaConf.to_container(loaded, resolve=False)
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
+    except Exception as error:
+        raise ConfigError(f"{file} is not a YAML file of a search: {error}") from error
+    if not isinstance(plain, dict) or not isinstance(plain.get("space"), dict):
+        raise ConfigError(f"{file} must have the key space, a mapping of keys to what they may be")
+    fixed = plain.pop("fixed", None) or []
+    if not isinstance(fixed, list) or not all("=" in str(item) for item in fixed):
+        raise ConfigError(f"{file}: fixed must be a list of key=value, got {shown(fixed)}")
+    space = {str(name): value for name, value in plain.pop("space").items()}
+    by_key = {str(item).partition("=")[0].lstrip("+"): str(item) for item in fixed}
+    return _Given({str(key): value for key, value in plain.items()}, space, by_key)
+
+
+def _value(argument: str, text: str) -> Any:
+    try:
+        parsed = OmegaConf.from_dotlist([f"value={text}"])
+        return OmegaConf.to_container(parsed, resolve=False)["value"]  # type: ignore[index, call-overload]
+    except Exception as error:
+        raise ConfigError(unreadable(argument)) from error
+
+
+def _change_space(space: dict[str, Any], key: str, value: Any) -> None:
+    """Takes in ``<key>={type: ...}``, ``<key>=null`` (does not vary) or ``<key>.<field>=...``."""
+    if value is None:
+        if space.pop(key, key) is key:
+            raise ConfigError(f"{_SPACE}{key} does not vary; {_what_varies(space)}")
+    elif isinstance(value, dict):
+        space[key] = value
+    else:
+        name, _, entry = key.rpartition(".")
+        if not isinstance(space.get(name), dict):
+            raise ConfigError(
+                f"{_SPACE}{key} is not a key: {name} does not vary; {_what_varies(space)}"
+            )
+        space[name] = {**space[name], entry: value}
+
+
+def _what_varies(space: Mapping[str, Any]) -> str:
+    return f"what varies is {', '.join(space)}"
+
+
+def _settings(given: Mapping[str, Any]) -> SearchConfig:
+    known = [item.name for item in fields(SearchConfig)]
+    for key in given:
+        if key not in known:
+            raise ConfigError(f"{SEARCH}.{key} is not a key; there are {', '.join(known)}, space")
+    typed = OmegaConf.structured(SearchConfig)
+    for item in fields(SearchConfig):
+        if item.name in given:
+            try:
+                typed[item.name] = given[item.name]
+            except OmegaConfBaseException as error:
+                raise ConfigError(
+                    f"{SEARCH}.{item.name} must be {item.metadata['allowed'].text}, "
+                    f"got {shown(given[item.name])}"
+                ) from error
+    assert isinstance(typed, DictConfig)
+    try:
+        settings: SearchConfig = OmegaConf.to_object(typed)  # type: ignore[assignment]
+        check_settings(settings)
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{SEARCH}.{error.full_key}: {str(error).splitlines()[0]}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{SEARCH}.{error}") from error
+    return settings
+
+
+def _check_bounds(search: Search) -> None:
+    """Composes a trial at every bound and choice, so that none can fail for its values."""
+    with session():
+        for values in search.corners():
+            to_config(compose_raw(search.overrides(values)), Config)
+
+
+def _override(name: str, value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return f"{name}={'null' if value is None else str(value).lower()}"
+    return f"{name}={value!r}" if isinstance(value, (int, float)) else f"{name}={value}"

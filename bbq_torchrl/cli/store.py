@@ -1,0 +1,333 @@
+"""Composing, checking, saving and loading configurations.
+
+The only module that talks to Hydra's configuration store: a :func:`session` registers every option
+in its group, and finds the ``conf`` folder: inside an installed package, else beside it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import textwrap
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from bbq_torchrl.cli.messages import explain, not_an_option, unknown_key
+from bbq_torchrl.options import (
+    AgentOption,
+    CalibrateConfig,
+    Config,
+    ConfigError,
+    EvaluateConfig,
+    explorations,
+    schemas,
+    validate,
+)
+from bbq_torchrl.options.registry import EXPERIMENT, options_folder
+from bbq_torchrl.options.values import keys_with_lists
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = [
+    "compose",
+    "compose_raw",
+    "conf_folder",
+    "explorations_table",
+    "load_config",
+    "options",
+    "register_options",
+    "save_config",
+    "session",
+    "to_config",
+]
+
+Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
+
+ROOTS = {"config": Config, "evaluate": EvaluateConfig, "calibrate": CalibrateConfig}
+"""YAML file of a root -> its schema."""
+
+_ADDED = {"intrinsic": "none"}
+"""Groups that configurations of earlier versions lack, and the option that those versions were."""
+
+_ADDED_KEYS = {"protocol": {"eval_every": 0}}
+"""Keys that configurations of earlier versions lack, and what those versions did."""
+
+_REMOVED_KEYS = ("cuda_graph",)
+"""Keys of earlier versions that changed no number."""
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def conf_folder() -> Path:
+    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` beside it.
+
+    Raises:
+        FileNotFoundError: neither is there.
+    """
+    for folder in (_PACKAGE / "conf", _PACKAGE.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise FileNotFoundError(f"no configuration folder 'conf' in {_PACKAGE} or beside it")
+
+
+def options(group: str) -> list[str]:
+    """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``.
+
+    Those of ``experiment`` are files; one in a folder of its own is named with it: ``agents/vime``.
+    """
+    names = set(schemas().get(group, {}))
+    for root in (conf_folder(), options_folder()):
+        if root is not None:
+            files = (root / group).rglob("*.yaml")
+            names |= {file.relative_to(root / group).with_suffix("").as_posix() for file in files}
+    return sorted(names)
+
+
+_registered: set[tuple[str, str]] = set()
+
+
+def register_options() -> None:
+    """Tells Hydra of the roots, and of every option that it does not know yet."""
+    store = ConfigStore.instance()
+    for name, root in ROOTS.items():
+        store.store(name=f"_{name}", node=root)
+    for group, known in schemas().items():
+        for name, option in known.items():
+            if (group, name) in _registered:
+                continue
+            _registered.add((group, name))
+            if not issubclass(option, AgentOption):
+                store.store(group=group, name=name, node=option)
+                continue
+            # An agent chooses its own strategy, where the command line does not.
+            own = {"override /explore@_global_.explore": option.explores_by}
+            store.store(group=group, name=f"_{name}", node=option)
+            store.store(group=group, name=name, node={"defaults": [f"_{name}", own, "_self_"]})
+    OmegaConf.register_new_resolver("bbq_pairs", _indented_pairs, replace=True)
+    OmegaConf.register_new_resolver("bbq_groups", _indented_groups, replace=True)
+    OmegaConf.register_new_resolver("bbq_lists", _indented_lists, replace=True)
+
+
+def explorations_table() -> str:
+    """Which strategies an agent can use, as text, one line an agent.
+
+    Example:
+        >>> print(explorations_table().splitlines()[2])
+        agent=bootstrap  explore=bootstrap (default), epsilon_greedy, greedy
+    """
+    known = explorations()
+    width = max(map(len, known))
+    return "\n".join(
+        f"agent={agent:<{width}}  explore={names[0]} (default), {', '.join(names[1:])}"
+        for agent, names in known.items()
+    )
+
+
+def _indented_pairs() -> str:
+    return "\n".join(f"  {line}" for line in explorations_table().splitlines())
+
+
+def _indented_lists() -> str:
+    return "\n".join(
+        textwrap.wrap(
+            ", ".join(keys_with_lists(schemas())),
+            width=90,
+            initial_indent="  ",
+            subsequent_indent="  ",
+        )
+    )
+
+
+def _indented_groups() -> str:
+    lines = [f"  {group + '=':<13} {' | '.join(options(group))}" for group in schemas()]
+    return "\n".join([*lines, f"  +{EXPERIMENT}=  {' | '.join(options(EXPERIMENT))}"])
+
+
+@contextlib.contextmanager
+def session() -> Iterator[Any]:
+    """A Hydra session on the ``conf`` folder; leaves whatever session was open as it was."""
+    register_options()
+    hydra = GlobalHydra.instance()
+    before = hydra.hydra
+    hydra.clear()
+    try:
+        with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+            yield GlobalHydra.instance().hydra
+    finally:
+        hydra.hydra = before
+
+
+def compose_raw(
+    overrides: Sequence[str], name: str = "config", with_hydra: bool = False
+) -> DictConfig:
+    """Composes YAML files and overrides inside a :func:`session`; values are not yet checked.
+
+    Raises:
+        ConfigError: an unknown group, option or key, or a value of the wrong type.
+    """
+    refusal = not_an_option(overrides, options, ROOTS[name])
+    if refusal is not None:
+        raise ConfigError(refusal)
+    try:
+        return hydra_compose(name, [*_searched(), *overrides], return_hydra_config=with_hydra)
+    # The last three: very long or deep texts, and numbers of thousands of digits.
+    except (
+        HydraException,
+        OmegaConfBaseException,
+        ValueError,
+        OSError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        raise ConfigError(explain(error, overrides, options, ROOTS[name])) from error
+
+
+def _searched() -> list[str]:
+    """The override by which the YAML files of a folder of options are found beside ours."""
+    folder = options_folder()
+    return [] if folder is None else [f"hydra.searchpath=['file://{folder}']"]
+
+
+def to_config(composed: DictConfig, root: type[Root]) -> Root:
+    """The checked dataclass of a composed configuration; paths become absolute.
+
+    Raises:
+        ConfigError: the first value or combination that cannot be run.
+    """
+    for group in schemas():
+        if group not in composed or OmegaConf.is_missing(composed, group):
+            continue
+        chosen, name = OmegaConf.get_type(composed, group), composed[group].name
+        assert chosen is not None
+        allowed = next(item.metadata["allowed"] for item in fields(chosen) if item.name == "name")
+        if not allowed.test(name):
+            raise ConfigError(
+                f"{group}.name must be {allowed.text}, got {name!r}: choose by {group}={name}"
+            )
+    plain = OmegaConf.create(OmegaConf.to_container(composed, resolve=False))
+    assert isinstance(plain, DictConfig)
+    return _typed(plain, root)
+
+
+def _typed(plain: DictConfig, root: type[Root]) -> Root:
+    try:
+        typed = OmegaConf.structured(root)
+        for key in map(str, plain):
+            if OmegaConf.is_missing(plain, key):
+                raise ConfigError(f"{key} must be given, as {key}=<value>")
+            typed[key] = _typed_group(key, plain) if key in schemas() else plain[key]
+        for key in sorted(str(key) for key in typed if OmegaConf.is_missing(typed, key)):
+            raise ConfigError(f"{key} must be given, as {key}=<value>")
+        _check_interpolations(plain)
+        OmegaConf.resolve(typed)
+        for key in sorted(OmegaConf.missing_keys(typed)):
+            raise ConfigError(f"{key} must be given, as {key}=<value>")
+        config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
+    except OmegaConfBaseException as error:
+        raise ConfigError(explain(error, (), options)) from error
+    config.domain.resolve_paths()
+    validate(config)
+    return config
+
+
+def _check_interpolations(node: DictConfig | ListConfig, prefix: str = "") -> None:
+    """Refuses a ``${...}`` that stands for nothing, by the key that has it."""
+    for key in range(len(node)) if isinstance(node, ListConfig) else list(node):
+        name = f"{prefix}[{key}]" if isinstance(node, ListConfig) else f"{prefix}.{key}".strip(".")
+        child: Any = node._get_node(key)
+        if OmegaConf.is_interpolation(node, key):
+            try:
+                node[key]
+            except OmegaConfBaseException as error:
+                raise ConfigError(
+                    f"{name}={child._value()} cannot be resolved: {str(error).splitlines()[0]}"
+                ) from error
+        elif isinstance(child, (DictConfig, ListConfig)):
+            _check_interpolations(child, name)
+
+
+def _typed_group(group: str, plain: DictConfig) -> DictConfig:
+    """The keys of a group on the schema that its ``name`` says."""
+    known = schemas()[group]
+    name = plain[group].get("name") if OmegaConf.is_dict(plain[group]) else None
+    if not isinstance(name, str) or name not in known:
+        raise ConfigError(
+            f"{group} must be one of {', '.join(sorted(known))}, got {name!r}: options of your own "
+            "come with an installed package or with --config-dir <folder>"
+        )
+    typed = OmegaConf.structured(known[name])
+    keys = {item.name for item in fields(known[name])}
+    for key, value in plain[group].items_ex(resolve=False):
+        if key not in keys:
+            raise ConfigError(unknown_key(f"{group}.{key}", known[name]))
+        typed[key] = value
+    assert isinstance(typed, DictConfig)
+    return typed
+
+
+def compose(overrides: Sequence[str] = (), root: type[Root] = Config) -> Root:  # type: ignore[assignment]
+    """The checked configuration that a command line of overrides stands for.
+
+    Args:
+        overrides: as on the command line, such as ``["agent=dqn", "protocol.rounds=20"]``.
+        root: :class:`Config` for a training run, :class:`EvaluateConfig` for an evaluation.
+
+    Raises:
+        ConfigError: one sentence that says which key is wrong and what it may be.
+
+    Example:
+        >>> compose(["agent=dqn"]).explore.name
+        'epsilon_greedy'
+        >>> compose(["env=domain_ext"]).protocol.rounds
+        200
+    """
+    name = next(name for name, schema in ROOTS.items() if schema is root)
+    with session():
+        return to_config(compose_raw(overrides, name), root)
+
+
+def save_config(config: Config, file: Path) -> None:
+    """Writes a configuration as YAML, atomically, so that a reader never sees half of it."""
+    temporary = file.with_name(file.name + ".tmp")
+    temporary.write_text(OmegaConf.to_yaml(OmegaConf.structured(config)), encoding="utf-8")
+    os.replace(temporary, file)
+
+
+def load_config(file: Path) -> Config:
+    """Reads a configuration that :func:`save_config` wrote; keys it lacks take their defaults.
+
+    Raises:
+        ConfigError: no readable configuration, or one that cannot be run.
+    """
+    try:
+        plain = OmegaConf.load(file)
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
+    except Exception as error:
+        raise ConfigError(f"{file} is not a YAML file of a run: {error}") from error
+    if not isinstance(plain, DictConfig):
+        raise ConfigError(f"{file} must hold a mapping of groups, got a list")
+    for key in _REMOVED_KEYS:
+        plain.pop(key, None)
+    for group, option in _ADDED.items():
+        if group not in plain and "agent" in plain:
+            plain[group] = {"name": option}
+    for group, keys in _ADDED_KEYS.items():
+        if OmegaConf.is_dict(plain.get(group)):
+            for key, value in keys.items():
+                if key not in plain[group]:
+                    plain[group][key] = value
+    try:
+        return _typed(plain, Config)
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error

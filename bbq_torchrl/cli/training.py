@@ -1,0 +1,129 @@
+"""A trainer from its configuration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.cli.agent import Agent, make_agent, make_domain
+from bbq_torchrl.cli.resume import description
+from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.evaluation.while_training import RoundEvaluator
+from bbq_torchrl.options.values import replica_values, spread
+from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer, SpikeSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.options import Config
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
+
+__all__ = ["build_trainer", "evaluation_places"]
+
+
+def build_trainer(
+    config: Config,
+    run_folder: Path,
+    callbacks: Sequence[RoundCallback] = (),
+    *,
+    domain: Domain | None = None,
+) -> tuple[RoundTrainer, Agent]:
+    """Makes the trainer of a run, and its agent; callbacks are called after every round.
+
+    The domain is loaded unless it is given.
+    """
+    protocol, spike = config.protocol, config.spike
+    domain = make_domain(config) if domain is None else domain
+    env = config.env.make(
+        domain,
+        (config.replicas, protocol.dialogues),
+        seed=config.seed,
+        device=config.device,
+    )
+    agent = make_agent(config, env)
+    trainer = RoundTrainer(
+        env,
+        agent.policy,
+        agent.loss,
+        ReplicaReplay(
+            protocol.capacity,
+            replicas=config.replicas,
+            transform=agent.transform,
+            device=config.device,
+        ),
+        ReplicaAdam(
+            agent.loss.parameters(),
+            config.replicas,
+            lr=list(map(float, spread(config.agent.lr, config.replicas))),
+        ),
+        HardUpdate(agent.loss, value_network_update_interval=0),
+        RoundSettings(
+            rounds=protocol.rounds,
+            dialogues=protocol.dialogues,
+            batch_size=protocol.batch_size,
+            freezes=protocol.freezes,
+            epochs=protocol.epochs,
+            checkpoint_every=protocol.checkpoint_every,
+            keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
+            seed=config.seed,
+            max_steps=config.env.steps(),
+        ),
+        run_folder,
+        spike_policy=config.env.make_policy(spike.policy, env) if spike.dialogues else None,
+        spike=SpikeSettings(
+            dialogues=spike.dialogues,
+            protect=spike.protect,
+            drop_above=spike.drop_above,
+            drop_window=spike.drop_window,
+        ),
+        loggers=config.logger.make(run_folder, resume=config.resume is not None),
+        callbacks=callbacks,
+        evaluator=_evaluator(config, domain, agent),
+        gauges={**agent.metrics, **_own_values(config)},
+        described=description(config),
+    )
+    return trainer, agent
+
+
+def evaluation_places(config: Config, dialogues: int) -> int:
+    """Returns how many of a replica's evaluation dialogues are played side by side.
+
+    A rollout holds every turn's observations: of 12,500 dialogues they fill two gigabytes.
+    """
+    return min(dialogues, max(1, config.protocol.eval_batch // config.replicas))
+
+
+def _evaluator(config: Config, domain: Domain | None, agent: Agent) -> RoundEvaluator | None:
+    """Returns what evaluates the agent while it is trained, if anything does."""
+    protocol = config.protocol
+    if not protocol.eval_every:
+        return None
+    places = evaluation_places(config, protocol.eval_every_dialogues)
+    return RoundEvaluator(
+        config.env.make(
+            domain,
+            (config.replicas, places),
+            device=config.device,
+        ),
+        lambda: config.agent.make_evaluation(agent.actor)[1],
+        every=protocol.eval_every,
+        dialogues=protocol.eval_every_dialogues,
+        seed=config.seed,
+        max_steps=config.env.steps(),
+        enter_round=config.env.enter_round,
+        changes=config.env.additions(domain),
+    )
+
+
+def _own_values(config: Config) -> dict[str, Callable[[], torch.Tensor]]:
+    """Returns gauges of the keys that have a list, so that the metrics say whose value is which."""
+    per_replica = replica_values(config)
+    columns = {
+        key: torch.tensor([values[key] for values in per_replica], dtype=torch.float64)
+        for key in per_replica[0]
+    }
+    return {key: column.clone for key, column in columns.items()}

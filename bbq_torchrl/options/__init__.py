@@ -1,0 +1,42 @@
+"""Options: what can be chosen on the command line, one class in one file each.
+
+Importing this package imports neither torch nor Hydra; an option's ``make`` does.
+"""
+
+from __future__ import annotations
+
+from bbq_torchrl.options.base import (
+    AgentOption,
+    DomainOption,
+    EnvOption,
+    Exploration,
+    ExploreOption,
+    IntrinsicOption,
+    LoggerOption,
+    Option,
+    Task,
+)
+from bbq_torchrl.options.registry import explorations, register, schemas
+from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig, validate
+from bbq_torchrl.options.settings import ConfigError, check_settings
+
+__all__ = [
+    "AgentOption",
+    "CalibrateConfig",
+    "Config",
+    "ConfigError",
+    "DomainOption",
+    "EnvOption",
+    "EvaluateConfig",
+    "Exploration",
+    "ExploreOption",
+    "IntrinsicOption",
+    "LoggerOption",
+    "Option",
+    "Task",
+    "check_settings",
+    "explorations",
+    "register",
+    "schemas",
+    "validate",
+]

@@ -1,0 +1,1 @@
+"""The options of ``agent=``: what learns."""

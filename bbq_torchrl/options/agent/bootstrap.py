@@ -1,0 +1,117 @@
+"""``agent=bootstrap``: heads that learn from a sample of the transitions each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from bbq_torchrl.options.base import AgentOption, parameters
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import (
+    ABOVE_ZERO_TO_ONE,
+    BOOLEAN,
+    COUNT,
+    NON_NEGATIVE,
+    NON_NEGATIVE_INTEGER,
+    ConfigError,
+    option,
+    optional,
+    setting,
+)
+from bbq_torchrl.options.values import over_replicas
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
+    from torchrl.envs import Transform
+    from torchrl.modules import QValueActor
+    from torchrl.objectives import LossModule
+
+    from bbq_torchrl.options.base import Task
+    from bbq_torchrl.options.root import Config
+
+__all__ = ["Bootstrap"]
+
+
+@register
+@dataclass
+class Bootstrap(AgentOption):
+    """Bootstrapped DQN: heads that learn from a sample of the transitions each."""
+
+    name: str = option("bootstrap")
+    heads: int = setting(10, COUNT, "number of heads")
+    trunk_layers: int | None = setting(
+        None,
+        optional(NON_NEGATIVE_INTEGER, "all hidden layers"),
+        "hidden layers that the heads share; 0: as many networks as heads",
+    )
+    mask_prob: float = setting(
+        0.5, ABOVE_ZERO_TO_ONE, "probability that a head learns from a transition"
+    )
+    prior_scale: float = setting(
+        0.0, NON_NEGATIVE, "scale of the randomised prior functions; 0: none"
+    )
+    double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
+
+    # Its greedy action is what most heads vote for: there is no value to put into a softmax.
+    offers: ClassVar[tuple[str, ...]] = ("heads",)
+    explores_by: ClassVar[str] = "bootstrap"
+
+    def check(self, config: Config) -> None:
+        """Refuses more shared layers than there are."""
+        if (self.trunk_layers or 0) > len(self.hidden):
+            raise ConfigError(
+                f"agent.trunk_layers must be at most the {len(self.hidden)} layers of "
+                f"agent.hidden, got {self.trunk_layers}"
+            )
+
+    def make_actor(self, task: Task) -> QValueActor:
+        """A shared trunk and its heads."""
+        from bbq_torchrl.modules import BootstrapMLP, bootstrap_actor
+
+        network = BootstrapMLP(
+            task.inputs,
+            task.actions,
+            self.hidden,
+            heads=self.heads,
+            stack=(task.replicas,),
+            trunk_layers=self.trunk_layers,
+            prior_scale=self.prior_scale,
+            device=task.device,
+        )
+        task.reset_inactive_(network)
+        return bootstrap_actor(network, task.action_spec)
+
+    def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
+        """The squared TD error of the heads that a transition is for."""
+        from bbq_torchrl.objectives import BootstrapDQNLoss
+
+        gamma = over_replicas(self.gamma, task)
+        return BootstrapDQNLoss(actor, gamma=gamma, double_dqn=self.double)
+
+    def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
+        """What most heads vote for."""
+        from bbq_torchrl.modules import MajorityVote
+
+        return MajorityVote(actor)
+
+    def make_evaluation(
+        self, actor: QValueActor, mode: str | None = None
+    ) -> tuple[str, TensorDictModuleBase]:
+        """The vote."""
+        return "vote", super().make_evaluation(actor, mode)[1]
+
+    def make_transforms(self, task: Task) -> list[Transform]:
+        """Draws for each stored transition the heads that learn from it."""
+        from bbq_torchrl.data import BootstrapMask
+
+        return [BootstrapMask(self.heads, self.mask_prob, stack=(task.replicas,))]
+
+    def floats(self, inputs: int, actions: int) -> int:
+        """The trunk once, the rest for each head."""
+        sizes = [inputs, *self.hidden, actions]
+        trunk = len(self.hidden) if self.trunk_layers is None else self.trunk_layers
+        return 5 * (parameters(sizes[: trunk + 1]) + self.heads * parameters(sizes[trunk:]))
+
+    def sizes(self) -> dict[str, Any]:
+        """The layers and the heads."""
+        return {**super().sizes(), "agent.heads": self.heads}

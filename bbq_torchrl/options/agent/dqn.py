@@ -1,0 +1,78 @@
+"""``agent=dqn``: a deep Q-network, with dropout or noisy layers if asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from bbq_torchrl.options.base import AgentOption
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import BELOW_ONE, BOOLEAN, ConfigError, option, setting
+from bbq_torchrl.options.values import over_replicas
+
+if TYPE_CHECKING:
+    from torchrl.modules import QValueActor
+    from torchrl.objectives import LossModule
+
+    from bbq_torchrl.options.base import Task
+    from bbq_torchrl.options.root import Config
+
+__all__ = ["DQN"]
+
+
+@register
+@dataclass
+class DQN(AgentOption):
+    """Deep Q-network, with or without dropout."""
+
+    name: str = option("dqn")
+    dropout: float = setting(
+        0.0,
+        BELOW_ONE,
+        "probability of dropping a hidden unit in the prediction",
+    )
+    double: bool = setting(False, BOOLEAN, "choose the target's action by the online network")
+    noisy: bool = setting(False, BOOLEAN, "NoisyNet layers in the place of dropout")
+
+    offers: ClassVar[tuple[str, ...]] = ("values", "noise")
+    explores_by: ClassVar[str] = "epsilon_greedy"
+
+    def check(self, config: Config) -> None:
+        """Refuses noise beside dropout, and a strategy that needs noise where there is none."""
+        if self.noisy and self.dropout:
+            raise ConfigError(
+                "agent.noisy=true cannot be combined with agent.dropout="
+                f"{self.dropout}: the noise takes its place, so agent.dropout must be 0"
+            )
+        if "noise" in config.explore.needs and not self.noisy:
+            raise ConfigError(
+                f"explore={config.explore.name} needs a network that has noise: agent.noisy must "
+                "be true"
+            )
+
+    def make_actor(self, task: Task) -> QValueActor:
+        """A ReLU network, its layers noisy if asked for."""
+        from bbq_torchrl.modules import MLP, NoisyMLP, q_network
+
+        sizes = (task.inputs, task.actions, self.hidden)
+        stack = (task.replicas,)
+        network: MLP | NoisyMLP
+        if self.noisy:
+            network = NoisyMLP(*sizes, stack=stack, device=task.device)
+        else:
+            network = MLP(*sizes, stack=stack, dropout=self.dropout, device=task.device)
+        task.reset_inactive_(network)
+        return q_network(network, task.action_spec)
+
+    def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
+        """The squared TD error, with dropout or noise in the prediction."""
+        from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
+
+        gamma = over_replicas(self.gamma, task)
+        if self.noisy:
+            return NoisyDQNLoss(actor, gamma=gamma, double_dqn=self.double)
+        return DropoutDQNLoss(actor, gamma=gamma, double_dqn=self.double, hold=True)
+
+    def floats(self, inputs: int, actions: int) -> int:
+        """Twice as many with noise, which has a mean and a std for each weight."""
+        return (2 if self.noisy else 1) * super().floats(inputs, actions)

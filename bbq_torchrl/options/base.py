@@ -1,0 +1,357 @@
+"""What an option of each group is: the classes that every option extends, ours and others'.
+
+An option is one dataclass in one file: its keys with default, bounds and meaning
+(:func:`~bbq_torchrl.options.settings.setting`), what it needs or offers, and how it is made.
+Importing an option does not import torch: making it does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from bbq_torchrl.options.settings import (
+    COUNT,
+    COUNTS,
+    PROBABILITY,
+    REQUIRED,
+    STEP_SIZE,
+    ConfigError,
+    Values,
+    per_replica,
+    setting,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    import torch
+    from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
+    from torchrl.data import TensorSpec
+    from torchrl.envs import EnvBase, Transform
+    from torchrl.modules import QValueActor
+    from torchrl.objectives import LossModule
+    from torchrl.record.loggers import Logger
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.options.root import Config
+
+__all__ = [
+    "AgentOption",
+    "DomainOption",
+    "EnvOption",
+    "Exploration",
+    "ExploreOption",
+    "IntrinsicOption",
+    "LoggerOption",
+    "Option",
+    "Task",
+]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What networks and exploration have to fit.
+
+    Attributes:
+        inputs: features of an observation.
+        action_spec: of one action, categorical.
+        replicas: independent seeds trained side by side; the first dimension of all weights and
+            of every batch.
+        rounds: of the training, which schedules take a share of.
+        device: of the weights.
+        inactive_inputs: bool [inputs], features that come into use later; None: there are none.
+        inactive_actions: bool [actions], the same of actions.
+    """
+
+    inputs: int
+    action_spec: TensorSpec
+    replicas: int
+    rounds: int
+    device: torch.device | None = None
+    inactive_inputs: Tensor | None = None
+    inactive_actions: Tensor | None = None
+
+    @property
+    def actions(self) -> int:
+        """The number of actions."""
+        return int(self.action_spec.n)
+
+    def reset_inactive_(self, network: Any) -> None:
+        """Starts weights of what is not active yet as if it were added only later.
+
+        See :func:`~bbq_torchrl.modules.reset_inactive_`.
+        """
+        from bbq_torchrl.modules import reset_inactive_
+
+        if self.inactive_inputs is not None or self.inactive_actions is not None:
+            reset_inactive_(network, inputs=self.inactive_inputs, outputs=self.inactive_actions)
+
+
+@dataclass
+class Option:
+    """One choice of a group of the configuration.
+
+    A class is made an option by :func:`~bbq_torchrl.options.register`; its field ``name`` says
+    which (:func:`~bbq_torchrl.options.settings.option`).
+
+    Attributes:
+        group: the group that it belongs to; set by the base class of the group.
+    """
+
+    name: str = REQUIRED
+
+    group: ClassVar[str]
+
+    def check(self, config: Config) -> None:
+        """Refuses what cannot be combined; each value alone has been checked by then.
+
+        Raises:
+            ConfigError: one sentence that names the key, its value and what is allowed.
+        """
+
+    def resolve_paths(self) -> None:
+        """Makes paths absolute, as a run may go on from another folder."""
+
+    def floats(self, inputs: int, actions: int) -> int:
+        """Returns how many numbers a replica's networks take while they are trained, about."""
+        return 0
+
+    def sizes(self) -> dict[str, Any]:
+        """Returns the keys that what it makes grows with, and their values."""
+        return {}
+
+
+@dataclass
+class AgentOption(Option):
+    """What learns: a Q-network of some hidden layers, trained by Adam.
+
+    Attributes:
+        offers: what exploration can use of it: any of ``posterior``, ``heads``, ``noise``,
+            ``values`` (one Q-value an action), or a word that a strategy of your own needs.
+        explores_by: the strategy that it has where none is chosen.
+    """
+
+    group: ClassVar[str] = "agent"
+
+    hidden: list[int] = setting([256, 256], COUNTS, "units of each hidden layer")
+    lr: Values = setting("${protocol.lr}", per_replica(STEP_SIZE), "step size of Adam")
+    gamma: Values = setting(0.9, per_replica(PROBABILITY), "discount of a turn")
+
+    offers: ClassVar[tuple[str, ...]] = ("values",)
+    explores_by: ClassVar[str] = "epsilon_greedy"
+
+    def make_actor(self, task: Task) -> QValueActor:
+        """Makes the Q-network and its choice of an action.
+
+        Weights are drawn from torch's global generator, and have the replicas as their first
+        dimension. Of what is not active yet they start by :meth:`Task.reset_inactive_`.
+        """
+        raise NotImplementedError
+
+    def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
+        """Makes what is learned: a loss with ``loss`` (scalar) and ``loss_value`` [replicas]."""
+        raise NotImplementedError
+
+    def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
+        """Makes the policy that acts without exploration."""
+        from bbq_torchrl.modules import Greedy
+
+        return Greedy(actor)
+
+    def make_evaluation(
+        self, actor: QValueActor, mode: str | None = None
+    ) -> tuple[str, TensorDictModuleBase]:
+        """Returns the name of the policy that is to be reported, and that policy.
+
+        Args:
+            actor: of :meth:`make_actor`.
+            mode: one of several policies; None: the agent's own.
+
+        Raises:
+            ConfigError: an agent that has no such mode.
+        """
+        if mode is not None:
+            raise ConfigError(f"mode must be null for agent={self.name}, got {mode!r}")
+        return "greedy", self.make_greedy(actor)
+
+    def make_transforms(self, task: Task) -> list[Transform]:
+        """Returns what the replay buffer has to do for the agent."""
+        return []
+
+    def floats(self, inputs: int, actions: int) -> int:
+        """A weight is held as itself, its gradient, two moments and a frozen copy."""
+        return 5 * parameters([inputs, *self.hidden, actions])
+
+    def sizes(self) -> dict[str, Any]:
+        """The layers."""
+        return {"agent.hidden": self.hidden}
+
+
+Exploration = tuple["TensorDictModuleBase", "dict[str, Callable[[], float | Tensor]]"]
+"""A policy, and what of it is worth a column of the metrics: one number, or [replicas]."""
+
+
+@dataclass
+class ExploreOption(Option):
+    """How an agent acts while it learns.
+
+    Attributes:
+        needs: what an agent must offer (:attr:`AgentOption.offers`) to explore so.
+    """
+
+    group: ClassVar[str] = "explore"
+
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """Makes the policy, and says what of it is worth a metric.
+
+        Args:
+            actor: the agent's Q-network with its choice of an action.
+            greedy: the agent's policy without exploration.
+            task: what it has to fit; the policy acts on batches [replicas, dialogues].
+        """
+        raise NotImplementedError
+
+
+@dataclass
+class IntrinsicOption(Option):
+    """What the agent is rewarded for besides the task; never part of a reported reward."""
+
+    group: ClassVar[str] = "intrinsic"
+
+    def make(self, loss: LossModule, task: Task) -> tuple[LossModule, list[Transform]]:
+        """Returns the loss that is learned, and what the replay buffer has to do for it.
+
+        Args:
+            loss: the agent's.
+            task: what a model of the task has to fit.
+        """
+        return loss, []
+
+
+@dataclass
+class EnvOption(Option):
+    """Whom the agent acts with, or what.
+
+    What it makes is an ``EnvBase`` of batch size [replicas, episodes] with ``observation`` (one
+    dimension of features), a categorical ``action``, ``action_mask`` if not all actions are always
+    legal, and ``("next", "success")``, which says that an episode has ended well. Where it has
+    ``set_round(round)``, that is called at the start of every round.
+
+    Attributes:
+        has_domain: whether ``domain=`` is about it.
+        extends: whether features or actions come into use only in later rounds.
+    """
+
+    group: ClassVar[str] = "env"
+
+    paper_rounds: int = setting(400, COUNT, "rounds of training in the paper")
+
+    has_domain: ClassVar[bool] = False
+    extends: ClassVar[bool] = False
+
+    def make(
+        self,
+        domain: Domain | None,
+        batch_size: Sequence[int],
+        *,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+    ) -> EnvBase:
+        """Makes the environment.
+
+        Args:
+            domain: what the dialogues are about; None without :attr:`has_domain`.
+            batch_size: such as [replicas, episodes].
+            seed: of everything random in it.
+            device: where it is.
+        """
+        raise NotImplementedError
+
+    def steps(self) -> int:
+        """Returns how many steps an episode lasts at most."""
+        raise NotImplementedError
+
+    def shape(self, domain: Domain | None) -> tuple[int, int]:
+        """Returns how many features an observation has, and how many actions there are."""
+        raise NotImplementedError
+
+    def policies(self, domain: Domain | None, *, with_random: bool = False) -> tuple[str, ...]:
+        """Returns the names of the scripted policies that there are."""
+        return ()
+
+    def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
+        """Makes a scripted policy."""
+        raise NotImplementedError
+
+    def check_domain(self, domain: Domain | None) -> None:
+        """Raises ValueError for a domain that cannot be played in."""
+
+    def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor] | None:
+        """Returns which features and which actions come into use later (bool), or None."""
+        return None
+
+    def never(self, domain: Domain | None) -> set[str]:
+        """Returns the slots that no round has."""
+        return set()
+
+    def additions(self, domain: Domain | None) -> dict[int, str]:
+        """Returns what each round adds that there was not before."""
+        return {}
+
+    def enter_round(self, env: EnvBase, round: int) -> None:
+        """Has the environment be as in a round of the training."""
+
+
+@dataclass
+class DomainOption(Option):
+    """What the dialogues are about."""
+
+    group: ClassVar[str] = "domain"
+
+    def make(self) -> Domain:
+        """Loads the domain.
+
+        Raises:
+            ValueError or OSError: the corpus is damaged or not there.
+        """
+        raise NotImplementedError
+
+
+@dataclass
+class LoggerOption(Option):
+    """Where metrics go besides metrics.csv, which is always written."""
+
+    group: ClassVar[str] = "logger"
+
+    def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
+        """Makes TorchRL's loggers of a run.
+
+        Args:
+            run_folder: where they write.
+            resume: whether the run goes on from an earlier process.
+        """
+        from bbq_torchrl.trainers import make_loggers
+
+        return make_loggers([self.name], run_folder, resume=resume)  # type: ignore[list-item]
+
+    def check_package(self) -> None:
+        """Raises ImportError, which names the extra to install, where a package is missing."""
+        from bbq_torchrl.trainers import check_logger
+
+        check_logger(self.name)
+
+
+def parameters(sizes: Sequence[int]) -> int:
+    """Returns how many weights and biases a network of these layers has.
+
+    Example:
+        >>> parameters([3, 4, 2])
+        26
+    """
+    return sum((before + 1) * after for before, after in pairwise(sizes))

@@ -1,0 +1,1 @@
+"""The options of ``domain=``: what the dialogues are about."""

@@ -1,0 +1,34 @@
+"""``domain=folder``: a domain of one's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.options.base import DomainOption
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import ANY_TEXT, REQUIRED, absolute, option, setting
+
+if TYPE_CHECKING:
+    from bbq_torchrl.domains import Domain
+
+__all__ = ["FolderDomain"]
+
+
+@register
+@dataclass
+class FolderDomain(DomainOption):
+    """A domain folder: domain.yaml, knowledge_base.csv, goals.jsonl, values.json."""
+
+    name: str = option("folder")
+    path: str = setting(REQUIRED, ANY_TEXT, "the folder")
+
+    def resolve_paths(self) -> None:
+        """Makes the folder's path absolute."""
+        self.path = absolute(self.path)
+
+    def make(self) -> Domain:
+        """Loads and validates it."""
+        from bbq_torchrl.domains import load_domain
+
+        return load_domain(self.path)

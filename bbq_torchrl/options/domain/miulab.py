@@ -1,0 +1,48 @@
+"""``domain=miulab``: the public files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.options.base import DomainOption
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, absolute, option, setting
+
+if TYPE_CHECKING:
+    from bbq_torchrl.domains import Domain
+
+__all__ = ["MiuLabDomain"]
+
+
+@register
+@dataclass
+class MiuLabDomain(DomainOption):
+    """The public MiuLab files (TC-Bot), read safely; they are not part of this project."""
+
+    name: str = option("miulab")
+    path: str = setting(REQUIRED, ANY_TEXT, "folder that holds the files")
+    goals: str = setting("user_goals_first_turn_template.v2.p", ANY_TEXT, "file of user goals")
+    kb: str = setting("movie_kb.1k.p", ANY_TEXT, "file of the knowledge base")
+    values: str = setting("dicts.v3.p", ANY_TEXT, "file of the values that errors draw from")
+    skip_unusable: bool = setting(
+        True,
+        BOOLEAN,
+        "goals, rows and slots that cannot be used are left out and named, or refused",
+    )
+
+    def resolve_paths(self) -> None:
+        """Makes the folder's path absolute."""
+        self.path = absolute(self.path)
+
+    def make(self) -> Domain:
+        """Reads the files."""
+        from bbq_torchrl.domains import load_miulab
+
+        return load_miulab(
+            self.path,
+            goals=self.goals,
+            kb=self.kb,
+            values=self.values,
+            skip_unusable=self.skip_unusable,
+        )

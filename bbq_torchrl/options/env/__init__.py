@@ -1,0 +1,1 @@
+"""The options of ``env=``: whom the agent talks with."""

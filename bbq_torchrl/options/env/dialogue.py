@@ -1,0 +1,169 @@
+"""``env=full`` and ``env=domain_ext``: dialogues with simulated users."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from bbq_torchrl.options.base import EnvOption
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import (
+    BOOLEAN,
+    COUNT,
+    NON_NEGATIVE_INTEGER,
+    PROBABILITY,
+    REWARD,
+    integers,
+    one_of,
+    option,
+    optional,
+    setting,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import torch
+    from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
+    from torchrl.envs import EnvBase
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
+
+__all__ = ["DialogueOption", "DomainExtension", "FullDomain"]
+
+
+@dataclass
+class DialogueOption(EnvOption):
+    """The user and the channel."""
+
+    slot_error_prob: float | None = setting(
+        None,
+        optional(PROBABILITY, "the domain's calibrated difficulty"),
+        "probability that an informed slot is hit by an error",
+    )
+    slot_error_mode: str = setting(
+        "value", one_of("value", "slot", "delete", "mixed"), "what an error does to a slot"
+    )
+    intent_error_prob: float = setting(0.0, PROBABILITY, "probability of a random user act")
+    max_turn: int = setting(40, integers(2), "turns of a dialogue, both sides counted")
+    success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")
+    failure_reward: float = setting(-10.0, REWARD, "reward of a dialogue that fails")
+    turn_reward: float = setting(-1.0, REWARD, "reward of a turn that does not end the dialogue")
+    compile_turns: bool = setting(
+        False, BOOLEAN, "turns are compiled by torch.compile, which takes up to a minute"
+    )
+
+    has_domain: ClassVar[bool] = True
+
+    def steps(self) -> int:
+        """The acts of both sides are counted by ``max_turn``; the agent has one act more."""
+        return self.max_turn // 2 + 1
+
+    def sizes(self) -> dict[str, Any]:
+        """The turns."""
+        return {"env.max_turn": self.max_turn}
+
+    def shape(self, domain: Domain | None) -> tuple[int, int]:
+        """The numbers of features and of actions."""
+        from bbq_torchrl.domains import tensorise
+        from bbq_torchrl.simulator import FeatureLayout
+
+        assert domain is not None
+        return FeatureLayout(tensorise(domain)).size, len(domain.actions)
+
+    def policies(self, domain: Domain | None, *, with_random: bool = False) -> tuple[str, ...]:
+        """Those of the domain, and last the random one."""
+        from bbq_torchrl.envs.policies import RANDOM_POLICY
+
+        assert domain is not None
+        return (*domain.policies, *([RANDOM_POLICY] if with_random else []))
+
+    def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
+        """A policy of the domain, or ``random``."""
+        from bbq_torchrl.envs import scripted_policy
+
+        return scripted_policy(name, env)
+
+    def enter_round(self, env: EnvBase, round: int) -> None:
+        """Activates the slots of the round."""
+        env.set_round(round)
+
+    def schedule(self) -> ExtensionSchedule | None:
+        """Says which slots there are in which round; None: all of them, always."""
+        return None
+
+    def make(
+        self,
+        domain: Domain | None,
+        batch_size: Sequence[int],
+        *,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+    ) -> DialogueEnv:
+        """Makes the environment with a batch of dialogues, such as [replicas, dialogues]."""
+        from bbq_torchrl.envs import DialogueEnv
+
+        assert domain is not None
+        return DialogueEnv(
+            domain,
+            batch_size=tuple(batch_size),
+            slot_error_prob=self.slot_error_prob,
+            slot_error_mode=self.slot_error_mode,  # type: ignore[arg-type]
+            intent_error_prob=self.intent_error_prob,
+            max_turn=self.max_turn,
+            success_reward=self.success_reward,
+            failure_reward=self.failure_reward,
+            turn_reward=self.turn_reward,
+            schedule=self.schedule(),
+            seed=seed,
+            device=device,
+            compile_turns=self.compile_turns,
+        )
+
+
+@register
+@dataclass
+class FullDomain(DialogueOption):
+    """All slots from the start."""
+
+    name: str = option("full")
+
+
+@register
+@dataclass
+class DomainExtension(DialogueOption):
+    """The essential slots first; then the others one by one, in the domain's order."""
+
+    name: str = option("domain_ext")
+    start: int = setting(40, NON_NEGATIVE_INTEGER, "round in which the first new slot appears")
+    every: int = setting(10, COUNT, "rounds between two new slots")
+    paper_rounds: int = setting(200, COUNT, "rounds of training in the paper")
+
+    extends: ClassVar[bool] = True
+
+    def schedule(self) -> ExtensionSchedule:
+        """Says which slots there are in which round."""
+        from bbq_torchrl.envs import ExtensionSchedule
+
+        return ExtensionSchedule(start=self.start, every=self.every)
+
+    def check_domain(self, domain: Domain | None) -> None:
+        """Refuses a slot that the agent has actions for and that no round adds."""
+        assert domain is not None
+        self.schedule().never_active(domain)
+
+    def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor]:
+        """Those of the slots that are not there in the first round."""
+        return ~env.active_features, ~env.simulator.action_mask(env.active_slots)
+
+    def never(self, domain: Domain | None) -> set[str]:
+        """Those that are not essential and that the domain's order lacks."""
+        assert domain is not None
+        return set(self.schedule().never_active(domain))
+
+    def additions(self, domain: Domain | None) -> dict[int, str]:
+        """The slot that each round adds."""
+        assert domain is not None
+        return self.schedule().additions(domain)

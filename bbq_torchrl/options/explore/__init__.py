@@ -1,0 +1,1 @@
+"""The options of ``explore=``: how an agent acts while it learns."""

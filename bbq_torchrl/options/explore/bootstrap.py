@@ -1,0 +1,37 @@
+"""``explore=bootstrap``: act greedily on one head."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from bbq_torchrl.options.base import ExploreOption
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import one_of, option, setting
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
+    from torchrl.modules import QValueActor
+
+    from bbq_torchrl.options.base import Exploration, Task
+
+__all__ = ["BootstrapActing"]
+
+
+@register
+@dataclass
+class BootstrapActing(ExploreOption):
+    """Act greedily on one of the heads, drawn for every dialogue."""
+
+    name: str = option("bootstrap")
+    per: str = setting(
+        "dialogue", one_of("step", "dialogue", "round"), "how long one draw of a head is kept"
+    )
+
+    needs: ClassVar[tuple[str, ...]] = ("heads",)
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The module that draws."""
+        from bbq_torchrl.modules import BootstrapSampling
+
+        return BootstrapSampling(actor, per=self.per), {}  # type: ignore[arg-type]

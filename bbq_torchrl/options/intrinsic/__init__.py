@@ -1,0 +1,1 @@
+"""The options of ``intrinsic=``: a reward of the agent's own."""

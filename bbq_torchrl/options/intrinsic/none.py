@@ -1,0 +1,19 @@
+"""``intrinsic=none``: the task's reward alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bbq_torchrl.options.base import IntrinsicOption
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import option
+
+__all__ = ["NoIntrinsic"]
+
+
+@register
+@dataclass
+class NoIntrinsic(IntrinsicOption):
+    """The task's reward alone."""
+
+    name: str = option("none")

@@ -1,0 +1,96 @@
+"""``intrinsic=vime``: a reward for what a transition teaches a model of the dynamics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.options.base import IntrinsicOption, parameters
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import (
+    COUNT,
+    COUNTS,
+    NON_NEGATIVE,
+    POSITIVE,
+    Values,
+    integers,
+    one_of,
+    option,
+    per_replica,
+    setting,
+)
+from bbq_torchrl.options.values import over_replicas
+
+if TYPE_CHECKING:
+    from torchrl.envs import Transform
+    from torchrl.objectives import LossModule
+
+    from bbq_torchrl.options.base import Task
+
+__all__ = ["VIME"]
+
+
+@register
+@dataclass
+class VIME(IntrinsicOption):
+    """What a transition teaches a Bayesian model of the dialogue's dynamics (VIME)."""
+
+    name: str = option("vime")
+    eta: Values = setting(
+        0.1,
+        per_replica(NON_NEGATIVE),
+        "factor of the normalised information gain, in units of reward",
+    )
+    weights: str = setting(
+        "map", one_of("map", "mc"), "information gain at the mean weights, or at one draw"
+    )
+    hidden: list[int] = setting([64, 64], COUNTS, "units of each hidden layer of the dynamics")
+    prior_std: float = setting(0.1, POSITIVE, "std of the prior of the dynamics' weights")
+    noise_std: float = setting(1.0, POSITIVE, "std of the standardised next state")
+    std_floor: float = setting(0.05, POSITIVE, "least std that a feature is divided by")
+    step_size: float = setting(0.01, POSITIVE, "size of the second-order step that gains")
+    clip: float = setting(10.0, POSITIVE, "greatest normalised information gain")
+    median_window: int = setting(
+        10, integers(1, 10**6), "rounds that the normalising median is taken over"
+    )
+    dynamics_every: int = setting(8, COUNT, "updates of Q for one of the dynamics")
+
+    def make(self, loss: LossModule, task: Task) -> tuple[LossModule, list[Transform]]:
+        """Adds the loss of the dynamics, and the transform that adds the bonus to the rewards."""
+        import torch
+
+        from bbq_torchrl.data import VIMEReward
+        from bbq_torchrl.modules import DynamicsModel, reset_inactive_
+        from bbq_torchrl.objectives import DynamicsLoss, VIMELoss
+
+        dynamics = DynamicsModel(
+            task.inputs,
+            task.actions,
+            self.hidden,
+            stack=(task.replicas,),
+            prior_std=self.prior_std,
+            noise_std=self.noise_std,
+            std_floor=self.std_floor,
+            device=task.device,
+        )
+        if task.inactive_inputs is not None and task.inactive_actions is not None:
+            # Of the outputs none: that a feature stays as it is can be learned before it appears.
+            inactive = torch.cat([task.inactive_inputs, task.inactive_actions])
+            reset_inactive_(dynamics.network, inputs=inactive)
+        reward = VIMEReward(
+            dynamics,
+            eta=over_replicas(self.eta, task),
+            weights=self.weights,  # type: ignore[arg-type]
+            step_size=self.step_size,
+            median_window=self.median_window,
+            clip=self.clip,
+        )
+        return VIMELoss(loss, DynamicsLoss(dynamics), dynamics_every=self.dynamics_every), [reward]
+
+    def floats(self, inputs: int, actions: int) -> int:
+        """The network of the dynamics: mean and std of each weight, and a pool of noise."""
+        return (2 * 5 + 8) * parameters([inputs + actions, *self.hidden, inputs])
+
+    def sizes(self) -> dict[str, Any]:
+        """The layers."""
+        return {"intrinsic.hidden": self.hidden}

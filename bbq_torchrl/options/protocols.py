@@ -1,0 +1,88 @@
+"""``protocol=``: how long and in which steps an agent trains and is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from bbq_torchrl.options.base import Option
+from bbq_torchrl.options.evaluation_cost import check_evaluation
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import (
+    COUNT,
+    NON_NEGATIVE_INTEGER,
+    STEP_SIZE,
+    ConfigError,
+    one_of,
+    option,
+    setting,
+)
+
+if TYPE_CHECKING:
+    from bbq_torchrl.options.root import Config
+
+__all__ = ["PaperProtocol", "ProtocolOption", "QuickProtocol"]
+
+
+@dataclass
+class ProtocolOption(Option):
+    """How long and in which steps an agent trains and is measured."""
+
+    group: ClassVar[str] = "protocol"
+
+    rounds: int = setting("${env.paper_rounds}", COUNT, "rounds of training")
+    dialogues: int = setting(50, COUNT, "dialogues of a round and replica")
+    batch_size: int = setting(32, COUNT, "transitions of an update")
+    lr: float = setting(1e-3, STEP_SIZE, "step size of Adam, for batches of this size")
+    freezes: int = setting(2, COUNT, "target freezes of a round")
+    epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
+    capacity: int = setting(10_000, COUNT, "transitions a replica's buffer holds")
+    eval_dialogues: int = setting(10_000, COUNT, "dialogues of the final evaluation of a replica")
+    eval_batch: int = setting(2_500, COUNT, "evaluation dialogues of all replicas side by side")
+    eval_every: int = setting(
+        5, NON_NEGATIVE_INTEGER, "rounds between two evaluations while training; 0: never"
+    )
+    eval_every_dialogues: int = setting(
+        400, COUNT, "dialogues of an evaluation while training, of a replica"
+    )
+    checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
+    keep_checkpoints: str = setting(
+        "weights",
+        one_of("all", "last", "weights"),
+        "every checkpoint, the last two, or after the end nothing but the weights",
+    )
+
+    def check(self, config: Config) -> None:
+        """Refuses a buffer smaller than a batch, and evaluations longer than the training."""
+        if self.capacity < self.batch_size:
+            raise ConfigError(
+                f"protocol.capacity must be at least protocol.batch_size ({self.batch_size}), "
+                f"got {self.capacity}"
+            )
+        check_evaluation(config)
+
+
+@register
+@dataclass
+class PaperProtocol(ProtocolOption):
+    """The paper's protocol."""
+
+    name: str = option("paper")
+
+
+@register
+@dataclass
+class QuickProtocol(ProtocolOption):
+    """A minute on one core: fewer rounds, larger batches, a smaller buffer; it learns to book."""
+
+    name: str = option("quick")
+    rounds: int = setting(40, COUNT, "rounds of training")
+    batch_size: int = setting(128, COUNT, "transitions of an update")
+    lr: float = setting(2e-3, STEP_SIZE, "step size of Adam, for batches of this size")
+    epochs: int = setting(3, COUNT, "passes over the buffer after each freeze")
+    capacity: int = setting(5_000, COUNT, "transitions a replica's buffer holds")
+    eval_dialogues: int = setting(2_000, COUNT, "dialogues of the final evaluation of a replica")
+    eval_batch: int = setting(2_000, COUNT, "evaluation dialogues of all replicas side by side")
+    eval_every_dialogues: int = setting(
+        200, COUNT, "dialogues of an evaluation while training, of a replica"
+    )

@@ -1,0 +1,189 @@
+"""Which options there are: ours, those of installed packages, and those of a folder of files.
+
+All come in by the same door, :func:`register`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from dataclasses import MISSING, fields, is_dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from bbq_torchrl.options.settings import Allowed, ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bbq_torchrl.options.base import Option
+
+__all__ = [
+    "ENTRY_POINTS",
+    "EXPERIMENT",
+    "GROUPS",
+    "explorations",
+    "load_folder",
+    "options_folder",
+    "register",
+    "schemas",
+]
+
+ENTRY_POINTS = "bbq_torchrl.options"
+"""The group of entry points by which an installed package offers options: each a module."""
+
+FOLDER_VARIABLE = "BBQ_TORCHRL_OPTIONS"
+"""The environment variable that hands a folder of options on to the workers of a sweep."""
+
+EXPERIMENT = "experiment"
+"""The group without options: files that fix options and keys of the others, added by a plus."""
+
+GROUPS = ("agent", "explore", "intrinsic", "env", "domain", "spike", "protocol", "logger")
+"""The groups, in the order that help and documentation have."""
+
+_BUILT_IN = (
+    "agent.bbqn",
+    "agent.dqn",
+    "agent.bootstrap",
+    "explore.thompson",
+    "explore.epsilon_greedy",
+    "explore.boltzmann",
+    "explore.greedy",
+    "explore.bootstrap",
+    "explore.noisy",
+    "intrinsic.none",
+    "intrinsic.vime",
+    "env.dialogue",
+    "domain.movie",
+    "domain.miulab",
+    "domain.folder",
+    "spikes",
+    "protocols",
+    "loggers",
+)
+
+_OPTIONS: dict[str, dict[str, type[Option]]] = {group: {} for group in GROUPS}
+_loaded: set[str] = set()
+
+Registered = TypeVar("Registered", bound="type[Option]")
+
+
+def register(option: Registered) -> Registered:
+    """Makes a dataclass an option of its group; a decorator.
+
+    The group is that of the base class (:class:`~bbq_torchrl.options.base.AgentOption`, ...), the
+    name is the default of the field ``name``.
+
+    Raises:
+        TypeError: a class that is no dataclass of a group, a field that was not declared by
+            :func:`~bbq_torchrl.options.settings.setting`, or a name that another class has.
+    """
+    group, name = _group(option), _name(option)
+    for item in fields(option):
+        if not isinstance(item.metadata.get("allowed"), Allowed):
+            raise TypeError(
+                f"{option.__qualname__}.{item.name} must be declared by setting(default, allowed, "
+                f"meaning), got {item.default!r}"
+            )
+    other = _OPTIONS[group].get(name)
+    if other is not None and _where(other) != _where(option):
+        raise TypeError(f"{group}={name} is registered already, by {_where(other)}")
+    _OPTIONS[group][name] = option
+    return option
+
+
+def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
+    """Returns group -> name -> option; finds those of installed packages at the first call.
+
+    Raises:
+        ConfigError: a package or file of options that cannot be imported.
+    """
+    if ENTRY_POINTS not in _loaded:
+        for module in _BUILT_IN:
+            importlib.import_module(f"{__package__}.{module}")
+        for point in entry_points(group=ENTRY_POINTS):
+            try:
+                point.load()
+            except Exception as error:
+                raise ConfigError(
+                    f"the options of {point.name} ({point.value}) cannot be imported: {error}"
+                ) from error
+        _loaded.add(ENTRY_POINTS)
+        folder = options_folder()
+        if folder is not None:
+            load_folder(folder)
+    return _OPTIONS
+
+
+def load_folder(folder: Path | str) -> None:
+    """Imports the Python files of a folder, which register their options.
+
+    The folder is put in front of the module path, so that a sweep's workers find them too.
+
+    Raises:
+        ConfigError: no such folder, or a file that cannot be imported.
+    """
+    folder = Path(folder).expanduser().resolve()
+    if not folder.is_dir():
+        raise ConfigError(f"--config-dir must be a folder, got {folder}")
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    for file in sorted(folder.glob("*.py")):
+        try:
+            module = importlib.import_module(file.stem)
+        except Exception as error:
+            raise ConfigError(f"{file} cannot be imported: {error}") from error
+        if module.__file__ is None or Path(module.__file__).resolve() != file:
+            raise ConfigError(
+                f"{file} must have a name that no other module has, got {file.stem}, which is "
+                f"{module.__file__}"
+            )
+    os.environ[FOLDER_VARIABLE] = str(folder)
+
+
+def options_folder() -> Path | None:
+    """The folder whose files :func:`load_folder` imported, here or in the process that began."""
+    folder = os.environ.get(FOLDER_VARIABLE)
+    return None if folder is None else Path(folder)
+
+
+def explorations() -> dict[str, tuple[str, ...]]:
+    """Returns for each agent the strategies that it can use, its own first.
+
+    An agent can use a strategy if it offers all that the strategy needs.
+    """
+    known = schemas()
+    found = {}
+    for name, agent in known["agent"].items():
+        own = agent.explores_by  # type: ignore[attr-defined]
+        able = [
+            other
+            for other, explore in known["explore"].items()
+            if set(explore.needs) <= set(agent.offers)  # type: ignore[attr-defined]
+        ]
+        found[name] = tuple(sorted(able, key=lambda other: other != own))
+    return found
+
+
+def _group(option: type[Option]) -> str:
+    if not is_dataclass(option):
+        raise TypeError(f"an option must be a dataclass, got {option!r}")
+    group = getattr(option, "group", None)
+    if group not in GROUPS:
+        raise TypeError(
+            f"{option.__qualname__} must extend the option of a group, such as ExploreOption"
+        )
+    return group
+
+
+def _name(option: type[Option]) -> str:
+    default = next(item.default for item in fields(option) if item.name == "name")
+    if default is MISSING or not isinstance(default, str) or not default.isidentifier():
+        raise TypeError(f"{option.__qualname__}.name must be option('<name>'), got {default!r}")
+    return default
+
+
+def _where(option: type[Option]) -> str:
+    return f"{option.__module__}.{option.__qualname__}"

@@ -1,0 +1,136 @@
+"""The roots of the configuration: what a training, an evaluation and a calibration are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from bbq_torchrl.options.agent.bbqn import EVALUATION_MODES
+from bbq_torchrl.options.base import (
+    AgentOption,
+    DomainOption,
+    EnvOption,
+    ExploreOption,
+    IntrinsicOption,
+    LoggerOption,
+    Option,
+)
+from bbq_torchrl.options.protocols import ProtocolOption  # noqa: TC001 (OmegaConf reads it)
+from bbq_torchrl.options.registry import explorations
+from bbq_torchrl.options.settings import (
+    ANY_TEXT,
+    COUNT,
+    PROBABILITY,
+    REQUIRED,
+    SEED,
+    THREADS,
+    Allowed,
+    ConfigError,
+    check_settings,
+    one_of,
+    optional,
+    setting,
+)
+from bbq_torchrl.options.spikes import SpikeOption  # noqa: TC001 (OmegaConf reads it)
+from bbq_torchrl.options.values import check_values
+
+__all__ = ["CalibrateConfig", "Config", "EvaluateConfig", "validate"]
+
+DEVICE = Allowed(
+    "'cpu', 'cuda' or 'cuda:<number>'",
+    lambda value: (
+        value in ("cpu", "cuda")
+        or (isinstance(value, str) and value.startswith("cuda:") and value[5:].isdigit())
+    ),
+)
+
+
+@dataclass
+class Config:
+    """A training run: the root of the configuration of ``train.py``."""
+
+    agent: AgentOption = REQUIRED  # type: ignore[assignment]
+    explore: ExploreOption = REQUIRED  # type: ignore[assignment]
+    intrinsic: IntrinsicOption = REQUIRED  # type: ignore[assignment]
+    env: EnvOption = REQUIRED  # type: ignore[assignment]
+    domain: DomainOption = REQUIRED  # type: ignore[assignment]
+    spike: SpikeOption = REQUIRED  # type: ignore[assignment]
+    protocol: ProtocolOption = REQUIRED  # type: ignore[assignment]
+    logger: LoggerOption = REQUIRED  # type: ignore[assignment]
+    replicas: int = setting(1, COUNT, "independent seeds trained side by side")
+    seed: int = setting(0, SEED, "seed that all random numbers derive from")
+    device: str = setting("cpu", DEVICE, "where tensors live")
+    threads: int = setting(1, THREADS, "CPU threads of torch")
+    resume: str | None = setting(
+        None, optional(ANY_TEXT, "a new run"), "run folder of the run to go on with"
+    )
+
+
+@dataclass
+class EvaluateConfig:
+    """An evaluation: the root of the configuration of ``python -m bbq_torchrl.evaluate``."""
+
+    env: EnvOption = REQUIRED  # type: ignore[assignment]
+    domain: DomainOption = REQUIRED  # type: ignore[assignment]
+    policy: str = setting(
+        REQUIRED, ANY_TEXT, "random, a scripted policy of the domain (rule, careful, ...), or a run"
+    )
+    dialogues: int = setting(10_000, COUNT, "dialogues played; for each replica of a run folder")
+    batch: int = setting(2_500, COUNT, "dialogues that run side by side")
+    mode: str | None = setting(
+        None,
+        optional(one_of(*EVALUATION_MODES), "the agent's own"),
+        "policy of a Bayesian agent: mean network, average of draws, one draw, or new draws at "
+        "every step",
+    )
+    weights: str = setting(
+        "last",
+        one_of("last", "best"),
+        "a run's weights: the newest, or each replica's at its best evaluation while training",
+    )
+    log: str | None = setting(None, optional(ANY_TEXT, "none"), "file for readable dialogues")
+    log_dialogues: int = setting(10, COUNT, "dialogues written to log")
+    seed: int = setting(0, SEED, "seed that all random numbers derive from")
+    device: str = setting("cpu", DEVICE, "where tensors live")
+    threads: int = setting(1, THREADS, "CPU threads of torch")
+
+
+@dataclass
+class CalibrateConfig:
+    """The root of the configuration of ``python -m bbq_torchrl.domains calibrate``."""
+
+    env: EnvOption = REQUIRED  # type: ignore[assignment]
+    domain: DomainOption = REQUIRED  # type: ignore[assignment]
+    policy: str = setting("rule", ANY_TEXT, "scripted policy of the domain")
+    success: float = setting(0.183, PROBABILITY, "success rate that the policy is to have")
+    dialogues: int = setting(100_000, COUNT, "dialogues played for each probability tried")
+    batch: int = setting(2_500, COUNT, "dialogues that run side by side")
+    seed: int = setting(0, SEED, "seed that all random numbers derive from")
+    device: str = setting("cpu", DEVICE, "where tensors live")
+    threads: int = setting(1, THREADS, "CPU threads of torch")
+
+
+def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
+    """Refuses a configuration that cannot be run.
+
+    Raises:
+        ConfigError: one sentence that names the key, its value and what is allowed.
+    """
+    check_settings(config)
+    if not isinstance(config, Config):
+        return
+    _check_pair(config)
+    check_values(config)
+    for item in fields(config):
+        part = getattr(config, item.name)
+        if isinstance(part, Option):
+            part.check(config)
+
+
+def _check_pair(config: Config) -> None:
+    agent, explore = config.agent.name, config.explore.name
+    allowed = explorations()[agent]
+    if explore not in allowed:
+        raise ConfigError(
+            f"agent={agent} cannot be combined with explore={explore}: "
+            f"explore must be one of {', '.join(allowed)}"
+        )

@@ -1,0 +1,70 @@
+"""``spike=``: what is in the replay buffer before the first round."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from bbq_torchrl.options.base import Option
+from bbq_torchrl.options.registry import register
+from bbq_torchrl.options.settings import (
+    ANY_TEXT,
+    BELOW_ONE,
+    BOOLEAN,
+    COUNT,
+    NON_NEGATIVE_INTEGER,
+    Allowed,
+    ConfigError,
+    option,
+    optional,
+    setting,
+)
+
+if TYPE_CHECKING:
+    from bbq_torchrl.options.root import Config
+
+__all__ = ["NoSpike", "RuleSpike", "SpikeOption"]
+
+EMPTY = Allowed("0, or be given with spike=rule", lambda value: value == 0)
+
+
+@dataclass
+class SpikeOption(Option):
+    """What is in the replay buffer before the first round."""
+
+    group: ClassVar[str] = "spike"
+
+    dialogues: int = setting(100, NON_NEGATIVE_INTEGER, "scripted dialogues put into the buffer")
+    policy: str = setting("rule", ANY_TEXT, "scripted policy of the domain that plays them")
+    protect: bool = setting(True, BOOLEAN, "spiked transitions are never evicted")
+    drop_above: float | None = setting(
+        None,
+        optional(BELOW_ONE, "never"),
+        "training success above which a replica's spiked transitions are dropped for good",
+    )
+    drop_window: int = setting(5, COUNT, "rounds that drop_above takes the mean success of")
+
+    def check(self, config: Config) -> None:
+        """Refuses to drop by a threshold what leaves by itself."""
+        if self.drop_above is not None and not self.protect:
+            raise ConfigError(
+                "spike.drop_above cannot be combined with spike.protect=false: transitions that "
+                "are not protected leave by themselves, so spike.drop_above must be null"
+            )
+
+
+@register
+@dataclass
+class RuleSpike(SpikeOption):
+    """Replay-buffer spiking: dialogues of a scripted policy."""
+
+    name: str = option("rule")
+
+
+@register
+@dataclass
+class NoSpike(SpikeOption):
+    """An empty buffer."""
+
+    name: str = option("none")
+    dialogues: int = setting(0, EMPTY, "scripted dialogues put into the buffer")
