@@ -185,7 +185,7 @@ class _Sweep:
     def how_to_go_on(self) -> str:
         """What is finished, and what goes on with the others."""
         finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
-        return f"{finished}; python train.py resume=<run folder> goes on with one that is not"
+        return f"{finished}; {_program()} resume=<run folder> goes on with one that is not"
 
 
 def _stop_workers() -> None:
@@ -201,7 +201,12 @@ def _how_to_go_on(folder: Path) -> str:
     override = f"resume={folder if plain else _quoted(folder)}"
     own = options_folder()
     flag = "" if own is None else f"--config-dir {shlex.quote(str(own))} "
-    return f"python train.py {flag}{shlex.quote(override)} goes on"
+    return f"{_program()} {flag}{shlex.quote(override)} goes on"
+
+
+def _program() -> str:
+    """How this process was called."""
+    return "bbq train" if Path(sys.argv[0]).stem == "bbq" else "python train.py"
 
 
 def _end(end: BaseException, sweep: _Sweep | None) -> NoReturn:

@@ -1,0 +1,45 @@
+"""The console command ``bbq``: every command of the project by one name."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+from bbq_torchrl import __version__, interruption
+
+__all__ = ["main"]
+
+COMMANDS = {
+    "train": ("bbq_torchrl.cli.train", "train an agent and evaluate it, or many (--multirun)"),
+    "evaluate": ("bbq_torchrl.evaluate", "play dialogues with a run or a scripted policy"),
+    "search": ("bbq_torchrl.search.__main__", "search for hyper-parameters"),
+    "report": ("bbq_torchrl.evaluation.report", "compare finished runs over their seeds"),
+    "domains": ("bbq_torchrl.calibrate", "calibrate a domain"),
+}
+"""name -> the module whose ``main`` it is, and what it does."""
+
+
+def main() -> int | None:
+    """Runs ``bbq <command> ...``. Returns the exit code."""
+    arguments = sys.argv[1:]
+    if not arguments or arguments[0] in ("-h", "--help"):
+        sys.stdout.write(_usage())
+        return 0
+    if arguments[0] == "--version":
+        sys.stdout.write(f"{__version__}\n")
+        return 0
+    name = arguments[0]
+    if name not in COMMANDS:
+        sys.stderr.write(f"error: the command must be one of {', '.join(COMMANDS)}, got {name!r}\n")
+        return 2
+    interruption.tell(lambda: f"in bbq {name}", lambda: "the same command begins again")
+    interruption.listen()
+    module = importlib.import_module(COMMANDS[name][0])
+    sys.argv[1:] = arguments[1:]
+    code: int | None = module.main()
+    return code
+
+
+def _usage() -> str:
+    lines = [f"  {name:<10} {meaning}" for name, (_, meaning) in COMMANDS.items()]
+    return "\n".join(["usage: bbq <command> ...", "", *lines, "", "bbq <command> --help", ""])

@@ -1,0 +1,42 @@
+"""``bbq train``, and ``python train.py`` in a checkout: configuration in, result out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.cli.command import command
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.options import Config
+
+__all__ = ["main"]
+
+
+# The parts are imported when they are needed: torch and torchrl take ten seconds, --help none.
+def _check(config: Config) -> None:
+    """Checks device and corpus before anything runs."""
+    from bbq_torchrl.cli import checks
+
+    checks.check(config)
+
+
+def _clear_errors() -> tuple[type[Exception], ...]:
+    """Returns the errors of a run whose text is enough for a person."""
+    from bbq_torchrl.trainers import (
+        CheckpointDamagedError,
+        CheckpointMismatchError,
+        NonFiniteLossError,
+        SpikeError,
+    )
+
+    return NonFiniteLossError, CheckpointDamagedError, CheckpointMismatchError, SpikeError
+
+
+@command(_check, _clear_errors)
+def main(config: Config, run_folder: Path) -> float:
+    """Trains, evaluates, and writes the run folder. Returns the final success rate."""
+    from bbq_torchrl.run import run
+
+    return run(config, run_folder).success_rate

@@ -1,0 +1,54 @@
+"""The command ``bbq``: every command by one name."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import pytest
+
+import bbq_torchrl
+from bbq_torchrl import interruption
+from bbq_torchrl.cli import console
+
+
+@pytest.fixture(autouse=True)
+def deaf(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Signals of the test's own process stay as they are."""
+    monkeypatch.setattr(interruption, "listen", lambda: None)
+
+
+def bbq(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int | None:
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/bbq", *arguments])
+    return console.main()
+
+
+def test_help_names_every_command(monkeypatch, capsys):
+    assert bbq(monkeypatch) == bbq(monkeypatch, "--help") == 0
+    out = capsys.readouterr().out
+    assert all(f"\n  {name} " in out for name in console.COMMANDS)
+
+
+def test_the_version_is_the_packages(monkeypatch, capsys):
+    assert bbq(monkeypatch, "--version") == 0
+    assert capsys.readouterr().out == f"{bbq_torchrl.__version__}\n"
+
+
+def test_an_unknown_command_is_refused_with_those_that_there_are(monkeypatch, capsys):
+    assert bbq(monkeypatch, "trian") == 2
+    line = "error: the command must be one of train, evaluate, search, report, domains, got 'trian'"
+    assert capsys.readouterr().err == f"{line}\n"
+
+
+@pytest.mark.parametrize("name", console.COMMANDS)
+def test_every_command_has_a_main(name):
+    assert callable(importlib.import_module(console.COMMANDS[name][0]).main)
+
+
+def test_what_follows_the_command_is_the_commands(monkeypatch, capsys):
+    assert bbq(monkeypatch, "evaluate", "policy=rule", "dialogues=20", "batch=20") == 0
+    assert '"dialogues": 20' in capsys.readouterr().out
+    with pytest.raises(SystemExit) as refused:
+        bbq(monkeypatch, "train", "agent=nope")
+    assert refused.value.code == 2
+    assert "agent must be one of bbqn" in capsys.readouterr().err
