@@ -9,14 +9,16 @@ import torch
 
 from bbq_torchrl.build.memory import check_memory, training_needs
 from bbq_torchrl.build.worlds import build_domain, build_env, build_schedule
-from bbq_torchrl.config.resume import RESULT, has_result
+from bbq_torchrl.config.resume import RESULT, description, has_result
 from bbq_torchrl.config.settings import ConfigError
 from bbq_torchrl.config.worlds import DomainExtensionConfig
 from bbq_torchrl.envs import scripted_policy
 from bbq_torchrl.evaluation.results import METRICS_FILE
+from bbq_torchrl.text import shown
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
+    CheckpointMismatchError,
     check_logger,
     derive_seed,
 )
@@ -44,27 +46,30 @@ def check(config: Config) -> None:
     except ImportError as error:
         raise ConfigError(str(error)) from error
     domain = build_domain(config.domain)
-    if config.spike.policy not in domain.policies:
-        raise ConfigError(
-            f"spike.policy must be one of {', '.join(domain.policies)}, got {config.spike.policy!r}"
-        )
+    spike = config.spike
+    if spike.dialogues and spike.policy not in domain.policies:
+        names = ", ".join(domain.policies)
+        allowed = f"be one of {names}" if names else "not be needed (spike=none): there is none"
+        raise ConfigError(f"spike.policy must {allowed}, got {shown(spike.policy)}")
     check_memory(training_needs(config, domain), config.device)
     if isinstance(config.env, DomainExtensionConfig):
         build_schedule(config.env).never_active(domain)
     _check_spike(config, domain)
     if config.resume is not None:
-        _check_resumable(Path(config.resume), config.protocol.rounds)
+        _check_resumable(Path(config.resume), config)
 
 
-def _check_resumable(folder: Path, rounds: int) -> None:
-    """Raises ConfigError if a run has begun, but there is no checkpoint to go on from."""
-    if has_result(folder, rounds):
+def _check_resumable(folder: Path, config: Config) -> None:
+    """Raises ConfigError if a run has begun, but there is no checkpoint of it to go on from."""
+    if has_result(folder, config.protocol.rounds):
         return  # what is missing is drawn, not trained
+    checkpoints = CheckpointFolder(folder / "checkpoint")
     try:
-        found = CheckpointFolder(folder / "checkpoint").holds("replay")
+        found = checkpoints.holds("replay")
         if not found and any((folder / name).exists() for name in (METRICS_FILE, RESULT)):
             raise CheckpointDamagedError.gone(folder)
-    except CheckpointDamagedError as error:
+        checkpoints.check(description(config))
+    except (CheckpointDamagedError, CheckpointMismatchError) as error:
         raise ConfigError(str(error)) from error
 
 
