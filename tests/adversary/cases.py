@@ -14,6 +14,7 @@ KILLS = int(os.environ.get("BBQ_KILLS", "10"))
 DAMAGES = int(os.environ.get("BBQ_DAMAGES", "50"))
 INPUTS = int(os.environ.get("BBQ_INPUTS", "45"))
 SEED = int(os.environ.get("BBQ_SEED", "0")) or time.time_ns() % 2**32
+os.environ["BBQ_SEED"] = str(SEED)  # the workers of pytest-xdist inherit it
 
 TINY = (
     "protocol.rounds=4",
