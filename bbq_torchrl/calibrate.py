@@ -120,9 +120,8 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     keep_freed_memory()
     domain = config.domain.make()
     if config.policy not in domain.policies:
-        raise ConfigError(
-            f"policy must be one of {', '.join(domain.policies)}, got {shown(config.policy)}"
-        )
+        names = ", ".join(domain.policies) or "the domain's scripted policies, of which it has none"
+        raise ConfigError(f"policy must be one of {names}, got {shown(config.policy)}")
     check_memory(evaluation_needs(config, domain, 1), config.device)
     tried: dict[tuple[float, int], float] = {}
 

@@ -161,7 +161,10 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
     file = Path(config.log).expanduser()
     dialogues = min(config.log_dialogues, config.dialogues)
     texts = transcripts(env, policy, dialogues, seed=config.seed)
-    file.write_text("\n".join(texts), encoding="utf-8")
+    try:
+        file.write_text("\n".join(texts), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"log={config.log} cannot be written: {error.strerror}") from error
 
 
 if __name__ == "__main__":

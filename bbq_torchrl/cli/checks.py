@@ -9,12 +9,14 @@ import torch
 
 from bbq_torchrl.cli.agent import make_domain
 from bbq_torchrl.cli.memory import check_memory, training_needs
-from bbq_torchrl.cli.resume import RESULT, has_result
+from bbq_torchrl.cli.resume import RESULT, description, has_result
 from bbq_torchrl.evaluation.results import METRICS_FILE
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.text import shown
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
+    CheckpointMismatchError,
     derive_seed,
 )
 from bbq_torchrl.trainers.spiking import count_transitions
@@ -41,32 +43,29 @@ def check(config: Config) -> None:
     except ImportError as error:
         raise ConfigError(str(error)) from error
     domain = make_domain(config)
-    policies = config.env.policies(domain)
-    if config.env.has_domain and config.spike.policy not in policies:
-        raise ConfigError(
-            f"spike.policy must be one of {', '.join(policies)}, got {config.spike.policy!r}"
-        )
-    if config.spike.dialogues and not policies:
-        raise ConfigError(
-            f"spike must be none with env={config.env.name}, which has no scripted policies, got "
-            f"{config.spike.name!r}"
-        )
+    spike, policies = config.spike, config.env.policies(domain)
+    if spike.dialogues and spike.policy not in policies:
+        names = ", ".join(policies)
+        allowed = f"be one of {names}" if names else "not be needed (spike=none): there is none"
+        raise ConfigError(f"spike.policy must {allowed}, got {shown(spike.policy)}")
     check_memory(training_needs(config, domain), config.device)
     config.env.check_domain(domain)
     _check_spike(config, domain)
     if config.resume is not None:
-        _check_resumable(Path(config.resume), config.protocol.rounds)
+        _check_resumable(Path(config.resume), config)
 
 
-def _check_resumable(folder: Path, rounds: int) -> None:
-    """Raises ConfigError if a run has begun, but there is no checkpoint to go on from."""
-    if has_result(folder, rounds):
+def _check_resumable(folder: Path, config: Config) -> None:
+    """Raises ConfigError if a run has begun, but there is no checkpoint of it to go on from."""
+    if has_result(folder, config.protocol.rounds):
         return  # what is missing is drawn, not trained
+    checkpoints = CheckpointFolder(folder / "checkpoint")
     try:
-        found = CheckpointFolder(folder / "checkpoint").holds("replay")
+        found = checkpoints.holds("replay")
         if not found and any((folder / name).exists() for name in (METRICS_FILE, RESULT)):
             raise CheckpointDamagedError.gone(folder)
-    except CheckpointDamagedError as error:
+        checkpoints.check(description(config))
+    except (CheckpointDamagedError, CheckpointMismatchError) as error:
         raise ConfigError(str(error)) from error
 
 

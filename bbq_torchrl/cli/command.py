@@ -30,10 +30,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.launchers import LAUNCHER, check_launcher
-from bbq_torchrl.cli.messages import explain
+from bbq_torchrl.cli.messages import explain, too_large
 from bbq_torchrl.cli.resume import (
     RUN_CONFIG,
     restarted_config,
@@ -231,18 +232,23 @@ def _prepare(
     arguments: Sequence[str], check: Check, held: ExitStack
 ) -> tuple[list[str], _Sweep | None]:
     """The command line for Hydra, and its sweep; ``held`` takes the lock of a single run."""
-    parsed = get_args_parser().parse_args(list(arguments))
+    parser = get_args_parser()
+    parser.error = _refuse_flag  # type: ignore[method-assign]
+    parsed = parser.parse_args(list(arguments))
     if parsed.config_dir is not None:
         load_folder(Path(parsed.config_dir))
     register_options()
     if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
         return list(arguments), None
+    if (refusal := too_large(parsed.overrides)) is not None:
+        raise ConfigError(refusal)
     sweep = None
     with session() as hydra_session:
         _refuse_unread(parsed)
         mode = None if parsed.multirun else hydra_session.get_mode("config", parsed.overrides)
         if not parsed.multirun and mode is not RunMode.MULTIRUN:
             composed = compose_raw(parsed.overrides, with_hydra=True)
+            _refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
             folder = _resumed_folder(composed.resume)
             if folder is not None:
                 held.enter_context(run_lock(folder))
@@ -251,6 +257,7 @@ def _prepare(
             extra = _run_folder(composed, folder, held)
         else:
             composed, jobs = _sweep(hydra_session, parsed.overrides)
+            _refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
             check_launcher(composed.hydra.runtime.choices[LAUNCHER])
             for overrides in jobs:
                 job = compose_raw(overrides)
@@ -263,11 +270,25 @@ def _prepare(
     return [*arguments, *extra], sweep
 
 
+def _refuse_flag(message: str) -> NoReturn:
+    """Takes the place of argparse's own, which would print how all of Hydra's flags are used."""
+    raise ConfigError(f"{sentence(message)}; see --help")
+
+
 def _refuse_unread(parsed: Namespace) -> None:
-    for flag in ("config_path", "config_name", "experimental_rerun"):
+    for flag in ("config_path", "config_name", "config_dir", "experimental_rerun"):
         if getattr(parsed, flag, None) is not None:
             name = "--" + flag.replace("_", "-")
             raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
+
+
+def _refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
+    """Refuses the folder of a sweep for a single run, and the other way round."""
+    for override in overrides:
+        if re.match(rf"[+]*hydra\.{other}\.\w+=", override):
+            raise ConfigError(
+                f"{sentence(override)} is for {its}: here it is hydra.{own}.dir=<folder>"
+            )
 
 
 def _without_hydra(composed: DictConfig) -> DictConfig:
@@ -309,7 +330,8 @@ def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, li
         raise ConfigError(explain(error, arguments, options)) from error
     if not jobs:
         raise ConfigError(
-            f"{' '.join(arguments)} is a sweep without a job: a glob() names no option "
+            f"{sentence(' '.join(arguments))} is a sweep without a job: a range() is empty, or a "
+            "glob() names no option "
             "(globs of a folder of options stand behind its name: '+experiment/agents=glob(*)')"
         )
     return compose_raw(jobs[0], with_hydra=True), jobs
@@ -328,7 +350,7 @@ def _run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> 
     if resumed is not None:
         # Hydra's own record stays as the first process wrote it.
         return [f"hydra.run.dir={_quoted(resumed)}", "hydra.output_subdir=null"]
-    chosen = Path(composed.hydra.run.dir)
+    chosen = _named_folder(composed, "run")
     if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
         held.enter_context(run_lock(chosen))
         if (chosen / RUN_CONFIG).exists():
@@ -339,9 +361,21 @@ def _run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> 
     return [f"hydra.run.dir={_quoted(folder)}"]
 
 
+def _named_folder(composed: DictConfig, kind: str) -> Path:
+    """What ``hydra.run.dir`` or ``hydra.sweep.dir`` names."""
+    key = f"hydra.{kind}.dir"
+    try:
+        name = str(composed.hydra[kind].dir)
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{key} cannot be resolved: {str(error).splitlines()[0]}") from error
+    if not name.strip():
+        raise ConfigError(f"{key} must be the name of a folder, got {name!r}")
+    return Path(name)
+
+
 def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
     """The folder of a sweep: the one given, which must not be there yet, or one of a free name."""
-    folder = Path(composed.hydra.sweep.dir)
+    folder = _named_folder(composed, "sweep")
     if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
         return _reserve(folder)
     try:
@@ -351,6 +385,10 @@ def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
             f"hydra.sweep.dir must be a folder that is not there yet, got {folder}, which is: "
             "choose another name, or remove it"
         ) from None
+    except OSError as error:
+        raise ConfigError(
+            f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"
+        ) from error
     return folder
 
 

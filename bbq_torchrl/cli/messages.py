@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
@@ -19,9 +20,19 @@ from bbq_torchrl.text import sentence, shown
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["explain", "not_an_option", "take_config_dir", "unknown_key", "unreadable"]
+__all__ = [
+    "explain",
+    "not_an_option",
+    "take_config_dir",
+    "too_large",
+    "unknown_key",
+    "unreadable",
+]
 
 ONE_VALUE = "each key has one value in this command"
+
+_LONGEST = 100_000  # characters of an override: Hydra's parser takes seconds for more
+_DEEPEST = 20  # brackets within brackets: it takes minutes for thousands
 
 
 def explain(
@@ -75,6 +86,17 @@ def take_config_dir(arguments: Sequence[str]) -> list[str]:
         else:
             rest.append(argument)
     return rest
+
+
+def too_large(overrides: Sequence[str]) -> str | None:
+    """A sentence for an override that is too long or too deep to be worth reading."""
+    for override in overrides:
+        if len(override) > _LONGEST:
+            return unreadable(override, f"it has more than {_LONGEST} characters")
+        depth = accumulate((letter in "[{(") - (letter in ")}]") for letter in override)
+        if max(depth, default=0) > _DEEPEST:
+            return unreadable(override, "it is nested too deeply")
+    return None
 
 
 def unreadable(override: str, hint: str = "write key=value") -> str:
@@ -148,13 +170,8 @@ def _given(key: str, overrides: Sequence[str]) -> str | None:
 def _allowed(key: str, schema: Any) -> str | None:
     """What the field of a dotted key allows; the schema is looked up where none is given."""
     group, _, name = key.rpartition(".")
-    candidates = [
-        schema,
-        Config,
-        EvaluateConfig,
-        CalibrateConfig,
-        *schemas().get(group, {}).values(),
-    ]
+    roots = () if group else (Config, EvaluateConfig, CalibrateConfig)
+    candidates = [schema, *roots, *schemas().get(group, {}).values()]
     for candidate in candidates:
         if not is_dataclass(candidate):
             continue
@@ -194,6 +211,8 @@ def unknown_key(key: str, schema: Any) -> str:
     """One sentence for a dotted key that the schema of its group lacks."""
     parent, _, name = key.rpartition(".")
     keys = [item.name for item in fields(schema)]
+    if schema in (Config, EvaluateConfig, CalibrateConfig):  # a group that there is not, too
+        parent = ""
     if name in keys:
         return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
     close = get_close_matches(name, keys, n=1)
@@ -221,6 +240,8 @@ def not_an_option(
         group, equals, value = override.partition("=")
         if group.lstrip("+") == EXPERIMENT and root is not Config:
             return f"{EXPERIMENT} is for training only: write the keys of {value} one by one"
+        if re.match(r"[+~]*hydra[./]", group) and root is not Config:
+            return f"{shown(override)} is for training only: this command has no such key"
         if equals and group == EXPERIMENT:
             return f"{EXPERIMENT} is added with a plus: write +{EXPERIMENT}={value}"
         if group.startswith("+") and group.lstrip("+") in groups:

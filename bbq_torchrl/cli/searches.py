@@ -213,7 +213,8 @@ def _read(chosen: str) -> _Given:
     except OSError as error:
         raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
     except Exception as error:
-        raise ConfigError(f"{file} is not a YAML file of a search: {error}") from error
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise ConfigError(f"{file} is not a YAML file of a search: {reason}") from error
     if not isinstance(plain, dict) or not isinstance(plain.get("space"), dict):
         raise ConfigError(f"{file} must have the key space, a mapping of keys to what they may be")
     fixed = plain.pop("fixed", None) or []
@@ -225,6 +226,8 @@ def _read(chosen: str) -> _Given:
 
 
 def _value(argument: str, text: str) -> Any:
+    if not text:
+        return text  # which YAML would take for null
     try:
         parsed = OmegaConf.from_dotlist([f"value={text}"])
         return OmegaConf.to_container(parsed, resolve=False)["value"]  # type: ignore[index, call-overload]

@@ -19,9 +19,9 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException, ValidationError
 
-from bbq_torchrl.cli.messages import explain, not_an_option, unknown_key
+from bbq_torchrl.cli.messages import explain, not_an_option, too_large, unknown_key
 from bbq_torchrl.options import (
     AgentOption,
     CalibrateConfig,
@@ -34,6 +34,7 @@ from bbq_torchrl.options import (
 )
 from bbq_torchrl.options.registry import EXPERIMENT, options_folder
 from bbq_torchrl.options.values import keys_with_lists
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -175,7 +176,7 @@ def compose_raw(
     Raises:
         ConfigError: an unknown group, option or key, or a value of the wrong type.
     """
-    refusal = not_an_option(overrides, options, ROOTS[name])
+    refusal = too_large(overrides) or not_an_option(overrides, options, ROOTS[name])
     if refusal is not None:
         raise ConfigError(refusal)
     try:
@@ -266,11 +267,15 @@ def _typed_group(group: str, plain: DictConfig) -> DictConfig:
             "come with an installed package or with --config-dir <folder>"
         )
     typed = OmegaConf.structured(known[name])
-    keys = {item.name for item in fields(known[name])}
+    keys = {item.name: item for item in fields(known[name])}
     for key, value in plain[group].items_ex(resolve=False):
         if key not in keys:
             raise ConfigError(unknown_key(f"{group}.{key}", known[name]))
-        typed[key] = value
+        try:
+            typed[key] = value
+        except ValidationError as error:
+            allowed = keys[key].metadata["allowed"].text
+            raise ConfigError(f"{group}.{key} must be {allowed}, got {shown(value)}") from error
     assert isinstance(typed, DictConfig)
     return typed
 
@@ -314,7 +319,8 @@ def load_config(file: Path) -> Config:
     except OSError as error:
         raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
     except Exception as error:
-        raise ConfigError(f"{file} is not a YAML file of a run: {error}") from error
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise ConfigError(f"{file} is not a YAML file of a run: {reason}") from error
     if not isinstance(plain, DictConfig):
         raise ConfigError(f"{file} must hold a mapping of groups, got a list")
     for key in _REMOVED_KEYS:

@@ -9,7 +9,7 @@ import yaml
 
 from bbq_torchrl.domains.domain import Action, ScriptedPolicySpec
 from bbq_torchrl.domains.faults import Fault, Location
-from bbq_torchrl.text import shown
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -103,7 +103,7 @@ def read_specification(path: Path) -> Specification:
     except RecursionError:
         found.faults.append(Fault((), "it is nested too deeply"))
     except yaml.YAMLError as error:
-        found.faults.append(Fault((), f"it is not valid YAML: {error}"))
+        found.faults.append(Fault((), f"it is not valid YAML: {_problem(error)}"))
     except UnicodeDecodeError as error:
         found.faults.append(Fault((), f"it must be UTF-8 text: {error}"))
     except ValueError as error:
@@ -111,6 +111,13 @@ def read_specification(path: Path) -> Specification:
     else:
         _Reader(found).read(content)
     return found
+
+
+def _problem(error: yaml.YAMLError) -> str:
+    """Returns what is wrong, and in which line."""
+    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
+        return sentence(error)
+    return f"{error.problem} in line {error.problem_mark.line + 1}"
 
 
 def _lines(node: yaml.Node | None, parent: Place = ()) -> dict[Place, int]:

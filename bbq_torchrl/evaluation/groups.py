@@ -17,6 +17,7 @@ from bbq_torchrl.evaluation.results import (
     read_metrics,
     read_result,
 )
+from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -40,6 +41,9 @@ _OF_A_MACHINE = (
     "protocol.eval_every",
     "protocol.eval_every_dialogues",
 )
+
+_NAMED = ("agent", "explore")
+"""Groups that every configuration of a run has, each with the name of its option."""
 
 _OF_AN_AGENT = ("agent", "explore", "intrinsic")
 """Groups that make up an agent: what is compared."""
@@ -226,9 +230,12 @@ def read_run(folder: Path) -> Run:
         )
     try:
         config = yaml.safe_load((folder / CONFIG_FILE).read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
-        raise ValueError(f"{folder / CONFIG_FILE} cannot be read: {error}") from error
-    if not isinstance(config, dict) or not isinstance(config.get("agent"), dict):
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+        deep = isinstance(error, RecursionError)
+        reason = "it is nested too deeply" if deep else sentence(error)
+        raise ValueError(f"{folder / CONFIG_FILE} cannot be read: {reason}") from error
+    groups = [config.get(name) for name in _NAMED] if isinstance(config, dict) else [None]
+    if not all(isinstance(group, dict) and "name" in group for group in groups):
         raise ValueError(f"{folder / CONFIG_FILE} is not the configuration of a run")
     return Run(folder, config, result, metrics)
 

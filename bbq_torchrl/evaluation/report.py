@@ -29,6 +29,7 @@ from bbq_torchrl.evaluation.tables import (
     pairs_table,
     success_table,
 )
+from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -191,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             text = _markdown(groups, pairings(groups))
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+        sys.stderr.write(f"error: {sentence(error)}\n")
         return 2
     sys.stdout.write(text)
     return 0

@@ -11,14 +11,15 @@ import json
 import math
 import os
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from bbq_torchrl.evaluation.statistics import binomial_standard_error
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
 __all__ = [
@@ -169,6 +170,9 @@ class RunResult:
         )
 
 
+Result = TypeVar("Result", ReplicaResult, RunResult)
+
+
 def replica_result(
     replica: int,
     success: Sequence[float],
@@ -243,15 +247,30 @@ def read_result(folder: Path) -> RunResult:
         raise ValueError(f"{folder} has no {RESULT_FILE}: it is no run folder, or not finished")
     try:
         plain = json.loads(file.read_text(encoding="utf-8"))
+        if not isinstance(plain, dict) or not isinstance(plain.get("per_replica"), list):
+            raise ValueError("it must be a mapping with the list per_replica")
         per_replica = tuple(
-            ReplicaResult(**_only(ReplicaResult, _with_evaluation(item)))
+            _checked(ReplicaResult(**_only(ReplicaResult, _with_evaluation(item))))
             for item in plain["per_replica"]
         )
         plain = _only(RunResult, _with_evaluation(plain))
         skipped = tuple(plain.get("skipped", ()))
-        return RunResult(**{**plain, "per_replica": per_replica, "skipped": skipped})
-    except (ValueError, TypeError, KeyError) as error:
+        return _checked(RunResult(**{**plain, "per_replica": per_replica, "skipped": skipped}))
+    except RecursionError:
+        raise ValueError(f"{file} is damaged: it is nested too deeply") from None
+    except (ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{file} is damaged: {error}") from error
+
+
+def _checked(result: Result) -> Result:
+    """Returns the same, once its numbers are numbers."""
+    for item in fields(result):
+        value = getattr(result, item.name)
+        if item.type in ("int", "float") and not (
+            isinstance(value, (int, float)) and math.isfinite(value)
+        ):
+            raise ValueError(f"{item.name} must be a number, got {shown(value)}")
+    return result
 
 
 def _with_evaluation(plain: dict[str, Any]) -> dict[str, Any]:
@@ -274,6 +293,12 @@ _NEEDED = ("round", "replica", "dialogues", "success_rate")
 def _number(text: str, column: str) -> float:
     """Returns a value of metrics.csv: NaN for an empty one, which no needed column may have."""
     return math.nan if text == "" and column not in _NEEDED else float(text)
+
+
+def _last(replicas: Iterable[float]) -> int:
+    """Returns the greatest of the numbers; 0 where one is none, and so no row is in order."""
+    known = list(replicas)
+    return int(max(known, default=0)) if np.isfinite(known).all() else 0
 
 
 class Metrics:
@@ -323,7 +348,10 @@ def read_metrics(folder: Path) -> Metrics:
     file = folder / METRICS_FILE
     if not file.is_file():
         raise ValueError(f"{folder} has no {METRICS_FILE}: it is no run folder")
-    text = file.read_text(encoding="utf-8")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file} must be UTF-8 text: {error}") from error
     complete = text[: text.rfind("\n") + 1]
     reader = csv.DictReader(complete.splitlines())
     names = list(reader.fieldnames or ())
@@ -337,8 +365,9 @@ def read_metrics(folder: Path) -> Metrics:
                 raise ValueError("more values than columns")
             rows.append([_number(row[name], name) for name in names])
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{file}, line {reader.line_num}, is damaged: {row}") from error
-    replicas = 1 + int(max((row[names.index("replica")] for row in rows), default=0))
+            line = f"{file}, line {reader.line_num}"
+            raise ValueError(f"{line}, is damaged: {shown(list(row.values()))}") from error
+    replicas = 1 + _last(row[names.index("replica")] for row in rows)
     rounds = len(rows) // replicas
     if rounds == 0:
         raise ValueError(f"{file} has no complete round")

@@ -64,6 +64,7 @@ def run_search(
         with FileLock(folder / ".search.lock"):
             _check_definition(search, folder / _DEFINITION)
             study = _study(search, folder)
+            _write_definition(search, folder / _DEFINITION)
     except OSError as error:
         raise ConfigError(f"search.folder={folder} cannot be used: {sentence(error)}") from error
     while True:
@@ -90,12 +91,10 @@ def run_search(
 
 
 def _check_definition(search: Search, file: Path) -> None:
-    """Writes down what is searched, or compares it with what a folder has begun with."""
-    definition = search.definition()
+    """Compares what is searched with what a folder has begun with, if it has."""
     if not file.exists():
-        temporary = file.with_name(f".{file.name}.new")
-        temporary.write_text(yaml.safe_dump(definition, sort_keys=False), encoding="utf-8")
-        temporary.replace(file)
+        return
+    definition = search.definition()
     try:
         begun = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -108,6 +107,13 @@ def _check_definition(search: Search, file: Path) -> None:
                 f"{file.parent} holds a search with {key}={begun.get(key)}, got "
                 f"{definition.get(key)}: choose another search.folder"
             )
+
+
+def _write_definition(search: Search, file: Path) -> None:
+    if not file.exists():
+        temporary = file.with_name(f".{file.name}.new")
+        temporary.write_text(yaml.safe_dump(search.definition(), sort_keys=False), encoding="utf-8")
+        temporary.replace(file)
 
 
 def _study(search: Search, folder: Path) -> optuna.Study:

@@ -155,11 +155,7 @@ class CheckpointFolder:
             if found is None:
                 return None
             path, metadata = found
-            for name, value in expected.items():
-                if name in metadata and metadata[name] != value:
-                    raise CheckpointMismatchError(
-                        f"{name} must be {metadata[name]}, as in the checkpoint {path}, got {value}"
-                    )
+            _compare(path, metadata, expected)
             try:
                 self.load(path)
             except FileNotFoundError:
@@ -167,6 +163,19 @@ class CheckpointFolder:
                     raise
                 continue  # the process that writes has removed it: there is a newer one
             return found
+
+    def check(self, expected: Mapping[str, Any]) -> None:
+        """Refuses the newest readable checkpoint, if there is one, as :meth:`restore` would.
+
+        Nothing is loaded, and nothing logged.
+
+        Raises:
+            CheckpointDamagedError: as :meth:`newest`.
+            CheckpointMismatchError: if the checkpoint is one of another seed or configuration.
+        """
+        found, _ = self._newest(())
+        if found is not None:
+            _compare(*found, expected)
 
     def load(self, path: Path) -> None:
         """Restores all components from a checkpoint that :meth:`newest` returned.
@@ -179,9 +188,11 @@ class CheckpointFolder:
         try:
             self._checkpoint.load(path, map_location="cpu")
         except CheckpointError as error:
-            reason = " ".join(str(error).split())
+            # The cause shows whole networks: what fits is said by who compares configurations.
+            reason = " ".join(str(error).split()).partition(": ")[0]
             raise CheckpointMismatchError(
-                f"the checkpoint {path} is of another configuration: {reason[:300]}"
+                f"the checkpoint {path} is of another configuration: {reason[:100]}, whose tensors "
+                "have other names or shapes here"
             ) from error
 
     def keep_only(self, *names: str) -> None:
@@ -300,3 +311,12 @@ def _force_to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    """Raises CheckpointMismatchError for the first entry that is another one."""
+    for name, value in expected.items():
+        if name in metadata and metadata[name] != value:
+            raise CheckpointMismatchError(
+                f"{name} must be {metadata[name]}, as in the checkpoint {path}, got {value}"
+            )

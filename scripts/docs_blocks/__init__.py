@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from scripts.docs_blocks.adversary import adversary_blocks
 from scripts.docs_blocks.config import config_blocks
 from scripts.docs_blocks.deep_sea import deep_sea_blocks
 from scripts.docs_blocks.dialogues import dialogues_blocks
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 BLOCKS = (
+    adversary_blocks,
     config_blocks,
     deep_sea_blocks,
     dialogues_blocks,

@@ -1,8 +1,8 @@
 """What is tried, and how often.
 
-The environment has the counts, ``BBQ_KILLS`` (10) and ``BBQ_DAMAGES`` (50), and ``BBQ_SEED``, the
-seed of all moments and damages: where it is not given, another one in every run, which is printed
-where a test fails.
+The environment has the counts, ``BBQ_KILLS`` (10), ``BBQ_DAMAGES`` (50) and ``BBQ_INPUTS`` (45
+rows of the table of bad inputs), and ``BBQ_SEED``, the seed of all moments, damages and choices:
+where it is not given, another one in every run, which is printed where a test fails.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ import time
 
 KILLS = int(os.environ.get("BBQ_KILLS", "10"))
 DAMAGES = int(os.environ.get("BBQ_DAMAGES", "50"))
+INPUTS = int(os.environ.get("BBQ_INPUTS", "45"))
 SEED = int(os.environ.get("BBQ_SEED", "0")) or time.time_ns() % 2**32
+os.environ["BBQ_SEED"] = str(SEED)  # the workers of pytest-xdist inherit it
 
 TINY = (
     "protocol.rounds=4",

@@ -6,6 +6,7 @@ that a line of JSON on its standard input names. Importing torch and torchrl for
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -20,6 +21,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROOT = Path(__file__).resolve().parents[2]
+
+PROGRAMS = {
+    "train": "train",
+    "evaluate": "bbq_torchrl.evaluate",
+    "search": "bbq_torchrl.search.__main__",
+    "domains": "bbq_torchrl.calibrate",
+    "report": "bbq_torchrl.evaluation.report",
+}
+"""Command -> the module whose main function it is."""
 
 
 @dataclass
@@ -49,7 +59,7 @@ class Ended:
 
 
 class Command:
-    """A process that runs ``train.py``, ``evaluate`` or ``search``."""
+    """A process that runs one of :data:`PROGRAMS`."""
 
     def __init__(self, commands: Commands, pid: int, files: tuple[Path, Path]) -> None:
         self._commands = commands
@@ -113,11 +123,16 @@ class Commands:
         self._server.stdin.flush()
         return self._server.stdout.readline().split()
 
-    def start(self, program: str, *arguments: str) -> Command:
-        """Starts a command: ``train``, ``evaluate`` or ``search``."""
+    def start(self, program: str, *arguments: str, cwd: Path | None = None) -> Command:
+        """Starts one of :data:`PROGRAMS`, in a working directory of its own if one is given."""
         self._count += 1
         files = tuple(self.folder / f"{kind}-{self._count}" for kind in ("out", "err"))
-        (pid,) = self.ask(program=program, arguments=arguments, files=[str(path) for path in files])
+        (pid,) = self.ask(
+            program=program,
+            arguments=arguments,
+            files=[str(path) for path in files],
+            cwd=str(cwd or self.folder),
+        )
         return Command(self, int(pid), files)
 
     def run(self, program: str, *arguments: str, code: int = 0) -> Ended:
@@ -140,27 +155,20 @@ class Commands:
 
 
 def _main(program: str, arguments: list[str]) -> int:
-    from bbq_torchrl import evaluate, interruption
+    from bbq_torchrl import interruption
 
     sys.argv = [f"{program}.py", *arguments]
     interruption.listen()
-    if program == "train":
-        import train
-
-        train.main()
-        return 0
-    if program == "evaluate":
-        return evaluate.main(arguments)
-    from bbq_torchrl.search import __main__ as search
-
-    return search.main(arguments)
+    main = importlib.import_module(PROGRAMS[program]).main
+    return main() or 0 if program == "train" else main(arguments)
 
 
-def _child(program: str, arguments: list[str], files: list[str]) -> None:
+def _child(program: str, arguments: list[str], files: list[str], cwd: str) -> None:
     for number, file in enumerate(files, start=1):
         descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(descriptor, number)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.chdir(cwd)
     try:
         code = _main(program, arguments)
     except SystemExit as end:
@@ -174,17 +182,9 @@ def _child(program: str, arguments: list[str], files: list[str]) -> None:
 
 
 def serve() -> None:
-    import importlib
-
     import torch
 
-    for name in (
-        "train",
-        "bbq_torchrl.run",
-        "bbq_torchrl.evaluate",
-        "bbq_torchrl.evaluation.figures",
-        "matplotlib.figure",
-    ):
+    for name in (*PROGRAMS.values(), "bbq_torchrl.run", "matplotlib.figure", "scipy.optimize"):
         importlib.import_module(name)
     torch.set_num_threads(1)
     for line in sys.stdin:

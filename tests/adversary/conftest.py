@@ -1,15 +1,42 @@
-"""Processes to harm, and runs that nothing happened to."""
+"""Processes to harm, runs that nothing happened to, and the count of what was tried.
+
+``BBQ_RECORD=<file>`` has the counts written, as JSON, once everything has passed.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 import random
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from .cases import CONFIGURATIONS, SEED
+from .cases import CONFIGURATIONS, DAMAGES, INPUTS, KILLS, SEED
 from .commands import Commands
 from .folders import Reference
+
+OUTCOMES: Counter[str] = Counter()
+"""``<what was tried>: <what came of it>`` -> how often, in the tests that passed."""
+
+
+def pytest_runtest_logreport(report):
+    if report.when == "call" and report.passed:
+        for name, times in report.user_properties:
+            OUTCOMES[name] += times
+
+
+def pytest_sessionfinish(session, exitstatus):
+    file = os.environ.get("BBQ_RECORD")
+    is_worker = hasattr(session.config, "workerinput")  # of pytest-xdist
+    if file and exitstatus == 0 and not is_worker:
+        sizes = f"BBQ_KILLS={KILLS} BBQ_DAMAGES={DAMAGES} BBQ_INPUTS={INPUTS}"
+        found = {
+            "command": f"{sizes} scripts/check adversary",
+            "outcomes": dict(sorted(OUTCOMES.items())),
+        }
+        Path(file).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

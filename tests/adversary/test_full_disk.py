@@ -47,7 +47,9 @@ def command(*arguments):
 
 
 @pytest.mark.parametrize("attempt", range(max(3, KILLS // 10)))
-def test_a_full_disk_is_a_sentence_and_the_run_goes_on(disk, references, tmp_path, rng, attempt):
+def test_a_full_disk_is_a_sentence_and_the_run_goes_on(
+    disk, references, tmp_path, rng, record_property, attempt
+):
     reference = references(NAME)
     (tmp_path / "disk").mkdir()
     used = sum(path.stat().st_size for path in reference.folder.rglob("*") if path.is_file())
@@ -73,6 +75,7 @@ def test_a_full_disk_is_a_sentence_and_the_run_goes_on(disk, references, tmp_pat
         assert first.count("\n") == 1
         assert "No space left on device" in first
     assert_same(tmp_path / "kept", reference.folder)
+    record_property("a full disk: one sentence, and with room the run went on", 1)
 
 
 def test_a_folder_that_cannot_be_written_is_a_sentence(disk, references, tmp_path):

@@ -23,7 +23,7 @@ def go_on(folder, new):
 
 
 @pytest.mark.parametrize("name", CONFIGURATIONS)
-def test_a_run_that_is_killed_ends_the_same(commands, references, rng, name):
+def test_a_run_that_is_killed_ends_the_same(commands, references, rng, record_property, name):
     reference, kills, attempt = references(name), 0, 0
     while kills < SHARE[name]:
         attempt += 1
@@ -45,9 +45,10 @@ def test_a_run_that_is_killed_ends_the_same(commands, references, rng, name):
         # It was killed between its last file and its end, or it has ended by itself.
         assert ended.code == 0 or "is finished" in ended.line
         assert_same(folder, reference.folder)
+    record_property("kill -9 in a training: resumed to the same, bit for bit", kills)
 
 
-def test_the_jobs_of_a_sweep_that_is_killed_end_the_same(commands, rng):
+def test_the_jobs_of_a_sweep_that_is_killed_end_the_same(commands, rng, record_property):
     command = ("--multirun", "hydra/launcher=basic", "agent=dqn,bbqn", "agent.hidden=[8]", *TINY)
     command = (*command, "spike.dialogues=3")
     reference = commands.folder / "sweep-reference"
@@ -69,9 +70,10 @@ def test_the_jobs_of_a_sweep_that_is_killed_end_the_same(commands, rng):
                 ended = commands.start("train", f"resume={folder / job}").end()
                 assert ended.code == 0 or "is finished" in ended.line
                 assert_same(folder / job, reference / job)
+    record_property("kill -9 in a sweep: its jobs resumed to the same", SHARE["sweep"])
 
 
-def test_a_search_that_is_killed_finds_the_same(commands, rng):
+def test_a_search_that_is_killed_finds_the_same(commands, rng, record_property):
     pytest.importorskip("optuna", reason="needs the extra search")
     command = ("search=dqn", "search.trials=3", "agent.hidden=[8]", "spike.dialogues=3", *TINY)
     reference = commands.folder / "search-reference"
@@ -88,6 +90,7 @@ def test_a_search_that_is_killed_finds_the_same(commands, rng):
         assert best[0]["values"] == best[1]["values"]
         for trial in ("trial_0000", "trial_0001", "trial_0002"):
             assert metrics(folder / trial) == metrics(reference / trial)
+    record_property("kill -9 in a search: the same command found the same", SHARE["search"])
 
 
 def trials(folder):

@@ -18,11 +18,14 @@ from .folders import assert_same
 
 pytestmark = pytest.mark.slow
 
+SIGNALS = "Ctrl-C or SIGTERM: one line, exit code 130 or 143, and the run went on"
 NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
 
 @pytest.mark.parametrize("number", NUMBERS)
-def test_a_run_that_is_interrupted_says_how_it_goes_on(commands, references, rng, number):
+def test_a_run_that_is_interrupted_says_how_it_goes_on(
+    commands, references, rng, record_property, number
+):
     name = rng.choice(sorted(CONFIGURATIONS))
     reference = references(name)
     for attempt in range(max(2, KILLS // 4)):
@@ -39,6 +42,7 @@ def test_a_run_that_is_interrupted_says_how_it_goes_on(commands, references, rng
                 assert ended.line == "interrupted while starting: the same command begins again"
                 commands.run("train", *new)
         assert_same(folder, reference.folder)
+        record_property(SIGNALS, 1)
 
 
 def test_a_second_signal_ends_at_once(commands, references):

@@ -14,6 +14,7 @@ pytestmark = pytest.mark.slow
 
 NAME = "vime"
 BUSY = "another process is at work in"
+TWO = "two processes on one run folder: one worked, the other was told so in a line"
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def first(commands, kind, folder):
 
 @pytest.mark.parametrize("one", ["new", "resume"])
 @pytest.mark.parametrize("other", ["new", "resume", "extend"])
-def test_who_comes_second_is_told_so(commands, references, place, one, other):
+def test_who_comes_second_is_told_so(commands, references, place, record_property, one, other):
     reference = references(NAME)
     command = first(commands, one, place)
     arguments = {
@@ -64,10 +65,13 @@ def test_who_comes_second_is_told_so(commands, references, place, one, other):
     command.send(signal.SIGCONT)
     assert command.end().code == 0
     assert_same(place, reference.folder)
+    record_property(TWO, 1)
 
 
 @pytest.mark.parametrize("one", ["new", "resume"])
-def test_an_evaluation_beside_a_training_harms_neither(commands, references, place, one):
+def test_an_evaluation_beside_a_training_harms_neither(
+    commands, references, place, record_property, one
+):
     reference = references(NAME)
     command = first(commands, one, place)
     evaluate = ("evaluate", f"policy={place}", "dialogues=2")
@@ -80,10 +84,11 @@ def test_an_evaluation_beside_a_training_harms_neither(commands, references, pla
     assert command.end().code == 0
     assert_same(place, reference.folder)
     commands.run(*evaluate)
+    record_property("an evaluation beside a training: neither was harmed", 1)
 
 
 @pytest.mark.parametrize("kind", ["new", "resume"])
-def test_of_two_that_start_at_once_one_works(commands, references, place, kind):
+def test_of_two_that_start_at_once_one_works(commands, references, place, record_property, kind):
     reference = references(NAME)
     if kind == "resume":
         killed(commands, place)
@@ -96,10 +101,13 @@ def test_of_two_that_start_at_once_one_works(commands, references, place, kind):
     # The second one may have come when the first one was done.
     assert any(text in ends[1].line for text in (BUSY, "already holds a run", "is finished"))
     assert_same(place, reference.folder)
+    record_property(TWO, 1)
 
 
 @pytest.mark.parametrize("program", ["sweep", "search"])
-def test_a_run_of_a_sweep_or_a_search_is_not_resumed_beside_it(commands, place, program):
+def test_a_run_of_a_sweep_or_a_search_is_not_resumed_beside_it(
+    commands, place, record_property, program
+):
     keys = ("agent.hidden=[8]", "spike.dialogues=3", *TINY, "protocol.rounds=8")
     if program == "sweep":
         start = ("--multirun", "hydra/launcher=basic", "agent=dqn", f"hydra.sweep.dir={place}")
@@ -119,6 +127,7 @@ def test_a_run_of_a_sweep_or_a_search_is_not_resumed_beside_it(commands, place, 
     assert BUSY in ended.line
     command.send(signal.SIGCONT)
     assert command.end().code == 0
+    record_property(TWO, 1)
 
 
 def test_a_lock_is_gone_with_its_process(commands, references, place):

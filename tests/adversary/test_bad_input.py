@@ -1,0 +1,157 @@
+"""What cannot be done is refused in one short sentence, and nothing is left in the way.
+
+The table ``bad_input.yaml`` says by which command, what was done to its folder before, and what
+must stand in the sentence.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from .cases import INPUTS, SEED, TINY
+from .commands import PROGRAMS, ROOT
+
+pytestmark = pytest.mark.slow
+
+TABLE = yaml.safe_load((Path(__file__).parent / "bad_input.yaml").read_text(encoding="utf-8"))
+TRIED = random.Random(SEED).sample(TABLE, min(INPUTS, len(TABLE)))
+IN_OWN_PROCESS = 3
+"""Commands that are started as a person does, each with a Python of its own."""
+
+LONG = {"<long>": "x" * 2_000_000, "<deep>": "[" * 50_000, "<digits>": "9" * 5_000}
+"""What is too long for a table."""
+
+LONGEST = 1_500
+"""Characters of a message, which may name everything that is allowed."""
+
+LOCKS = (".lock", ".search.lock")
+
+DOMAIN = ROOT / "tests" / "data" / "restaurant"
+RUN = (
+    "agent=dqn",
+    "explore=greedy",
+    "agent.hidden=[8]",
+    *TINY,
+    "protocol.rounds=3",
+    "protocol.checkpoint_every=10",
+    "protocol.capacity=200",
+    "protocol.eval_every=1",
+    "protocol.eval_every_dialogues=4",
+    "spike.dialogues=2",
+    "domain=folder",
+    f"domain.path={DOMAIN}",
+)
+
+
+@pytest.fixture(scope="module")
+def run(commands):
+    """A finished run of three rounds, with all that it takes to go on."""
+    folder = commands.folder / "run-of-bad-input"
+    commands.run("train", *RUN, f"hydra.run.dir={folder}")
+    return folder
+
+
+@pytest.fixture
+def place(tmp_path, run):
+    """Makes a working directory with a run, a domain and so on, then damages what is in it."""
+
+    def made(damage):
+        folder = tmp_path / "place"
+        (folder / "taken").mkdir(parents=True)
+        (folder / "afile").write_text("a file\n")
+        shutil.copytree(run, folder / "run")
+        shutil.copytree(DOMAIN, folder / "domain")
+        if damage:
+            subprocess.run(["bash", "-ec", damage], cwd=folder, check=True)
+        return folder
+
+    return made
+
+
+def arguments(text):
+    words = shlex.split(text)
+    for name, written in LONG.items():
+        words = [word.replace(name, written) for word in words]
+    return words
+
+
+def paths(folder):
+    return {path.relative_to(folder) for path in folder.rglob("*")}
+
+
+def left_in(folder, before):
+    """What is there that was not, but for locks and the folders that hold nothing else."""
+    new = paths(folder) - before
+    locks = {path for path in new if path.name in LOCKS}
+    return new - locks - {parent for path in locks for parent in path.parents}
+
+
+def check(row, code, err, left):
+    assert code in (1, 2), err
+    assert "Traceback" not in err
+    message = " ".join(err.split())
+    assert " ".join(row["says"].split()) in message, err
+    assert len(err) < LONGEST
+    first, *rest = err.splitlines()
+    if first.startswith("usage: "):  # argparse's own
+        assert rest[-1].partition(": ")[2].startswith("error: ")
+    else:
+        assert first.startswith("error: ")
+        assert not rest or re.search(r"has \d+ faults:$", first)
+        assert all(line.startswith("  ") for line in rest)
+    assert not left
+
+
+def identity(row):
+    return re.sub(r"\W+", "-", f"{row['command']} {row.get('damage', '')}")[:80]
+
+
+@pytest.mark.parametrize("row", TRIED, ids=identity)
+def test_what_cannot_be_done_is_a_sentence(commands, place, row, record_property):
+    folder = place(row.get("damage"))
+    before = paths(folder)
+    program, _, rest = row["command"].partition(" ")
+
+    ended = commands.start(program, *arguments(rest), cwd=folder).end()
+
+    check(row, ended.code, ended.err, left_in(folder, before))
+    record_property("bad inputs: refused in a sentence", 1)
+
+
+@pytest.mark.parametrize(
+    "row",
+    random.Random(SEED).sample([row for row in TABLE if "<" not in row["command"]], IN_OWN_PROCESS),
+    ids=identity,
+)
+def test_a_person_reads_the_same(place, row):
+    folder = place(row.get("damage"))
+    before = paths(folder)
+    program, _, rest = row["command"].partition(" ")
+    start = {"train": [str(ROOT / "train.py")], "domains": ["-m", "bbq_torchrl.domains"]}
+    module = PROGRAMS[program].removesuffix(".__main__")
+
+    ended = subprocess.run(
+        [sys.executable, *start.get(program, ["-m", module]), *arguments(rest)],
+        cwd=folder,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+
+    check(row, ended.returncode, ended.stderr, left_in(folder, before))
+
+
+def test_a_table_has_no_row_twice():
+    rows = [(row["command"], row.get("damage")) for row in TABLE]
+    assert len(set(rows)) == len(rows) >= 200
