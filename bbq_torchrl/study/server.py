@@ -57,6 +57,8 @@ def serve(
             server_header=False,
             proxy_headers=False,
             limit_concurrency=MAX_CONNECTIONS,
+            # Longer than people think: a message must not meet a connection that is just closed.
+            timeout_keep_alive=120,
             timeout_graceful_shutdown=10,
         )
     finally:
