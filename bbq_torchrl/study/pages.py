@@ -32,6 +32,7 @@ def _environment() -> Environment:
     return Environment(
         loader=PackageLoader("bbq_torchrl.study"),
         autoescape=True,
+        auto_reload=False,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -229,6 +229,11 @@ class Store:
             )
         ]
 
+    def texts(self, session: int) -> list[tuple[str, str]]:
+        """Returns what both said in a session: all that people see of an exchange."""
+        query = "SELECT text, answer FROM exchange WHERE session = ? ORDER BY number"
+        return [(text, answer) for text, answer in self._database.rows(query, session)]
+
     def has_message(self, session: int, nonce: str) -> bool:
         """Returns whether a message has been stored."""
         query = "SELECT 1 FROM exchange WHERE session = ? AND nonce = ?"

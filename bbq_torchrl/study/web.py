@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
 
     from bbq_torchrl.study.plan import Study
-    from bbq_torchrl.study.store import Person, Session, Store
+    from bbq_torchrl.study.store import Person, Store
     from bbq_torchrl.study.talk import Talker
 
 __all__ = ["JOIN", "RESEARCHER", "application"]
@@ -170,16 +170,12 @@ class _Pages:
             session=session.position,
             sessions=len(person.sessions),
             card=card(self._conversations.goal(session), self._talker.labels),
-            exchanges=self._said(session),
+            exchanges=self._store.texts(session.id),
             nonce=form.get("nonce", "") if keep_nonce else _new_nonce(),
             given=given,
             max_text=MAX_TEXT,
             questions={name: QUESTIONS[name] for name in SCALES},
         )
-
-    def _said(self, session: Session) -> list[tuple[str, str]]:
-        """Returns what both said: all that people see of an exchange."""
-        return [(item.text, item.answer) for item in self._store.exchanges(session.id)]
 
     def _person(self, request: Request) -> Person:
         person = self._store.person(request.path_params["token"])
