@@ -385,9 +385,10 @@ def _hashed(token: str) -> str:
 
 def _changed(old: Terms, new: Terms) -> list[str]:
     """Returns what differs beyond the number of people, which may change."""
-    same = replace(new, participants=old.participants)
+    same = asdict(replace(new, participants=old.participants))
+    # As text: the order of the agents counts too.
     return [
         f"the study file says another {key} than at the start"
         for key, value in asdict(old).items()
-        if value != asdict(same)[key]
+        if json.dumps(value) != json.dumps(same[key])
     ]

@@ -44,9 +44,10 @@ class FakeTalker:
         ]
         said, answer = Frame("request", {}, ("city",)), f"Which city? ({len(text)} letters)"
         if asked:
-            value = next((row[asked[0]] for row in rows if asked[0] in row), "no match")
-            held[asked[0]] = value
-            said, answer = Frame("inform", {asked[0]: value}), f"It is {value}."
+            row = next((row for row in rows if set(asked) <= set(row)), {})
+            values = {slot: row.get(slot, "no match") for slot in asked}
+            held |= values
+            said, answer = Frame("inform", values), f"It is {', '.join(values.values())}."
         elif text == "book":
             found = "ticket available" if rows else "no match"
             said = Frame("inform", {**held, "taskcomplete": found})
@@ -75,4 +76,5 @@ def make(study):
 def script(domain, goal):
     """What a person types who gets all they want, but for the farewell."""
     wishes = "; ".join(f"{slot}={value}" for slot, value in goal.constraints.items())
-    return [wishes, *(f"ask {slot}" for slot in goal.requests), "book"]
+    questions = [f"ask {' '.join(goal.requests)}"] if goal.requests else []
+    return [wishes, *questions, "book"]

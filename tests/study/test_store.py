@@ -86,6 +86,9 @@ def test_other_terms_are_refused_all_at_once_but_more_people_are_welcome(open_st
     with pytest.raises(StudyError) as error:
         open_store(replace(study.terms, pairs=(), max_turns=3))
     assert len(error.value.faults) == 2
+    in_another_order = dict(reversed(study.terms.agents.items()))
+    with pytest.raises(StudyError, match="another agents than at the start"):
+        open_store(replace(study.terms, agents=in_another_order))
     open_store(replace(study.terms, participants=50))
 
 
