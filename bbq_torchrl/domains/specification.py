@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.faults import Place
 
-__all__ = ["SPECIFICATION_FILE", "Specification", "read_specification"]
+__all__ = ["SPECIFICATION_FILE", "Specification", "UniqueKeyLoader", "read_specification"]
 
 SPECIFICATION_FILE = "domain.yaml"
 
@@ -71,10 +71,11 @@ class Specification:
         return set(_KEYS) <= set(self.fields)
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
+class UniqueKeyLoader(yaml.SafeLoader):
     """A safe loader that refuses a key given twice, where YAML would let the last one win."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Returns the mapping that a node writes."""
         seen = set()
         for key_node, _ in node.value:
             if isinstance(key_node, yaml.ScalarNode) and key_node.value in seen:
@@ -98,7 +99,7 @@ def read_specification(path: Path) -> Specification:
     found = Specification()
     try:
         text = path.read_text(encoding="utf-8-sig")
-        content = yaml.load(text, Loader=_UniqueKeyLoader)
+        content = yaml.load(text, Loader=UniqueKeyLoader)
         found.lines = _lines(yaml.compose(text, Loader=yaml.SafeLoader))
     except RecursionError:
         found.faults.append(Fault((), "it is nested too deeply"))

@@ -1,0 +1,170 @@
+"""``python -m bbq_torchrl.study``: serves a study, reports on it, or tells its power."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.study.plan import StudyError, data_of, load_study
+from bbq_torchrl.text import sentence, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line. Returns the exit code: 2 if refused."""
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    try:
+        given.command(given)
+    except (ValueError, OSError) as error:
+        sys.stderr.write(f"error: {sentence(error)}\n")
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m bbq_torchrl.study", description="A human study. See docs/study.md."
+    )
+    commands = parser.add_subparsers(required=True, metavar="serve | report | power")
+
+    serve = commands.add_parser("serve", help="serve a study to browsers")
+    serve.add_argument("study", type=Path, help="the study file; its data is beside it")
+    serve.add_argument(
+        "--talker",
+        required=True,
+        help="module:function that makes the talker of a study, bbq_torchrl.study.Talker",
+    )
+    serve.add_argument("--host", default="127.0.0.1", help="address to listen at")
+    serve.add_argument("--port", type=_whole(1, 65_535), default=8000, help="port to listen at")
+    serve.set_defaults(command=_serve)
+
+    report = commands.add_parser("report", help="write report, figures and data")
+    report.add_argument("study", type=Path, help="the study file")
+    report.add_argument("--out", type=Path, help="folder; without it, <study>-report")
+    report.set_defaults(command=_report)
+
+    power = commands.add_parser("power", help="how likely a study finds a difference")
+    power.add_argument("better", type=_rate, help="success of one agent")
+    power.add_argument("worse", type=_rate, help="success of the other")
+    power.add_argument("people", type=_whole(1, 100_000), help="who each meet both")
+    power.add_argument(
+        "--sessions", type=_whole(1, 50), default=1, help="of a person with each agent"
+    )
+    power.add_argument("--pairs", type=_whole(1, 1_000), default=1, help="pairs declared")
+    power.add_argument(
+        "--person-sd", type=_sd, default=1.0, help="how much people differ, in log-odds"
+    )
+    power.add_argument("--simulations", type=_whole(100, 1_000_000), default=4_000)
+    power.add_argument("--seed", type=_whole(0, 2**32 - 1), default=0)
+    power.set_defaults(command=_power)
+    return parser
+
+
+def _serve(given: argparse.Namespace) -> None:
+    _check_installed()
+    make = _function(given.talker)
+    study = load_study(given.study)
+    from bbq_torchrl.study.server import serve
+
+    serve(study, make(study), host=given.host, port=given.port, tell=_say)
+
+
+def _check_installed() -> None:
+    missing = [
+        name
+        for name in ("starlette", "jinja2", "uvicorn")
+        if importlib.util.find_spec(name) is None
+    ]
+    if missing:
+        raise StudyError(
+            "serve",
+            [f"it needs the packages {', '.join(missing)}: pip install 'bbq-torchrl[study]'"],
+        )
+
+
+def _function(name: str) -> Callable[..., Any]:
+    module, _, function = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise StudyError(
+            "--talker",
+            [f"it must be module:function that can be imported, got {shown(name)}: {error}"],
+        ) from error
+
+
+def _report(given: argparse.Namespace) -> None:
+    from bbq_torchrl.study.report import write_report
+    from bbq_torchrl.study.results import read_results
+
+    results = read_results(data_of(given.study.expanduser()))
+    folder = given.out or given.study.with_name(f"{given.study.stem}-report")
+    write_report(folder, results)
+    _say(f"{len(results.sessions)} ended sessions: {folder / 'report.md'}")
+
+
+def _power(given: argparse.Namespace) -> None:
+    from bbq_torchrl.study.power import power
+
+    found = power(
+        given.better,
+        given.worse,
+        given.people,
+        sessions=given.sessions,
+        pairs=given.pairs,
+        person_sd=given.person_sd,
+        simulations=given.simulations,
+        seed=given.seed,
+    )
+    _say(f"power of the sign-flip test, the declared one: {found.sign_flip:.3f}")
+    _say(f"power of Fisher's exact test over all sessions: {found.fisher:.3f}")
+    _say(f"standard error of both: at most {found.standard_error:.3f}")
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    def whole_number(text: str) -> int:
+        if text.isascii() and text.isdigit() and low <= int(text[:20]) <= high:
+            return int(text)
+        raise argparse.ArgumentTypeError(
+            f"must be a whole number between {low} and {high}, got {shown(text)}"
+        )
+
+    return whole_number
+
+
+def _number(text: str, low: float, high: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if low <= value <= high:
+        return value
+    raise argparse.ArgumentTypeError(
+        f"must be a number between {low} and {high}, got {shown(text)}"
+    )
+
+
+def _rate(text: str) -> float:
+    return _number(text, 0.001, 0.999)
+
+
+def _sd(text: str) -> float:
+    return _number(text, 0.0, 10.0)
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,240 @@
+"""What people do in a study, step by step: say something, end the conversation, rate it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import threading
+import unicodedata
+from http import HTTPStatus
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.study.outcome import Judge
+from bbq_torchrl.study.store import SCALES
+from bbq_torchrl.study.talk import Exchange
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bbq_torchrl.domains import Goal
+    from bbq_torchrl.study.plan import Study
+    from bbq_torchrl.study.store import Person, Session, Store, StoredExchange
+    from bbq_torchrl.study.talk import Talker
+
+__all__ = ["MAX_TEXT", "Conversations", "RefusedError"]
+
+MAX_TEXT = 1_000
+"""Characters of a message."""
+
+_NONCE = re.compile(r"[A-Za-z0-9_-]{20,40}", re.ASCII)
+_LOCKS = 64
+
+
+class RefusedError(ValueError):
+    """A step that cannot be taken.
+
+    Args:
+        status: of the page that says so.
+        text: what it says.
+    """
+
+    def __init__(self, status: HTTPStatus, text: str) -> None:
+        self.status = status
+        super().__init__(text)
+
+
+class Conversations:
+    """The steps of people in a study.
+
+    Args:
+        study: what is asked of them.
+        store: where it is stored.
+        talker: the agents.
+    """
+
+    def __init__(self, study: Study, store: Store, talker: Talker) -> None:
+        self._study, self._store, self._talker = study, store, talker
+        self._judge = Judge(study.domain)
+        self._locks = [threading.Lock() for _ in range(_LOCKS)]
+
+    def enrol(self, form: Mapping[str, str]) -> str:
+        """Returns the token of somebody who takes part from now on.
+
+        Raises:
+            RefusedError: without consent, or when nobody is wanted any more.
+        """
+        nonce = _nonce(form)
+        if form.get("consent") != "yes":
+            raise RefusedError(
+                HTTPStatus.UNPROCESSABLE_ENTITY, "To take part, please tick the box first."
+            )
+        token = self._store.enrol(nonce)
+        if token is None:
+            raise RefusedError(
+                HTTPStatus.CONFLICT,
+                "All places in this study are taken. Thank you for your interest; should "
+                "somebody leave, this page will let you in later.",
+            )
+        return token
+
+    def goal(self, session: Session) -> Goal:
+        """Returns the goal on the card."""
+        return self._study.domain.goals[session.goal - 1]
+
+    def say(self, person: Person, form: Mapping[str, str]) -> None:
+        """Answers a person's text. A message that was answered already changes nothing.
+
+        Raises:
+            RefusedError: with what the person may do instead.
+        """
+        nonce, session = _nonce(form), _session(person, form)
+        with self._locks[session.id % _LOCKS]:
+            if self._store.has_message(session.id, nonce):
+                return
+            exchanges = self._store.exchanges(session.id)
+            self._check_open(session)
+            number = len(exchanges) + 1
+            if form.get("turn") != str(number):
+                raise RefusedError(
+                    HTTPStatus.CONFLICT,
+                    "This conversation has gone on in another window. Here it is as it is now; "
+                    "your last message was not sent.",
+                )
+            text = clean(form.get("text", ""))
+            state = exchanges[-1].state if exchanges else None
+            reply = self._talker.reply(session.agent, state, text, _seed(session, number))
+            said = [*map(_exchange, exchanges), Exchange(reply.heard, reply.said)]
+            end = None
+            if reply.ended:
+                end = ("agent", self._judge.verdict(self.goal(session), said))
+            elif number >= self._study.terms.max_turns:
+                end = ("turns", self._judge.verdict(self.goal(session), said, in_time=False))
+            self._store.add_exchange(session, number, nonce, text, reply, end)
+
+    def end(self, person: Person, form: Mapping[str, str]) -> None:
+        """Ends a conversation, as the person wishes. One that has ended stays so.
+
+        Raises:
+            RefusedError: nothing was said yet.
+        """
+        _nonce(form)
+        session = _session(person, form)
+        with self._locks[session.id % _LOCKS]:
+            exchanges = self._store.exchanges(session.id)
+            if not exchanges:
+                raise RefusedError(
+                    HTTPStatus.CONFLICT, "Please say something to the assistant before you end."
+                )
+            verdict = self._judge.verdict(self.goal(session), map(_exchange, exchanges))
+            self._store.end(session, "person", verdict)
+
+    def rate(self, person: Person, form: Mapping[str, str]) -> None:
+        """Stores a person's ratings. The same form sent again changes nothing.
+
+        Raises:
+            RefusedError: a rating is missing or out of range, or it was rated before.
+        """
+        nonce, session = _nonce(form), _session(person, form)
+        with self._locks[session.id % _LOCKS]:
+            rated = self._store.rating_nonce(session.id)
+            if rated == nonce:
+                return
+            if rated is not None:
+                raise RefusedError(
+                    HTTPStatus.CONFLICT,
+                    "You have rated this conversation already; your first ratings count.",
+                )
+            if not self._is_ended(session):
+                raise RefusedError(
+                    HTTPStatus.CONFLICT, "Please end the conversation before you rate it."
+                )
+            scales = {name: _rating(name, form.get(name, "")) for name in SCALES}
+            verdict = {"yes": True, "no": False}.get(form.get("verdict", ""))
+            if verdict is None:
+                raise RefusedError(
+                    HTTPStatus.UNPROCESSABLE_ENTITY,
+                    "Please say whether you got what you wanted: yes or no.",
+                )
+            self._store.rate(session, nonce, scales, verdict)
+
+    def _is_ended(self, session: Session) -> bool:
+        found = self._store.session(session.id)
+        return found is not None and found.is_ended
+
+    def _check_open(self, session: Session) -> None:
+        if self._is_ended(session):
+            raise RefusedError(
+                HTTPStatus.CONFLICT, "That conversation has ended; your message was not sent."
+            )
+
+
+def clean(text: str) -> str:
+    r"""Returns a text as it is stored: one line, composed, without control characters.
+
+    Raises:
+        RefusedError: it is blank or too long.
+
+    Example:
+        >>> clean(" two\x00 tickets,\n please ")
+        'two tickets, please'
+    """
+    if len(text) > MAX_TEXT:
+        raise RefusedError(
+            HTTPStatus.UNPROCESSABLE_ENTITY,
+            f"A message may have {MAX_TEXT:,} characters, this one has {len(text):,}: "
+            "please shorten it.",
+        )
+    composed = unicodedata.normalize("NFC", text)
+    plain = "".join(
+        " " if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") else letter
+        for letter in composed
+    )
+    plain = " ".join(plain.split())
+    if not any(unicodedata.category(letter)[0] not in "CZM" for letter in plain):
+        raise RefusedError(
+            HTTPStatus.UNPROCESSABLE_ENTITY, "Please write something before you send it."
+        )
+    return plain
+
+
+def _exchange(stored: StoredExchange) -> Exchange:
+    return Exchange(stored.heard, stored.said)
+
+
+def _seed(session: Session, number: int) -> int:
+    digest = hashlib.sha256(f"{session.id} {number}".encode()).digest()
+    return int.from_bytes(digest[:4], "big")
+
+
+def _nonce(form: Mapping[str, str]) -> str:
+    nonce = form.get("nonce", "")
+    if not _NONCE.fullmatch(nonce):
+        raise RefusedError(
+            HTTPStatus.BAD_REQUEST,
+            "This form is incomplete: please open your link again and use the form there.",
+        )
+    return nonce
+
+
+def _session(person: Person, form: Mapping[str, str]) -> Session:
+    """Returns the session that a form is of: the current one or an earlier one."""
+    given = form.get("session", "")
+    for session in person.sessions:
+        if str(session.position) == given:
+            return session
+        if session == person.current:
+            break
+    raise RefusedError(
+        HTTPStatus.BAD_REQUEST,
+        "This form is of no conversation of yours: please open your link again.",
+    )
+
+
+def _rating(name: str, given: str) -> int:
+    if given not in ("1", "2", "3", "4", "5"):
+        shown = given[:20] or "nothing"
+        raise RefusedError(
+            HTTPStatus.UNPROCESSABLE_ENTITY,
+            f"Please rate {name} by a whole number from 1 to 5, got {shown}.",
+        )
+    return int(given)

@@ -1,0 +1,237 @@
+"""The SQLite file of a study: opened by one server, brought up to date, never half written."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from filelock import FileLock, Timeout
+
+from bbq_torchrl.study.plan import StudyError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+__all__ = ["Database", "StoreError", "reading"]
+
+MIGRATIONS = (
+    """
+    CREATE TABLE study (
+        id INTEGER PRIMARY KEY CHECK (id = 1),
+        terms TEXT NOT NULL,
+        package TEXT NOT NULL,
+        secret TEXT NOT NULL,
+        simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)),
+        created REAL NOT NULL
+    ) STRICT;
+    CREATE TABLE agent (
+        name TEXT PRIMARY KEY,
+        fingerprint TEXT NOT NULL
+    ) STRICT;
+    CREATE TABLE person (
+        id INTEGER PRIMARY KEY,
+        token TEXT NOT NULL UNIQUE,
+        place INTEGER NOT NULL,
+        enrolled REAL NOT NULL,
+        active REAL NOT NULL
+    ) STRICT;
+    CREATE INDEX person_by_place ON person (place);
+    CREATE TABLE session (
+        id INTEGER PRIMARY KEY,
+        person INTEGER NOT NULL REFERENCES person,
+        position INTEGER NOT NULL,
+        agent TEXT NOT NULL REFERENCES agent,
+        goal INTEGER NOT NULL,
+        ended REAL,
+        ended_by TEXT CHECK (ended_by IN ('agent', 'person', 'turns')),
+        success INTEGER CHECK (success IN (0, 1)),
+        reasons TEXT,
+        UNIQUE (person, position)
+    ) STRICT;
+    CREATE TABLE exchange (
+        session INTEGER NOT NULL REFERENCES session,
+        number INTEGER NOT NULL,
+        nonce TEXT NOT NULL,
+        at REAL NOT NULL,
+        text TEXT NOT NULL,
+        answer TEXT NOT NULL,
+        heard TEXT NOT NULL,
+        said TEXT NOT NULL,
+        beliefs TEXT,
+        state TEXT NOT NULL,
+        PRIMARY KEY (session, number),
+        UNIQUE (session, nonce)
+    ) STRICT;
+    CREATE TABLE rating (
+        session INTEGER PRIMARY KEY REFERENCES session,
+        nonce TEXT NOT NULL,
+        at REAL NOT NULL,
+        overall INTEGER NOT NULL CHECK (overall BETWEEN 1 AND 5),
+        naturalness INTEGER NOT NULL CHECK (naturalness BETWEEN 1 AND 5),
+        coherence INTEGER NOT NULL CHECK (coherence BETWEEN 1 AND 5),
+        completion INTEGER NOT NULL CHECK (completion BETWEEN 1 AND 5),
+        verdict INTEGER NOT NULL CHECK (verdict IN (0, 1))
+    ) STRICT;
+    """,
+)
+"""One script for each version of the file, the first makes it."""
+
+_SQLITE = (3, 37, 0)  # the first with STRICT tables
+
+
+class StoreError(StudyError):
+    """The study's data cannot be read or written."""
+
+
+class Database:
+    """A study's file, held by one process, written by one thread at a time.
+
+    Args:
+        path: of the file; it is made where it is missing.
+
+    Raises:
+        StoreError: the file is another server's now, newer, damaged, read-only, or no such file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._mutex = threading.RLock()
+        if sqlite3.sqlite_version_info < _SQLITE:
+            raise StoreError(
+                str(path), [f"it needs SQLite 3.37 or newer, this is {sqlite3.sqlite_version}"]
+            )
+        if not path.parent.is_dir():
+            raise StoreError(str(path), ["its folder does not exist"])
+        self._lock = FileLock(path.with_name(f"{path.name}.lock"))
+        try:
+            self._lock.acquire(timeout=0)
+        except Timeout as error:
+            raise StoreError(
+                str(path), ["another server is at work on it: end that one, or wait"]
+            ) from error
+        except OSError as error:
+            raise StoreError(str(path), [f"it cannot be used: {error.strerror}"]) from error
+        try:
+            with _told(path):
+                self._connection = sqlite3.connect(
+                    path, isolation_level=None, check_same_thread=False
+                )
+        except BaseException:
+            self._lock.release()
+            raise
+        try:
+            with _told(path):
+                self._prepare()
+        except BaseException:
+            self.close()
+            raise
+
+    def _prepare(self) -> None:
+        connection = self._connection
+        _check(self.path, connection)
+        for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+            connection.execute(f"PRAGMA {pragma}")
+        version = _version(connection)
+        for number, script in enumerate(MIGRATIONS[version:], start=version + 1):
+            connection.executescript(
+                f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {number}; COMMIT;"
+            )
+        # A file system that lets nothing be written says so now and not at the first message.
+        connection.execute("BEGIN IMMEDIATE")
+        connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
+        connection.execute("COMMIT")
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """Runs a block as one transaction: all of it is on the disk afterwards, or nothing.
+
+        Raises:
+            StoreError: it could not be written.
+        """
+        with self._mutex, _told(self.path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
+        """Returns the rows of a query."""
+        with self._mutex, _told(self.path):
+            return self._connection.execute(query, values).fetchall()
+
+    def close(self) -> None:
+        """Closes the file and lets other servers have it."""
+        with self._mutex:
+            self._connection.close()
+            self._lock.release()
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """Opens a study's file for reading, also while a server is at work on it.
+
+    Raises:
+        StoreError: there is no such file, or it is newer or damaged.
+    """
+    if not path.is_file():
+        raise StoreError(str(path), ["there is no such file: the study has not been served yet"])
+    with _told(path):
+        connection = sqlite3.connect(path.absolute().as_uri() + "?mode=ro", uri=True)
+        try:
+            _check(path, connection)
+            if _version(connection) < len(MIGRATIONS):
+                raise StoreError(
+                    str(path), ["it is of an older version: serve the study once to update it"]
+                )
+            connection.execute("BEGIN")  # one moment of the study for all queries
+            yield connection
+        finally:
+            connection.close()
+
+
+def _version(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def _check(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuses a file that is newer than this package, damaged, or of something else."""
+    version = _version(connection)
+    if version > len(MIGRATIONS):
+        raise StoreError(
+            str(path),
+            [
+                f"it is of version {version}, made by a newer bbq-torchrl; "
+                f"this one reads versions up to {len(MIGRATIONS)}"
+            ],
+        )
+    found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if found != "ok":
+        raise StoreError(str(path), [f"it is damaged: {found}"])
+    tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    if version == 0 and tables:
+        raise StoreError(str(path), ["it is a database, but not one of a study"])
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turns what SQLite says into a sentence."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        text = str(error)
+        known = {
+            "full": "the disk is full: nothing of the last step was stored",
+            "readonly": "it is read-only: a study needs a file that it can write",
+            "not a database": "it is damaged, or no SQLite file",
+            "malformed": "it is damaged",
+            "unable to open": "it cannot be opened or made there",
+        }
+        said = next((says for key, says in known.items() if key in text), "SQLite says")
+        raise StoreError(str(path), [f"{said} ({text})"]) from error

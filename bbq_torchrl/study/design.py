@@ -1,0 +1,64 @@
+"""Who meets which agent when: Williams rows, so that order and carry-over are balanced."""
+
+from __future__ import annotations
+
+from random import Random
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["Assignment", "assignments", "williams_rows"]
+
+
+class Assignment(NamedTuple):
+    """One session of a person.
+
+    Attributes:
+        agent: its name.
+        goal: number of the goal in the domain, from 1.
+    """
+
+    agent: str
+    goal: int
+
+
+def williams_rows(count: int) -> list[list[int]]:
+    """Returns orders of ``count`` treatments that are balanced for first-order carry-over.
+
+    Williams (1949): each treatment stands once in each place, and follows each other one equally
+    often. ``count`` rows, twice as many for an odd count.
+
+    Example:
+        >>> williams_rows(4)
+        [[0, 1, 3, 2], [1, 2, 0, 3], [2, 3, 1, 0], [3, 0, 2, 1]]
+        >>> len(williams_rows(3))
+        6
+    """
+    first = [(place + 1) // 2 if place % 2 else -(place // 2) % count for place in range(count)]
+    rows = [[(item + shift) % count for item in first] for shift in range(count)]
+    return rows if count % 2 == 0 or count == 1 else rows + [row[::-1] for row in rows]
+
+
+def assignments(
+    place: int, agents: Sequence[str], goals: Sequence[int], sessions: int, seed: str
+) -> list[Assignment]:
+    """Returns what the person in a place of the design does, session by session.
+
+    Places run through blocks; a block has every Williams row once, in an order of its own. With
+    more sessions than agents, rows follow each other. No goal comes twice.
+
+    Args:
+        place: from 0.
+        agents: their names.
+        goals: numbers of the goals, at least as many as sessions.
+        sessions: a multiple of the number of agents.
+        seed: of everything random in it.
+    """
+    rows = williams_rows(len(agents))
+    block, within = divmod(place, len(rows))
+    order = Random(f"{seed} block {block}").sample(range(len(rows)), len(rows))
+    repeats = range(sessions // len(agents))
+    sequence = [item for repeat in repeats for item in rows[order[(within + repeat) % len(rows)]]]
+    drawn = Random(f"{seed} place {place}").sample(list(goals), sessions)
+    return [Assignment(agents[item], goal) for item, goal in zip(sequence, drawn, strict=True)]

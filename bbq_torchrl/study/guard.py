@@ -1,0 +1,144 @@
+"""What every request passes before the pages see it, and the headers that every answer carries."""
+
+from __future__ import annotations
+
+import asyncio
+from http import HTTPStatus
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl, urlsplit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from starlette.responses import Response
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+__all__ = ["Guard"]
+
+MAX_BODY = 16_384
+"""Bytes of a form; a message of the longest text in the widest letters has fewer."""
+
+MAX_DISCARDED = 64_000_000
+"""Bytes of a body that is too large that are read past, so that its sender reads the answer."""
+
+BODY_SECONDS = 10.0
+MAX_FIELDS = 20
+
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; style-src 'self'; script-src 'self'; img-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    # The links are secrets; and with "no-referrer" browsers would post from the origin "null".
+    "referrer-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+class Guard:
+    """Refuses forms that are foreign, too large, too slow or unreadable; sets the headers.
+
+    The fields of a form are in ``request.state.form``.
+
+    Args:
+        app: what answers.
+        page: makes the page that tells a status and a sentence.
+        body_seconds: in which a form must have arrived.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        page: Callable[[HTTPStatus, str], Response],
+        body_seconds: float = BODY_SECONDS,
+    ) -> None:
+        self._app, self._page, self._seconds = app, page, body_seconds
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                names = {name for name, _ in message["headers"]}
+                message["headers"] += [
+                    (name.encode(), value.encode())
+                    for name, value in HEADERS.items()
+                    if name.encode() not in names
+                ]
+            await send(message)
+
+        app: ASGIApp = self._app
+        if scope["method"] not in ("GET", "HEAD"):
+            refused, form = await self._form(scope, receive)
+            if refused is not None:
+                app = self._page(*refused)
+                app.headers["connection"] = "close"
+            scope.setdefault("state", {})["form"] = form
+        await app(scope, receive, send_with_headers)
+
+    async def _form(
+        self, scope: Scope, receive: Receive
+    ) -> tuple[tuple[HTTPStatus, str] | None, dict[str, str]]:
+        """Returns why a form is refused, or ``None``, and its fields."""
+        headers = {
+            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
+        }
+        origin = headers.get("origin")
+        try:
+            is_foreign = origin is not None and urlsplit(origin).netloc != headers.get("host")
+        except ValueError:
+            is_foreign = True
+        if is_foreign:
+            return (HTTPStatus.FORBIDDEN, "This form was sent from another site."), {}
+        kind = headers.get("content-type", "").partition(";")[0].strip().lower()
+        if kind != "application/x-www-form-urlencoded":
+            return (HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected."), {}
+        try:
+            body = await asyncio.wait_for(_body(receive), self._seconds)
+        except asyncio.TimeoutError:
+            return (
+                HTTPStatus.REQUEST_TIMEOUT,
+                f"The form took more than {self._seconds:g} seconds to arrive: send it again.",
+            ), {}
+        if body is None:
+            return (
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+                f"The form is too large: {MAX_BODY:,} bytes are allowed.",
+            ), {}
+        try:
+            fields = parse_qsl(
+                body.decode("latin-1"),
+                keep_blank_values=True,
+                encoding="utf-8",
+                errors="replace",
+                max_num_fields=MAX_FIELDS,
+            )
+        except ValueError:
+            return (HTTPStatus.BAD_REQUEST, f"The form has more than {MAX_FIELDS} fields."), {}
+        form = dict(fields)
+        if len(form) < len(fields):
+            return (HTTPStatus.BAD_REQUEST, "The form has a field twice."), {}
+        return None, form
+
+
+async def _body(receive: Receive) -> bytes | None:
+    """Returns a request's body, ``None`` for one that is too large; reads no more than it keeps."""
+    chunks: list[bytes] = []
+    size, more = 0, True
+    while more and size <= MAX_DISCARDED:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            break
+        chunk = message.get("body", b"")
+        size, more = size + len(chunk), message.get("more_body", False)
+        if size <= MAX_BODY:
+            chunks.append(chunk)
+        else:
+            chunks.clear()
+    return None if size > MAX_BODY else b"".join(chunks)

@@ -1,0 +1,288 @@
+"""The study file: what a study is about, who is compared and what people do; all checked."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from bbq_torchrl.text import FaultsError, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from bbq_torchrl.domains import Domain
+
+__all__ = ["Study", "StudyError", "Terms", "load_study"]
+
+MAX_PARTICIPANTS = 10_000
+MAX_SESSIONS = 100
+
+_MOVIE = "movie"
+_ATTAINABLE = "attainable"
+_REQUIRED = ("name", "consent", "agents", "pairs", "participants")
+_COUNTS = {
+    "participants": (1, MAX_PARTICIPANTS),
+    "sessions": (1, MAX_SESSIONS),
+    "max_turns": (1, 500),
+    "idle_minutes": (1, 10_080),
+}
+
+
+class StudyError(FaultsError):
+    """A study file, or a study's data, that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a study was declared to be before its first person.
+
+    Attributes:
+        name: of the study, shown as the pages' heading.
+        consent: what people agree to, paragraphs separated by blank lines.
+        agents: name to source: whatever the talker loads the agent from.
+        pairs: the comparisons declared: the first agent is the one expected to be better.
+        participants: how many people are wanted.
+        domain: ``movie``, or a domain's folder.
+        sessions: of each person, a multiple of the number of agents.
+        goals: numbers of the domain's goals, from 1, that goal cards are drawn from.
+        max_turns: messages of a person in a conversation.
+        idle_minutes: after which an unfinished place is given to somebody else.
+    """
+
+    name: str
+    consent: str
+    agents: Mapping[str, str]
+    pairs: tuple[tuple[str, str], ...]
+    participants: int
+    domain: str
+    sessions: int
+    goals: tuple[int, ...]
+    max_turns: int
+    idle_minutes: int
+
+    def text(self) -> str:
+        """Returns the terms as JSON."""
+        return json.dumps({field.name: getattr(self, field.name) for field in fields(self)})
+
+    @classmethod
+    def of(cls, text: str) -> Terms:
+        """Returns the terms that :meth:`text` wrote."""
+        content = json.loads(text)
+        content["pairs"] = tuple((better, worse) for better, worse in content["pairs"])
+        return cls(**{**content, "goals": tuple(content["goals"])})
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file that has been checked.
+
+    Attributes:
+        path: of the file.
+        terms: what it says.
+        domain: what the conversations are about.
+    """
+
+    path: Path
+    terms: Terms
+    domain: Domain
+
+    @property
+    def data(self) -> Path:
+        """The file that holds the study's data."""
+        return data_of(self.path)
+
+
+def data_of(path: Path) -> Path:
+    """Returns the file that holds the data of the study file ``path``, beside it."""
+    return path.with_suffix(".sqlite")
+
+
+def load_study(path: str | Path) -> Study:
+    """Returns the study that the file ``path`` describes.
+
+    Args:
+        path: a YAML file.
+
+    Raises:
+        OSError: the file cannot be read.
+        StudyError: with every fault: key, value and what is allowed.
+    """
+    file = Path(path).expanduser()
+    try:
+        content = _content(file)
+    except RecursionError:
+        raise StudyError(str(file), ["it is nested too deeply"]) from None
+    except (ValueError, yaml.YAMLError) as error:
+        raise StudyError(str(file), [f"it cannot be read: {error}"]) from error
+    reader = _Reader(file, content)
+    terms = reader.terms()
+    if reader.faults or terms is None or reader.domain is None:
+        raise StudyError(str(file), reader.faults)
+    return Study(file, terms, reader.domain)
+
+
+def _content(file: Path) -> dict[str, Any]:
+    from bbq_torchrl.domains.specification import UniqueKeyLoader
+
+    content = yaml.load(file.read_text(encoding="utf-8-sig"), Loader=UniqueKeyLoader)
+    if not isinstance(content, dict):
+        raise ValueError(f"it must be a mapping of keys to values, got {shown(content)}")
+    return content
+
+
+class _Reader:
+    """Takes the terms out of a mapping, and notes what is wrong with each key."""
+
+    def __init__(self, file: Path, content: Mapping[str, Any]) -> None:
+        self._file, self._given = file, content
+        self.faults: list[str] = []
+        self.domain: Domain | None = None
+
+    def terms(self) -> Terms | None:
+        """Returns the terms; ``None`` where some key could not be read."""
+        keys = [field.name for field in fields(Terms)]
+        self.faults += [
+            f"{shown(key)} is not a key of a study; allowed are {', '.join(keys)}"
+            for key in self._given
+            if key not in keys
+        ]
+        if missing := [key for key in _REQUIRED if key not in self._given]:
+            self.faults.append(f"it lacks the keys {', '.join(missing)}")
+        agents = self._agents()
+        self._read_domain()
+        values = {
+            "name": self._words("name"),
+            "consent": self._words("consent"),
+            "agents": agents,
+            "pairs": self._pairs(agents),
+            "participants": self._count("participants", None),
+            "domain": self._given.get("domain", _MOVIE),
+            "sessions": self._count("sessions", max(1, len(agents or ()))),
+            "max_turns": self._count("max_turns", 20),
+            "idle_minutes": self._count("idle_minutes", 60),
+        }
+        sessions = values["sessions"]
+        if agents and sessions and sessions % len(agents):
+            self.faults.append(
+                f"sessions must be a multiple of the number of agents ({len(agents)}), so that "
+                f"everybody meets all agents equally often, got {sessions}"
+            )
+        values["goals"] = self._goals(sessions or 1)
+        return None if any(value is None for value in values.values()) else Terms(**values)
+
+    def _words(self, key: str) -> str | None:
+        value = self._given.get(key)
+        if isinstance(value, str) and value.strip():
+            return value.strip()
+        if key in self._given:
+            self.faults.append(f"{key} must be text, not blank, got {shown(value)}")
+        return None
+
+    def _count(self, key: str, default: int | None) -> int | None:
+        value = self._given.get(key, default)
+        low, high = _COUNTS[key]
+        if isinstance(value, int) and not isinstance(value, bool) and low <= value <= high:
+            return value
+        if key in self._given:
+            self.faults.append(
+                f"{key} must be a whole number between {low} and {high}, got {shown(value)}"
+            )
+        return None
+
+    def _agents(self) -> dict[str, str] | None:
+        value = self._given.get("agents")
+        if isinstance(value, dict) and value and all(map(_is_text, [*value, *value.values()])):
+            return dict(value)
+        if "agents" in self._given:
+            self.faults.append(
+                "agents must map one name or more to where the agent is, both text, "
+                f"got {shown(value)}"
+            )
+        return None
+
+    def _pairs(self, agents: Mapping[str, str] | None) -> tuple[tuple[str, str], ...] | None:
+        if "pairs" not in self._given:
+            return None
+        value = self._given["pairs"]
+        if not isinstance(value, list):
+            self.faults.append(
+                f"pairs must be a list of pairs of agents, [] for none, got {shown(value)}"
+            )
+            return None
+        faults = list(_pair_faults(value, agents))
+        self.faults += faults
+        return None if faults else tuple((better, worse) for better, worse in value)
+
+    def _read_domain(self) -> None:
+        from bbq_torchrl.domains import load_domain, movie_domain
+
+        name = self._given.get("domain", _MOVIE)
+        if not _is_text(name):
+            self.faults.append(f"domain must be {_MOVIE} or a domain's folder, got {shown(name)}")
+            return
+        try:
+            folder = self._file.parent / Path(name).expanduser()
+            self.domain = movie_domain() if name == _MOVIE else load_domain(folder)
+        except FileNotFoundError as error:
+            self.faults.append(f"domain must be {_MOVIE} or a domain's folder: {error}")
+        except FaultsError as error:
+            self.faults += [f"domain {shown(name)}: {fault}" for fault in error.faults]
+
+    def _goals(self, sessions: int) -> tuple[int, ...] | None:
+        if self.domain is None:
+            return None
+        from bbq_torchrl.study.outcome import Judge
+
+        judge, goals = Judge(self.domain), self.domain.goals
+        attainable = [
+            number for number, goal in enumerate(goals, start=1) if judge.is_attainable(goal)
+        ]
+        value = self._given.get("goals", _ATTAINABLE)
+        chosen = attainable if value == _ATTAINABLE else value
+        if not isinstance(chosen, list) or not all(
+            isinstance(item, int) and not isinstance(item, bool) and 1 <= item <= len(goals)
+            for item in chosen
+        ):
+            self.faults.append(
+                f"goals must be {_ATTAINABLE} or a list of numbers between 1 and {len(goals)}, "
+                f"got {shown(value)}"
+            )
+            return None
+        if hopeless := sorted(set(chosen) - set(attainable)):
+            self.faults.append(
+                "goals must be ones that some record of the domain can meet, which holds not of "
+                f"{shown(hopeless)}"
+            )
+        if len(set(chosen)) < max(len(chosen), sessions):
+            self.faults.append(
+                f"goals must be distinct and at least as many as sessions ({sessions}), "
+                f"got {shown(chosen)}"
+            )
+        return tuple(chosen)
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str) and bool(value.strip())
+
+
+def _pair_faults(pairs: list[Any], agents: Mapping[str, str] | None) -> Iterator[str]:
+    seen: list[set[str]] = []
+    for pair in pairs:
+        if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_text, pair)):
+            yield f"pairs must hold pairs of two agents, got {shown(pair)}"
+            continue
+        if pair[0] == pair[1]:
+            yield f"pairs must be of two different agents, got {shown(pair)}"
+        elif set(pair) in seen:
+            yield f"pairs must be declared once, got {shown(pair)} again"
+        seen.append(set(pair))
+        for agent in pair:
+            if agents is not None and agent not in agents:
+                yield (
+                    f"pairs must name agents of the study ({', '.join(agents)}), "
+                    f"got {shown(agent)} in {shown(pair)}"
+                )

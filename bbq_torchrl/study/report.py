@@ -1,0 +1,227 @@
+"""The report of a study: tables, tests, flags, the two figures and the data."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.study.comparisons import compare_pairs
+from bbq_torchrl.study.export import export, write
+from bbq_torchrl.study.figures import draw_ratings, draw_success
+from bbq_torchrl.study.statistics import auroc, kappa, mean, proportion
+from bbq_torchrl.study.store import SCALES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from bbq_torchrl.study.comparisons import Comparison
+    from bbq_torchrl.study.results import Results
+
+__all__ = ["report_text", "write_report"]
+
+
+def write_report(folder: Path, results: Results) -> None:
+    """Writes ``report.md``, ``success.png``, ``ratings.png`` and the data.
+
+    Args:
+        folder: where to; it is made where it is missing.
+        results: the study's.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    export(folder, results)
+    if results.sessions:
+        draw_success(folder / "success.png", results, compare_pairs(results))
+        draw_ratings(folder / "ratings.png", results)
+    write(folder / "report.md", report_text(results))
+
+
+def report_text(results: Results) -> str:
+    """Returns the report as Markdown."""
+    terms = results.terms
+    lines = [f"# {terms.name}", ""]
+    if results.simulated:
+        lines += ["**The people of this study are simulated users.**", ""]
+    rated = sum(session.ratings is not None for session in results.sessions)
+    lines += [
+        f"{results.enrolled} people enrolled of {terms.participants} wanted; "
+        f"{len(results.sessions)} sessions ended, {rated} of them rated; {results.open} begun and "
+        f"not ended (they are in no number below). bbq-torchrl {results.package}.",
+        "",
+    ]
+    if not results.sessions:
+        return "\n".join([*lines, "No session has ended yet: there is nothing to report.", ""])
+    return "\n".join(
+        [
+            *lines,
+            *_agents(results),
+            *_pairs(results),
+            *_ratings(results),
+            *_failures(results),
+            *_agreement(results),
+            *_uncertainty(results),
+            *_flags(results),
+        ]
+    )
+
+
+def _agents(results: Results) -> Iterator[str]:
+    yield from ("## Agents", "")
+    rows = []
+    for agent in results.terms.agents:
+        people = results.of(agent).values()
+        success = proportion([[item.success for item in sessions] for sessions in people])
+        own = proportion(
+            [[bool(item.verdict) for item in sessions if item.ratings] for sessions in people]
+        )
+        scales = [
+            mean(
+                [
+                    [float(item.ratings[name]) for item in sessions if item.ratings]
+                    for sessions in people
+                ]
+            )
+            for name in SCALES
+        ]
+        rows.append((agent, success.count, success, own, *scales))
+    head = ("agent", "sessions", "success", "own verdict", *SCALES)
+    yield from _table(head, rows)
+    yield from (
+        "",
+        "Means with 95 % intervals: Wilson's for success (sessions of one person counted by "
+        "their design effect), Student's t over people for ratings from 1 to 5. Success is the "
+        "judge's, by goal card and dialogue acts; own verdict is what people said.",
+        "",
+        "![Success of each agent](success.png)",
+        "",
+    )
+
+
+def _pairs(results: Results) -> Iterator[str]:
+    yield from ("## Declared pairs", "")
+    if not results.terms.pairs:
+        yield from ("No pair was declared, so nothing is tested.", "")
+        return
+    comparisons = compare_pairs(results)
+    yield from _comparison_table(comparisons)
+    yield from (
+        "",
+        "Primary: p of the sign-flip permutation test of people's differences in success, and "
+        "the same by Holm over all declared pairs. Fisher and Boschloo take sessions for "
+        "independent and stand beside it, unadjusted. The unit is the person.",
+        "",
+    )
+    rows = [
+        (f"{item.better} – {item.worse}", item.rating, _p(item.rating_p), _p(item.rating_holm),
+         _p(item.mann_whitney))
+        for item in comparisons
+    ]  # fmt: skip
+    yield from _table(("pair", "overall rating", "p sign-flip", "Holm", "Mann-Whitney"), rows)
+    yield ""
+    if flagged := results.flags():
+        yield from (f"Without the {len(flagged)} people who are flagged below:", "")
+        yield from _comparison_table(compare_pairs(results, flagged))
+        yield ""
+
+
+def _comparison_table(comparisons: Iterable[Comparison]) -> Iterator[str]:
+    rows = [
+        (f"{item.better} – {item.worse}", item.people, item.success, _p(item.p),
+         f"**{_p(item.holm)}**", _p(item.fisher), _p(item.boschloo))
+        for item in comparisons
+    ]  # fmt: skip
+    head = ("pair", "people", "success", "p sign-flip", "Holm", "Fisher", "Boschloo")
+    yield from _table(head, rows)
+
+
+def _ratings(results: Results) -> Iterator[str]:
+    yield from ("## Distribution of overall ratings", "")
+    rows = []
+    for agent in results.terms.agents:
+        counts = Counter(
+            item.ratings["overall"]
+            for sessions in results.of(agent).values()
+            for item in sessions
+            if item.ratings
+        )
+        rows.append((agent, *(counts[rating] for rating in range(1, 6))))
+    yield from _table(("agent", "1", "2", "3", "4", "5"), rows)
+    yield from ("", "![Distribution of ratings](ratings.png)", "")
+
+
+def _failures(results: Results) -> Iterator[str]:
+    yield from ("## Why sessions failed", "")
+    reasons = sorted({reason for session in results.sessions for reason in session.reasons})
+    if not reasons:
+        yield from ("No session failed.", "")
+        return
+    counts = {
+        agent: Counter(
+            reason
+            for sessions in results.of(agent).values()
+            for session in sessions
+            for reason in session.reasons
+        )
+        for agent in results.terms.agents
+    }
+    rows = [(agent, *(counts[agent][reason] for reason in reasons)) for agent in counts]
+    yield from _table(("agent", *reasons), rows)
+    yield from ("", "A session may fail for several reasons.", "")
+
+
+def _agreement(results: Results) -> Iterator[str]:
+    by_person: dict[str, list[tuple[bool, bool]]] = {}
+    for session in results.sessions:
+        if session.verdict is not None:
+            by_person.setdefault(session.person, []).append((session.verdict, session.success))
+    found = kappa(list(by_person.values()))
+    yield from ("## People's own verdict and the judge's", "")
+    if math.isnan(found.value):
+        yield from ("κ is undefined: one of the two is always the same, or nothing is rated.", "")
+    else:
+        yield from (
+            f"Cohen's κ {found} over {found.count} sessions (95 % bootstrap interval over people).",
+            "",
+        )
+
+
+def _uncertainty(results: Results) -> Iterator[str]:
+    rows = []
+    for agent in results.terms.agents:
+        sessions = [item for person in results.of(agent).values() for item in person]
+        scores = {item.id: item.entropy for item in sessions if item.entropy is not None}
+        found = auroc(scores, {item.id for item in sessions if not item.success})
+        if scores:
+            rows.append((agent, len(scores), "–" if math.isnan(found) else f"{found:.2f}"))
+    if rows:
+        yield from ("## Does uncertainty predict failure?", "")
+        yield from _table(("agent", "sessions", "AUROC"), rows)
+        yield from (
+            "",
+            "Area under the curve of a session's mean entropy of the best action as a sign of "
+            "failure: .5 says nothing, 1 all.",
+            "",
+        )
+
+
+def _flags(results: Results) -> Iterator[str]:
+    yield from ("## Flags", "")
+    flags = results.flags()
+    if not flags:
+        yield from ("Nobody is conspicuous.", "")
+        return
+    yield from _table(("person", "flags"), [(who, "; ".join(what)) for who, what in flags.items()])
+    yield from ("", "All of them are in every number above unless it says otherwise.", "")
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    lines = [head, ["---"] * len(head), *rows]
+    return [
+        f"| {' | '.join(str(cell).replace('|', chr(92) + '|') for cell in line)} |"
+        for line in lines
+    ]
+
+
+def _p(value: float) -> str:
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"

@@ -1,0 +1,204 @@
+"""What a study has found so far: its ended sessions, read from its file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import fmean, median
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.study.database import reading
+from bbq_torchrl.study.plan import Terms
+from bbq_torchrl.study.store import EXCHANGES, SCALES, stored_exchange
+
+if TYPE_CHECKING:
+    import sqlite3
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from bbq_torchrl.study.store import StoredExchange
+
+__all__ = ["Result", "Results", "read_results"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """An ended session.
+
+    Attributes:
+        id: in the file.
+        person: a name that tells nothing: ``P1``, ``P2``, ...
+        position: among the person's sessions, from 1.
+        agent: its name.
+        goal: number of the goal, from 1.
+        ended_by: ``agent``, ``person`` or ``turns``.
+        success: the judge's verdict.
+        reasons: why it was none.
+        ratings: scale to 1 to 5; ``None`` where the person has not rated.
+        verdict: the person's own; ``None`` where they have not rated.
+        exchanges: what was said.
+    """
+
+    id: int
+    person: str
+    position: int
+    agent: str
+    goal: int
+    ended_by: str
+    success: bool
+    reasons: tuple[str, ...]
+    ratings: Mapping[str, int] | None
+    verdict: bool | None
+    exchanges: tuple[StoredExchange, ...]
+
+    @property
+    def pauses(self) -> list[float]:
+        """Seconds between each answer and the person's next message being answered."""
+        times = [exchange.at for exchange in self.exchanges]
+        return [later - earlier for earlier, later in pairwise(times)]
+
+    @property
+    def entropy(self) -> float | None:
+        """Mean over turns of the entropy of the best action; ``None`` without a posterior."""
+        found = [item.beliefs["entropy"] for item in self.exchanges if item.beliefs]
+        return fmean(found) if found else None
+
+
+@dataclass(frozen=True)
+class Results:
+    """A study's results.
+
+    Attributes:
+        terms: what was declared.
+        package: the version that it is run with.
+        simulated: whether the people are simulated users.
+        enrolled: how many people were enrolled.
+        open: how many sessions were begun and have not ended.
+        sessions: the ended ones.
+    """
+
+    terms: Terms
+    package: str
+    simulated: bool
+    enrolled: int
+    open: int
+    sessions: tuple[Result, ...]
+
+    def of(self, agent: str) -> dict[str, list[Result]]:
+        """Returns an agent's sessions by person."""
+        found: dict[str, list[Result]] = defaultdict(list)
+        for session in self.sessions:
+            if session.agent == agent:
+                found[session.person].append(session)
+        return dict(found)
+
+    def flags(self) -> dict[str, list[str]]:
+        """Returns what is conspicuous of people; nobody is left out of anything for it."""
+        people: dict[str, list[Result]] = defaultdict(list)
+        for session in self.sessions:
+            people[session.person].append(session)
+        found = {person: _flags(sessions) for person, sessions in people.items()}
+        return {person: flags for person, flags in sorted(found.items(), key=_number) if flags}
+
+
+FAST_SECONDS = 2.0
+"""Who mostly answers sooner has hardly read the answer."""
+
+
+def _flags(sessions: Sequence[Result]) -> list[str]:
+    pauses = [pause for session in sessions for pause in session.pauses]
+    rated = [session.ratings for session in sessions if session.ratings]
+    checks = {
+        f"too fast: mostly under {FAST_SECONDS:g} s between answer and message": (
+            len(pauses) > 2 and median(pauses) < FAST_SECONDS
+        ),
+        "always the same rating": (
+            len(rated) > 1 and len({value for scales in rated for value in scales.values()}) == 1
+        ),
+        "one message a conversation": all(len(session.exchanges) < 2 for session in sessions),
+    }
+    return [flag for flag, holds in checks.items() if holds]
+
+
+def _number(item: tuple[str, list[str]]) -> int:
+    return int(item[0][1:])
+
+
+def read_results(data: Path) -> Results:
+    """Returns the results in a study's file; also while it is being served.
+
+    Args:
+        data: the SQLite file.
+
+    Raises:
+        StoreError: it cannot be read.
+    """
+    with reading(data) as connection:
+        terms, package, simulated = connection.execute(
+            "SELECT terms, package, simulated FROM study"
+        ).fetchone()
+        people = connection.execute("SELECT id, token FROM person").fetchall()
+        [(begun,)] = connection.execute(
+            "SELECT COUNT(DISTINCT session) FROM exchange JOIN session ON session.id = session "
+            "WHERE ended IS NULL"
+        )
+        return Results(
+            terms=Terms.of(terms),
+            package=package,
+            simulated=bool(simulated),
+            enrolled=len(people),
+            open=begun,
+            sessions=tuple(_sessions(connection, _names(people))),
+        )
+
+
+def _names(people: Sequence[tuple[int, str]]) -> dict[int, str]:
+    """Returns names in an order that tells nothing of who came when."""
+    by_chance = sorted(people, key=lambda person: hashlib.sha256(person[1].encode()).digest())
+    return {person: f"P{number}" for number, (person, _) in enumerate(by_chance, start=1)}
+
+
+def _sessions(connection: sqlite3.Connection, names: Mapping[int, str]) -> list[Result]:
+    rows = connection.execute(
+        f"""
+        SELECT id, person, position, agent, goal, ended_by, session.success, reasons,
+               verdict, {", ".join(SCALES)}
+        FROM session LEFT JOIN rating ON rating.session = session.id
+        WHERE ended IS NOT NULL ORDER BY id
+        """
+    ).fetchall()
+    return [
+        Result(
+            id=number,
+            person=names[person],
+            position=position,
+            agent=agent,
+            goal=goal,
+            ended_by=ended_by,
+            success=bool(success),
+            reasons=tuple(json.loads(reasons)),
+            ratings=None if verdict is None else dict(zip(SCALES, scales, strict=True)),
+            verdict=None if verdict is None else bool(verdict),
+            exchanges=tuple(
+                stored_exchange(row)
+                for row in connection.execute(
+                    f"{EXCHANGES} WHERE session = ? ORDER BY number", (number,)
+                )
+            ),
+        )
+        for (
+            number,
+            person,
+            position,
+            agent,
+            goal,
+            ended_by,
+            success,
+            reasons,
+            verdict,
+            *scales,
+        ) in rows
+    ]

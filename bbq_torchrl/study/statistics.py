@@ -1,0 +1,229 @@
+"""Estimates and tests of a study. The unit is the person: sessions of one person are no strangers.
+
+scipy has the classical tests; here is what it lacks, and what must not fail where all are equal.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+    from fractions import Fraction
+
+__all__ = [
+    "Interval",
+    "auroc",
+    "holm",
+    "kappa",
+    "mann_whitney",
+    "mean",
+    "proportion",
+    "sign_flip",
+    "two_by_two",
+]
+
+CONFIDENCE = 0.95
+_Z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
+_MAX_SUMS = 5_000_000
+_RESAMPLES = 99_999
+_BOOTSTRAPS = 2_000
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its 95 % interval.
+
+    Attributes:
+        value: the estimate; NaN where there is none.
+        low: lower end; NaN where there is none.
+        high: upper end; NaN where there is none.
+        count: of observations.
+    """
+
+    value: float
+    low: float
+    high: float
+    count: int
+
+    def __str__(self) -> str:
+        if math.isnan(self.value):
+            return "–"
+        interval = "" if math.isnan(self.low) else f" [{self.low:.2f}, {self.high:.2f}]"
+        return f"{self.value:.2f}{interval}"
+
+
+def proportion(by_person: Collection[Sequence[bool]]) -> Interval:
+    """Returns a share of successes with its Wilson interval.
+
+    With several sessions of a person the number of sessions is divided by the design effect, the
+    variance between people over the binomial one (at least 1).
+
+    Args:
+        by_person: each person's successes and failures.
+
+    Example:
+        >>> print(proportion([[True]] * 40 + [[False]] * 26))
+        0.61 [0.49, 0.71]
+    """
+    people = [person for person in by_person if person]
+    count = sum(map(len, people))
+    if not count:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    rate = sum(map(sum, people)) / count
+    effective = count / _design_effect(people, rate, count)
+    shrink = 1 + _Z**2 / effective
+    center = (rate + _Z**2 / (2 * effective)) / shrink
+    spread = rate * (1 - rate) / effective + _Z**2 / (4 * effective**2)
+    half = _Z * math.sqrt(spread) / shrink
+    # Rounding must not put a rate of 0 or 1 outside of its interval.
+    return Interval(rate, max(0.0, min(rate, center - half)), max(rate, center + half), count)
+
+
+def _design_effect(people: Sequence[Sequence[bool]], rate: float, count: int) -> float:
+    if count == len(people) or len(people) < 2 or rate in (0.0, 1.0):
+        return 1.0
+    between = sum((sum(person) - rate * len(person)) ** 2 for person in people)
+    variance = between * len(people) / (len(people) - 1) / count**2
+    return max(1.0, variance / (rate * (1 - rate) / count))
+
+
+def mean(by_person: Collection[Sequence[float]]) -> Interval:
+    """Returns the mean of people's means with its Student t interval; none for one person.
+
+    Args:
+        by_person: each person's values.
+    """
+    means = [sum(person) / len(person) for person in by_person if person]
+    count = sum(map(len, by_person))
+    if not means:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    value = sum(means) / len(means)
+    if len(means) == 1:
+        return Interval(value, math.nan, math.nan, count)
+    error = float(np.std(means, ddof=1)) / math.sqrt(len(means))
+    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(means) - 1)) * error
+    return Interval(value, value - half, value + half, count)
+
+
+def sign_flip(differences: Sequence[Fraction]) -> float:
+    """Returns the two-sided p-value of the sign-flip permutation test of a mean of 0.
+
+    Where two agents are alike, a person's difference between them is as likely as its opposite:
+    p is the share of all ways to flip people's signs that give a sum as far from 0. All ways are
+    counted; where denominators have nothing in common, 99,999 drawn ones (by scipy).
+
+    Args:
+        differences: one for each person.
+
+    Example:
+        >>> from fractions import Fraction
+        >>> sign_flip([Fraction(1)] * 6)
+        0.03125
+    """
+    weights = [difference for difference in differences if difference]
+    scale = math.lcm(*(weight.denominator for weight in weights))
+    sizes = [abs(int(weight * scale)) for weight in weights]
+    if sum(sizes) > _MAX_SUMS:
+        found = stats.permutation_test(
+            ([float(weight) for weight in weights],),
+            lambda values, axis: np.mean(values, axis=axis),
+            permutation_type="samples",
+            n_resamples=_RESAMPLES,
+            rng=np.random.default_rng(0),
+        )
+        return float(found.pvalue)
+    # ways[s]: probability that the people flipped to the positive side weigh s.
+    ways = np.ones(1)
+    for size in sizes:
+        ways = np.pad(ways, (0, size)) / 2 + np.pad(ways, (size, 0)) / 2
+    sums = np.abs(2 * np.arange(ways.size) - sum(sizes))
+    return min(1.0, float(ways[sums >= abs(int(sum(weights) * scale))].sum()))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Returns Holm's (1979) adjusted p-values, in the given order.
+
+    Example:
+        >>> holm([0.01, 0.04, 0.03])
+        [0.03, 0.06, 0.06]
+    """
+    adjusted = [0.0] * len(p_values)
+    largest = 0.0
+    for rank, index in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[index]))
+        adjusted[index] = largest
+    return adjusted
+
+
+def two_by_two(one: Sequence[bool], other: Sequence[bool]) -> tuple[float, float]:
+    """Returns Fisher's and Boschloo's exact p-values; both take sessions for independent."""
+    table = [[sum(side), len(side) - sum(side)] for side in (one, other)]
+    if not one or not other or 0 in np.sum(table, axis=0):
+        return 1.0, 1.0
+    # Boschloo's statistic is a maximum found on a grid, which rounds beyond 1.
+    boschloo = float(stats.boschloo_exact(table).pvalue)
+    return float(stats.fisher_exact(table).pvalue), min(1.0, boschloo)
+
+
+def mann_whitney(one: Sequence[float], other: Sequence[float]) -> float:
+    """Returns the p-value of the Mann-Whitney test; it takes sessions for independent."""
+    if not one or not other or len({*one, *other}) == 1:
+        return 1.0
+    return float(stats.mannwhitneyu(one, other).pvalue)
+
+
+def kappa(by_person: Sequence[Sequence[tuple[bool, bool]]], seed: int = 0) -> Interval:
+    """Returns Cohen's κ of two judges with its bootstrap interval over people.
+
+    Args:
+        by_person: each person's pairs of verdicts.
+        seed: of the bootstrap.
+
+    Returns:
+        NaN where all verdicts are the same: nothing could be agreed on beyond chance.
+    """
+    tables = np.array([_agreement(person) for person in by_person], dtype=float).reshape(-1, 2, 2)
+    count = int(tables.sum())
+    value = float(_kappa(tables.sum(0)))
+    if len(tables) < 2 or math.isnan(value):
+        return Interval(value, math.nan, math.nan, count)
+    chosen = np.random.default_rng(seed).integers(len(tables), size=(_BOOTSTRAPS, len(tables)))
+    drawn = _kappa(tables[chosen].sum(1))
+    low, high = np.nanpercentile(drawn, [2.5, 97.5])
+    return Interval(value, float(low), float(high), count)
+
+
+def _agreement(pairs: Sequence[tuple[bool, bool]]) -> list[list[int]]:
+    return [[pairs.count((row, column)) for column in (False, True)] for row in (False, True)]
+
+
+def _kappa(tables: np.ndarray) -> np.ndarray:
+    count = tables.sum((-2, -1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        agreed = (tables[..., 0, 0] + tables[..., 1, 1]) / count
+        chance = (tables.sum(-1) * tables.sum(-2)).sum(-1) / count**2
+        found = (agreed - chance) / (1 - chance)
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def auroc(scores: Mapping[int, float], failed: Collection[int]) -> float:
+    """Returns the probability that a failure scores higher than a success, ties counting half.
+
+    Args:
+        scores: of sessions.
+        failed: which of them failed.
+
+    Returns:
+        NaN where there are no failures or no successes.
+    """
+    high = [score for session, score in scores.items() if session in failed]
+    low = [score for session, score in scores.items() if session not in failed]
+    if not high or not low:
+        return math.nan
+    return float(stats.mannwhitneyu(high, low).statistic) / (len(high) * len(low))

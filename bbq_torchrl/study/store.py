@@ -1,0 +1,394 @@
+"""What a study has stored: people, their sessions, what was said, and how they rated it."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import secrets
+import time
+from base64 import urlsafe_b64encode
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import bbq_torchrl
+from bbq_torchrl.study.database import Database, StoreError
+from bbq_torchrl.study.design import assignments
+from bbq_torchrl.study.plan import Terms
+from bbq_torchrl.study.talk import Frame
+
+if TYPE_CHECKING:
+    import sqlite3
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from bbq_torchrl.study.outcome import Verdict
+    from bbq_torchrl.study.talk import Reply
+
+__all__ = ["SCALES", "Person", "Session", "Store", "StoredExchange"]
+
+SCALES = ("overall", "naturalness", "coherence", "completion")
+"""What people rate from 1 to 5; the first is the paper's one figure."""
+
+
+@dataclass(frozen=True)
+class StoredExchange:
+    """A person's text and the agent's answer.
+
+    Attributes:
+        number: from 1.
+        at: when it was stored, seconds since 1970.
+        text: the person's.
+        answer: the agent's.
+        heard: what was understood.
+        said: the agent's act.
+        beliefs: the agent's, as plain data.
+        state: the talker's.
+    """
+
+    number: int
+    at: float
+    text: str
+    answer: str
+    heard: Frame
+    said: Frame
+    beliefs: Mapping[str, Any] | None
+    state: str
+
+
+@dataclass(frozen=True)
+class Session:
+    """A conversation that a person has, or is to have.
+
+    Attributes:
+        id: in the file.
+        position: among the person's sessions, from 1.
+        agent: its name.
+        goal: number of the goal in the domain, from 1.
+        is_ended: nothing more is said.
+        is_rated: the person has rated it.
+    """
+
+    id: int
+    position: int
+    agent: str
+    goal: int
+    is_ended: bool
+    is_rated: bool
+
+
+@dataclass(frozen=True)
+class Person:
+    """Somebody who takes part.
+
+    Attributes:
+        id: in the file.
+        sessions: first to last.
+    """
+
+    id: int
+    sessions: tuple[Session, ...]
+
+    @property
+    def current(self) -> Session | None:
+        """The first session that is not rated; ``None`` after the last."""
+        return next((session for session in self.sessions if not session.is_rated), None)
+
+
+class Store:
+    """The data of a study, in one SQLite file.
+
+    Whatever a method has written is on the disk when it returns.
+
+    Args:
+        path: of the file.
+        terms: the study's.
+        fingerprints: each agent's, by name.
+        simulated: whether the people are simulated users.
+        clock: tells the time, in seconds since 1970.
+
+    Raises:
+        StoreError: the file cannot be used, or holds a study of other terms, agents or version.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        terms: Terms,
+        fingerprints: Mapping[str, str],
+        *,
+        simulated: bool = False,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._terms, self._clock = terms, clock
+        self._database = Database(path)
+        try:
+            with self._database.transaction() as connection:
+                self._secret = self._begin(connection, fingerprints, simulated)
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(
+        self, connection: sqlite3.Connection, fingerprints: Mapping[str, str], simulated: bool
+    ) -> str:
+        """Returns the study's secret; makes the study where there is none yet."""
+        path, package = str(self._database.path), bbq_torchrl.__version__
+        found = connection.execute("SELECT terms, package, secret, simulated FROM study").fetchone()
+        if found is None:
+            secret = secrets.token_urlsafe(32)
+            connection.execute(
+                "INSERT INTO study VALUES (1, ?, ?, ?, ?, ?)",
+                (self._terms.text(), package, secret, int(simulated), self._clock()),
+            )
+            connection.executemany("INSERT INTO agent VALUES (?, ?)", fingerprints.items())
+            return secret
+        stored = dict(connection.execute("SELECT name, fingerprint FROM agent").fetchall())
+        faults = _changed(Terms.of(found[0]), self._terms)
+        if found[1] != package:
+            faults.append(f"it was begun with bbq-torchrl {found[1]}, this is {package}")
+        if bool(found[3]) != simulated:
+            faults.append("it must hold either people or simulated users, not both")
+        faults += [
+            f"the weights of agent {name!r} are not those the study was begun with"
+            for name, fingerprint in fingerprints.items()
+            if name in stored and stored[name] != fingerprint
+        ]
+        if faults:
+            advice = "a study goes on as it was begun; a changed one needs a new file name"
+            raise StoreError(path, [f"{fault} ({advice})" for fault in faults])
+        connection.execute("UPDATE study SET terms = ?", (self._terms.text(),))
+        return str(found[2])
+
+    def key(self, purpose: str) -> str:
+        """Returns an unguessable word that is the same each time: of a link, say."""
+        digest = hmac.digest(self._secret.encode(), purpose.encode(), "sha256")
+        return urlsafe_b64encode(digest[:24]).decode()
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._database.close()
+
+    # -- people ------------------------------------------------------------------------------------
+
+    def enrol(self, nonce: str) -> str | None:
+        """Gives somebody a place in the design. Returns their token, ``None`` where all are taken.
+
+        A place is free until somebody has it, and again when they have left it unfinished: the
+        lowest goes first. The same nonce gets the same token.
+        """
+        token, now = self.key(f"person {nonce}"), self._clock()
+        with self._database.transaction() as connection:
+            known = "SELECT id FROM person WHERE token = ?"
+            if connection.execute(known, (_hashed(token),)).fetchone():
+                return token
+            held = {place for (place,) in connection.execute(_HELD, (self._idle_since(now),))}
+            free = (place for place in range(self._terms.participants) if place not in held)
+            if (place := next(free, None)) is None:
+                return None
+            person = connection.execute(
+                "INSERT INTO person (token, place, enrolled, active) VALUES (?, ?, ?, ?)",
+                (_hashed(token), place, now, now),
+            ).lastrowid
+            terms = self._terms
+            plan = assignments(
+                place, tuple(terms.agents), terms.goals, terms.sessions, self._secret
+            )
+            connection.executemany(
+                "INSERT INTO session (person, position, agent, goal) VALUES (?, ?, ?, ?)",
+                [(person, number, *item) for number, item in enumerate(plan, start=1)],
+            )
+        return token
+
+    def person(self, token: str) -> Person | None:
+        """Returns the person who has the token; ``None`` if nobody has."""
+        rows = self._database.rows(
+            """
+            SELECT person.id, session.id, position, agent, goal, ended IS NOT NULL,
+                   rating.session IS NOT NULL
+            FROM person JOIN session ON session.person = person.id
+                 LEFT JOIN rating ON rating.session = session.id
+            WHERE token = ? ORDER BY position
+            """,
+            _hashed(token),
+        )
+        sessions = tuple(_session(row[1:]) for row in rows)
+        return Person(rows[0][0], sessions) if rows else None
+
+    def _idle_since(self, now: float) -> float:
+        return now - 60 * self._terms.idle_minutes
+
+    # -- conversations -----------------------------------------------------------------------------
+
+    def exchanges(self, session: int) -> list[StoredExchange]:
+        """Returns what was said in a session, first to last."""
+        return [
+            stored_exchange(row)
+            for row in self._database.rows(
+                f"{EXCHANGES} WHERE session = ? ORDER BY number", session
+            )
+        ]
+
+    def texts(self, session: int) -> list[tuple[str, str]]:
+        """Returns what both said in a session: all that people see of an exchange."""
+        query = "SELECT text, answer FROM exchange WHERE session = ? ORDER BY number"
+        return [(text, answer) for text, answer in self._database.rows(query, session)]
+
+    def has_message(self, session: int, nonce: str) -> bool:
+        """Returns whether a message has been stored."""
+        query = "SELECT 1 FROM exchange WHERE session = ? AND nonce = ?"
+        return bool(self._database.rows(query, session, nonce))
+
+    def add_exchange(
+        self,
+        session: Session,
+        number: int,
+        nonce: str,
+        text: str,
+        reply: Reply,
+        end: tuple[str, Verdict] | None,
+    ) -> None:
+        """Stores both turns of an exchange and, where they are the last, the end.
+
+        Args:
+            session: in which it was said.
+            number: of the exchange, from 1.
+            nonce: of the message.
+            text: the person's.
+            reply: the agent's.
+            end: who or what ended the conversation, and the verdict; ``None`` if it goes on.
+        """
+        beliefs = reply.beliefs_content()
+        with self._database.transaction() as connection:
+            now = self._clock()
+            connection.execute(
+                "INSERT INTO exchange VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (
+                    *(session.id, number, nonce, now, text, reply.text),
+                    *(json.dumps(asdict(reply.heard)), json.dumps(asdict(reply.said))),
+                    *(None if beliefs is None else json.dumps(beliefs), reply.state),
+                ),
+            )
+            if end is not None:
+                _end(connection, session.id, now, *end)
+            _touch(connection, session.id, now)
+
+    def end(self, session: Session, ended_by: str, verdict: Verdict) -> None:
+        """Stores that a conversation has ended; nothing if it had."""
+        with self._database.transaction() as connection:
+            now = self._clock()
+            _end(connection, session.id, now, ended_by, verdict)
+            _touch(connection, session.id, now)
+
+    # -- ratings -----------------------------------------------------------------------------------
+
+    def rating_nonce(self, session: int) -> str | None:
+        """Returns the nonce of the session's rating; ``None`` before it is rated."""
+        rows = self._database.rows("SELECT nonce FROM rating WHERE session = ?", session)
+        return rows[0][0] if rows else None
+
+    def rate(self, session: Session, nonce: str, scales: Mapping[str, int], verdict: bool) -> None:
+        """Stores a person's ratings (see :data:`SCALES`) and own verdict."""
+        with self._database.transaction() as connection:
+            now = self._clock()
+            connection.execute(
+                "INSERT INTO rating VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                (session.id, nonce, now, *(scales[name] for name in SCALES), int(verdict)),
+            )
+            _touch(connection, session.id, now)
+
+    # -- the researcher's view ---------------------------------------------------------------------
+
+    def progress(self) -> tuple[dict[str, int], list[tuple[Any, ...]]]:
+        """Returns how far the study is.
+
+        Returns:
+            How many people there are, by ``wanted``, ``enrolled``, ``finished``, ``active`` and
+            ``left``; and for every session id, person, position, agent, goal, exchanges, whether
+            it has ended, and whether it is rated.
+        """
+        rows = self._database.rows(
+            """
+            SELECT session.id, person, position, agent, goal,
+                   (SELECT COUNT(*) FROM exchange WHERE exchange.session = session.id),
+                   ended IS NOT NULL, rating.session IS NOT NULL
+            FROM session LEFT JOIN rating ON rating.session = session.id
+            ORDER BY person, position
+            """
+        )
+        query = f"SELECT active > ?, {_IS_FINISHED} FROM person"
+        people = self._database.rows(query, self._idle_since(self._clock()))
+        finished = sum(done for _, done in people)
+        active = sum(recent and not done for recent, done in people)
+        counts = {
+            "wanted": self._terms.participants,
+            "enrolled": len(people),
+            "finished": finished,
+            "active": active,
+            "left": len(people) - finished - active,
+        }
+        return counts, rows
+
+    def session(self, number: int) -> Session | None:
+        """Returns a session by its id; ``None`` if there is none."""
+        rows = self._database.rows(
+            "SELECT session.id, position, agent, goal, ended IS NOT NULL, rating.session NOT NULL "
+            "FROM session LEFT JOIN rating ON rating.session = session.id WHERE session.id = ?",
+            number,
+        )
+        return _session(rows[0]) if rows else None
+
+
+EXCHANGES = "SELECT number, at, text, answer, heard, said, beliefs, state FROM exchange"
+
+_IS_FINISHED = """NOT EXISTS (
+    SELECT 1 FROM session LEFT JOIN rating ON rating.session = session.id
+    WHERE session.person = person.id AND rating.session IS NULL
+)"""
+_HELD = f"SELECT DISTINCT place FROM person WHERE active > ? OR {_IS_FINISHED}"
+
+
+def stored_exchange(row: tuple[Any, ...]) -> StoredExchange:
+    """Returns the exchange in a row of :data:`EXCHANGES`."""
+    number, at, text, answer, heard, said, beliefs, state = row
+    frames = Frame.of(json.loads(heard)), Frame.of(json.loads(said))
+    content = None if beliefs is None else json.loads(beliefs)
+    return StoredExchange(number, at, text, answer, *frames, content, state)
+
+
+def _session(row: tuple[Any, ...]) -> Session:
+    number, position, agent, goal, is_ended, is_rated = row
+    return Session(number, position, agent, goal, bool(is_ended), bool(is_rated))
+
+
+def _end(
+    connection: sqlite3.Connection, session: int, now: float, ended_by: str, verdict: Verdict
+) -> None:
+    connection.execute(
+        "UPDATE session SET ended = ?, ended_by = ?, success = ?, reasons = ? "
+        "WHERE id = ? AND ended IS NULL",
+        (now, ended_by, int(verdict.success), json.dumps(verdict.reasons), session),
+    )
+
+
+def _touch(connection: sqlite3.Connection, session: int, now: float) -> None:
+    connection.execute(
+        "UPDATE person SET active = ? WHERE id = (SELECT person FROM session WHERE id = ?)",
+        (now, session),
+    )
+
+
+def _hashed(token: str) -> str:
+    """What is stored of a token: who reads the file learns no link."""
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+def _changed(old: Terms, new: Terms) -> list[str]:
+    """Returns what differs beyond the number of people, which may change."""
+    same = asdict(replace(new, participants=old.participants))
+    # As text: the order of the agents counts too.
+    return [
+        f"the study file says another {key} than at the start"
+        for key, value in asdict(old).items()
+        if json.dumps(value) != json.dumps(same[key])
+    ]

@@ -1,0 +1,147 @@
+"""What the study asks of whoever talks with people: text in; text, frames and beliefs out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["Belief", "Beliefs", "Exchange", "Frame", "Reply", "Talker"]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """An utterance as a dialogue act.
+
+    Attributes:
+        act: the act.
+        informs: slot to value, as the domain spells it; reserved values in their reserved text.
+        requests: the slots asked for.
+        confidence: of the understanding, in [0, 1]; ``None`` where there is none.
+    """
+
+    act: str
+    informs: Mapping[str, str] = field(default_factory=dict)
+    requests: tuple[str, ...] = ()
+    confidence: float | None = None
+
+    def __str__(self) -> str:
+        told = [f"{slot}={value}" for slot, value in self.informs.items()]
+        return f"{self.act}({', '.join([*told, *(f'{slot}?' for slot in self.requests)])})"
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Frame:
+        """Returns the frame that was stored as ``content``."""
+        return cls(**{**content, "requests": tuple(content["requests"])})
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What an agent thinks of one action.
+
+    Attributes:
+        action: the action's name.
+        mean: of its Q-value.
+        band50: lower and upper end of the middle half of its posterior.
+        band90: the same of the middle 90 %.
+        p_best: probability that no other action has a higher Q-value.
+    """
+
+    action: str
+    mean: float
+    band50: tuple[float, float]
+    band90: tuple[float, float]
+    p_best: float
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """What an agent thinks before its act.
+
+    Attributes:
+        actions: the legal actions, or the best of them.
+        entropy: of the distribution of the best action, in nats.
+    """
+
+    actions: tuple[Belief, ...]
+    entropy: float
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Beliefs:
+        """Returns the beliefs that were stored as ``content``."""
+        actions = (
+            Belief(**{**item, "band50": tuple(item["band50"]), "band90": tuple(item["band90"])})
+            for item in content["actions"]
+        )
+        return cls(tuple(actions), content["entropy"])
+
+
+@dataclass(frozen=True)
+class Reply:
+    """An agent's answer to a person's text, and what there is to store of it.
+
+    Attributes:
+        text: what the agent says.
+        heard: what was understood of the person's text.
+        said: the agent's act, its values filled in. The offer of a booking informs the domain's
+            complete slot (``ticket available`` or ``no match``) and all values held.
+        ended: the agent ends the conversation.
+        state: whatever the talker needs to answer the next text; the study stores it and gives it
+            back, so that a conversation goes on after any crash.
+        beliefs: what the agent thought; ``None`` for an agent without a posterior.
+    """
+
+    text: str
+    heard: Frame
+    said: Frame
+    ended: bool = False
+    state: str = ""
+    beliefs: Beliefs | None = None
+
+    def beliefs_content(self) -> dict[str, Any] | None:
+        """Returns the beliefs as plain data."""
+        return None if self.beliefs is None else asdict(self.beliefs)
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """A person's turn and the agent's answer, as the judge reads them.
+
+    Attributes:
+        heard: what was understood.
+        said: what the agent said.
+    """
+
+    heard: Frame
+    said: Frame
+
+
+class Talker(Protocol):
+    """The agents of a study, as a function from a conversation's state and a text to an answer.
+
+    :meth:`reply` is called from several threads at once, never twice at once for a conversation.
+
+    Attributes:
+        labels: how people call the domain's slots; a slot without a label is shown by its name.
+    """
+
+    labels: Mapping[str, str]
+
+    def fingerprint(self, agent: str) -> str:
+        """Returns a hash of the agent's weights and of all else that decides what it says.
+
+        Raises:
+            ValueError: the agent cannot be loaded, or is of another domain; in one sentence.
+        """
+
+    def reply(self, agent: str, state: str | None, text: str, seed: int) -> Reply:
+        """Answers a text.
+
+        Args:
+            agent: the agent's name in the study.
+            state: of the conversation: that of the agent's last answer, ``None`` at the start.
+            text: what the person says: one line, not blank, at most 1,000 characters.
+            seed: of everything random in the answer; the same for a text sent again.
+        """

@@ -1,0 +1,272 @@
+"""The study as a web application: plain forms, a page for each step, one link for each person."""
+
+from __future__ import annotations
+
+import hmac
+import logging
+import secrets
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from bbq_torchrl.study.conversations import MAX_TEXT, Conversations, RefusedError
+from bbq_torchrl.study.database import StoreError
+from bbq_torchrl.study.guard import BODY_SECONDS, Guard
+from bbq_torchrl.study.pages import STATIC_FILES, bars, card, render, static
+from bbq_torchrl.study.store import SCALES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from starlette.requests import Request
+
+    from bbq_torchrl.study.plan import Study
+    from bbq_torchrl.study.store import Person, Store
+    from bbq_torchrl.study.talk import Talker
+
+__all__ = ["JOIN", "RESEARCHER", "application"]
+
+JOIN, RESEARCHER = "join", "researcher"
+"""The purposes of the keys in the two links that :meth:`Store.key` makes."""
+
+MAX_LISTED = 1_000
+QUESTIONS = {
+    "overall": "Overall, how well did the assistant do?",
+    "naturalness": "How natural was what it said?",
+    "coherence": "How well did its answers fit what had been said?",
+    "completion": "How well did it complete your task?",
+}
+
+_log = logging.getLogger(__name__)
+
+
+def application(
+    study: Study, store: Store, talker: Talker, *, body_seconds: float = BODY_SECONDS
+) -> Starlette:
+    """Returns the web application of a study.
+
+    Args:
+        study: what is asked of people.
+        store: where it is stored.
+        talker: the agents.
+        body_seconds: in which a form must have arrived.
+    """
+    pages = _Pages(study, store, talker)
+
+    def threaded(page: Callable[[Request], Response]) -> Callable[[Request], Any]:
+        async def endpoint(request: Request) -> Response:
+            return await run_in_threadpool(page, request)
+
+        return endpoint
+
+    def route(path: str, page: Callable[[Request], Response], *methods: str) -> Route:
+        return Route(path, threaded(page), methods=list(methods))
+
+    routes = [
+        route("/join/{key}", pages.consent, "GET"),
+        route("/join/{key}", pages.enrol, "POST"),
+        route("/p/{token}", pages.now, "GET"),
+        route("/p/{token}/{step}", pages.step, "POST"),
+        route("/r/{key}", pages.progress, "GET"),
+        route("/r/{key}/{session:int}", pages.transcript, "GET"),
+        route("/static/{name}", _static, "GET"),
+    ]
+    handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
+    guard = Middleware(Guard, page=pages.message, body_seconds=body_seconds)
+    return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
+
+
+def _static(request: Request) -> Response:
+    name = request.path_params["name"]
+    if name not in STATIC_FILES:
+        raise HTTPException(HTTPStatus.NOT_FOUND)
+    return Response(static(name), media_type=STATIC_FILES[name])
+
+
+class _Pages:
+    """The pages, each a function from request to response."""
+
+    def __init__(self, study: Study, store: Store, talker: Talker) -> None:
+        self._study, self._store, self._talker = study, store, talker
+        self._conversations = Conversations(study, store, talker)
+
+    # -- taking part -------------------------------------------------------------------------------
+
+    def consent(self, request: Request) -> Response:
+        """What people agree to."""
+        self._check(request, JOIN)
+        return self._consent(HTTPStatus.OK, "")
+
+    def enrol(self, request: Request) -> Response:
+        """Gives a person a link of their own."""
+        self._check(request, JOIN)
+        try:
+            token = self._conversations.enrol(request.state.form)
+        except RefusedError as error:
+            return self._consent(error.status, str(error))
+        return _to(token)
+
+    def now(self, request: Request) -> Response:
+        """What the person does next."""
+        return self._page(request.path_params["token"], self._person(request))
+
+    def step(self, request: Request) -> Response:
+        """Takes a step, then shows what comes next; a refused one keeps what was given."""
+        token, person, form = (
+            request.path_params["token"],
+            self._person(request),
+            request.state.form,
+        )
+        steps = {
+            "say": self._conversations.say,
+            "end": self._conversations.end,
+            "rate": self._conversations.rate,
+        }
+        if request.path_params["step"] not in steps:
+            raise HTTPException(HTTPStatus.NOT_FOUND)
+        try:
+            steps[request.path_params["step"]](person, form)
+        except RefusedError as error:
+            person = self._person(request)  # as it is by now
+            return self._page(token, person, error.status, str(error), form)
+        except StoreError:
+            _log.exception("a step could not be stored")
+            status = HTTPStatus.SERVICE_UNAVAILABLE
+            problem = "What you sent could not be stored. Please send it again in a minute."
+            return self._page(token, person, status, problem, form, keep_nonce=True)
+        except Exception:
+            _log.exception("an agent could not answer")
+            status = HTTPStatus.INTERNAL_SERVER_ERROR
+            problem = "The assistant could not answer. Please send your message again."
+            return self._page(token, person, status, problem, form, keep_nonce=True)
+        return _to(token)
+
+    def _page(
+        self,
+        token: str,
+        person: Person,
+        status: HTTPStatus = HTTPStatus.OK,
+        problem: str = "",
+        form: Mapping[str, str] | None = None,
+        *,
+        keep_nonce: bool = False,
+    ) -> Response:
+        session, form = person.current, form or {}
+        if session is None:
+            return self._html("done", status, token=token, problem=problem)
+        # A text that was refused is kept, one of an earlier conversation is not.
+        given = form if form.get("session") == str(session.position) else {}
+        return self._html(
+            "rate" if session.is_ended else "talk",
+            status,
+            token=token,
+            problem=problem,
+            session=session.position,
+            sessions=len(person.sessions),
+            card=card(self._conversations.goal(session), self._talker.labels),
+            exchanges=self._store.texts(session.id),
+            nonce=form.get("nonce", "") if keep_nonce else _new_nonce(),
+            given=given,
+            max_text=MAX_TEXT,
+            questions={name: QUESTIONS[name] for name in SCALES},
+        )
+
+    def _person(self, request: Request) -> Person:
+        person = self._store.person(request.path_params["token"])
+        if person is None:
+            raise HTTPException(HTTPStatus.NOT_FOUND)
+        return person
+
+    # -- the researcher ----------------------------------------------------------------------------
+
+    def progress(self, request: Request) -> Response:
+        """How far the study is. Outcomes by agent are in the report: looking early misleads."""
+        self._check(request, RESEARCHER)
+        counts, sessions = self._store.progress()
+        agents = {
+            agent: {
+                "begun": sum(row[3] == agent and row[5] > 0 for row in sessions),
+                "ended": sum(row[3] == agent and row[6] for row in sessions),
+                "rated": sum(row[3] == agent and row[7] for row in sessions),
+            }
+            for agent in self._study.terms.agents
+        }
+        begun = [row for row in reversed(sessions) if row[5]]
+        return self._html(
+            "progress",
+            HTTPStatus.OK,
+            key=request.path_params["key"],
+            counts=counts,
+            agents=agents,
+            begun=begun[:MAX_LISTED],
+            unlisted=len(begun[MAX_LISTED:]),
+        )
+
+    def transcript(self, request: Request) -> Response:
+        """A session turn by turn, with what the agent thought."""
+        self._check(request, RESEARCHER)
+        session = self._store.session(request.path_params["session"])
+        if session is None:
+            raise HTTPException(HTTPStatus.NOT_FOUND)
+        turns = [
+            (item, bars(item.beliefs["actions"]) if item.beliefs else [])
+            for item in self._store.exchanges(session.id)
+        ]
+        goal = card(self._conversations.goal(session), self._talker.labels)
+        key = request.path_params["key"]
+        return self._html(
+            "transcript", HTTPStatus.OK, key=key, session=session, card=goal, turns=turns
+        )
+
+    # -- what all pages share ----------------------------------------------------------------------
+
+    def message(self, status: HTTPStatus, text: str) -> Response:
+        """A page that says one thing."""
+        return self._html("message", status, text=text)
+
+    def no_page(self, request: Request, error: HTTPException) -> Response:
+        """One page for a link that is wrong, guessed or of something else."""
+        status = HTTPStatus(error.status_code)
+        if status == HTTPStatus.NOT_FOUND:
+            return self.message(status, "There is no page here. Please check your link.")
+        return self.message(status, "This cannot be done here. Please open your link again.")
+
+    def not_stored(self, request: Request, error: StoreError) -> Response:
+        """The page where the study's file cannot be used."""
+        _log.error("%s", error)
+        text = "The study cannot be reached just now. Please try again in a minute."
+        return self.message(HTTPStatus.SERVICE_UNAVAILABLE, text)
+
+    def _check(self, request: Request, purpose: str) -> None:
+        given = request.path_params["key"].encode()
+        if not hmac.compare_digest(given, self._store.key(purpose).encode()):
+            raise HTTPException(HTTPStatus.NOT_FOUND)
+
+    def _consent(self, status: HTTPStatus, problem: str) -> Response:
+        terms = self._study.terms
+        paragraphs = [text.strip() for text in terms.consent.split("\n\n") if text.strip()]
+        return self._html(
+            "consent",
+            status,
+            problem=problem,
+            paragraphs=paragraphs,
+            sessions=terms.sessions,
+            nonce=_new_nonce(),
+        )
+
+    def _html(self, template: str, status: HTTPStatus, **values: Any) -> HTMLResponse:
+        return HTMLResponse(render(template, name=self._study.terms.name, **values), status)
+
+
+def _new_nonce() -> str:
+    return secrets.token_urlsafe(16)
+
+
+def _to(token: str) -> Response:
+    return RedirectResponse(f"/p/{token}", HTTPStatus.SEE_OTHER)

@@ -1,0 +1,107 @@
+"""A study served by a process of its own, as a researcher serves it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx2
+
+from .conftest import hidden
+
+ROOT = Path(__file__).parents[2]
+
+
+class Server:
+    """The command line at work on a study file.
+
+    Args:
+        file: the study file.
+        port: to listen at; ``None`` for a free one.
+        before: what stands before the command, to run it in other circumstances.
+    """
+
+    def __init__(self, file, port=None, before=()):
+        self.file, self.before = file, before
+        self.port = port or free_port()
+        self.process = None
+        self.links = {}
+
+    def start(self):
+        path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+        command = [
+            *(*self.before, sys.executable, "-m", "bbq_torchrl.study", "serve", str(self.file)),
+            *("--talker", "study.fakes:make", "--port", str(self.port)),
+        ]
+        self.process = subprocess.Popen(
+            command,
+            env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        lines = [self.process.stdout.readline() for _ in range(2)]
+        if not all(lines):
+            raise RuntimeError(self.process.communicate()[1])
+        self.links = dict(re.findall(r"(for \w+): (http\S+)", "".join(lines)))
+        while True:
+            try:
+                socket.create_connection(("127.0.0.1", self.port), timeout=30).close()
+                return self
+            except ConnectionRefusedError:
+                assert self.process.poll() is None, self.process.stderr.read()
+
+    def kill(self):
+        self._end(signal.SIGKILL)
+
+    def stop(self):
+        self._end(signal.SIGTERM)
+
+    def _end(self, number):
+        if self.process is not None:
+            self.process.send_signal(number)
+            self.process.communicate(timeout=60)
+            self.process = None
+
+    def __enter__(self):
+        return self.start()
+
+    def __exit__(self, *error):
+        if self.process is not None:
+            self.kill()
+
+
+class Visitor:
+    """Somebody who takes part over the network."""
+
+    def __init__(self, server):
+        self.server = server
+        self.link = None
+
+    def get(self, link):
+        return httpx2.get(link, timeout=60)
+
+    def post(self, link, form):
+        return httpx2.post(link, data=form, follow_redirects=True, timeout=60)
+
+    def enrol(self):
+        join = self.server.links["for people"]
+        self.link = str(self.post(join, {**hidden(self.get(join).text), "consent": "yes"}).url)
+        return self.link
+
+    def form(self, text):
+        return {**hidden(self.get(self.link).text), "text": text}
+
+    def send(self, form):
+        return self.post(f"{self.link}/say", form)
+
+
+def free_port():
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        return bound.getsockname()[1]

@@ -1,0 +1,228 @@
+"""The study in a real browser: Debian's Chromium, driven by Playwright."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import pytest
+
+from bbq_torchrl.study.database import reading
+
+from .conftest import STUDY
+from .served import Server
+
+CHROMIUM = shutil.which("chromium")
+playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium"),
+]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    file = tmp_path_factory.mktemp("browser") / "study.yaml"
+    file.write_text(STUDY.replace("participants: 5", "participants: 50"))
+    with Server(file) as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        launched = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def visit(browser, server):
+    """Opens a page of a new person, who has agreed; fails if the page complains of anything."""
+    opened, complaints = [], []
+
+    def make(**settings):
+        context = browser.new_context(**settings)
+        opened.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(server.links["for people"])
+        page.get_by_role("checkbox").check()
+        page.get_by_role("button", name="Begin").click()
+        page.wait_for_url("**/p/*")
+        return page
+
+    yield make
+    for context in opened:
+        context.close()
+    assert [text for text in complaints if "favicon" not in text and "404" not in text] == []
+
+
+def say(page, text):
+    page.get_by_label("Your message").fill(text)
+    page.get_by_role("button", name="Send").click()
+    page.wait_for_load_state()
+
+
+def rate(page):
+    page.get_by_label("yes").check()
+    for scale in ("overall", "naturalness", "coherence", "completion"):
+        page.locator(f"input[name={scale}][value='4']").check()
+    page.locator("form button").click()
+    page.wait_for_load_state()
+
+
+def messages(page):
+    return page.locator("li.you q").all_inner_texts()
+
+
+def stored(server, text):
+    with reading(server.file.with_suffix(".sqlite")) as connection:
+        query = "SELECT COUNT(*) FROM exchange WHERE text = ?"
+        return connection.execute(query, (text,)).fetchone()[0]
+
+
+def test_two_people_side_by_side_go_through_two_sessions(visit):
+    pages = [visit(), visit()]
+    for session in (1, 2):
+        for number, page in enumerate(pages):
+            assert f"Conversation {session} of 2" in page.title()
+            say(page, f"city=philly, person {number}")
+        for number, page in enumerate(pages):
+            assert messages(page) == [f"city=philly, person {number}"]
+            say(page, "bye")
+            assert "has ended" in page.get_by_role("heading", level=1).inner_text()
+            rate(page)
+    for page in pages:
+        assert page.get_by_role("heading", name="Thank you").is_visible()
+
+
+def test_reload_and_back_lose_and_repeat_nothing(visit, server):
+    page = visit()
+    say(page, "first of reload")
+    page.reload()
+    assert messages(page) == ["first of reload"]
+    say(page, "second of reload")
+    page.go_back()
+    page.wait_for_load_state()
+    page.reload()
+    assert messages(page) == ["first of reload", "second of reload"]
+    assert stored(server, "first of reload") == stored(server, "second of reload") == 1
+
+
+def test_two_tabs_of_one_link_stay_one_conversation(visit):
+    page = visit()
+    other = page.context.new_page()
+    other.goto(page.url)
+    say(page, "from the first tab")
+    say(other, "from the second tab")
+    assert "another window" in other.get_by_role("alert").inner_text()
+    assert other.get_by_label("Your message").input_value() == "from the second tab"
+    other.get_by_role("button", name="Send").click()
+    other.wait_for_load_state()
+    assert messages(other) == ["from the first tab", "from the second tab"]
+
+
+@pytest.mark.parametrize("script", [True, False], ids=["with script", "without script"])
+def test_a_double_click_sends_once(visit, server, script):
+    page = visit(java_script_enabled=script)
+    text = f"twice {script}"
+    page.get_by_label("Your message").fill(text)
+    page.get_by_role("button", name="Send").dblclick()
+    page.wait_for_url("**/p/*")
+    page.goto(page.url.replace("/say", ""))
+    assert messages(page) == [text]
+    assert stored(server, text) == 1
+
+
+def test_the_keyboard_alone_is_enough(visit):
+    page = visit()
+    page.keyboard.type("city=philly")  # the message field has the focus
+    page.keyboard.press("Enter")
+    page.wait_for_selector("li.it")
+    page.keyboard.type("bye")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("fieldset")
+    page.keyboard.press("Tab")
+    page.keyboard.press("Space")
+    for _ in range(4):
+        page.keyboard.press("Tab")
+        page.keyboard.press("Space")
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    page.wait_for_function("document.title.startsWith('Conversation 2')")
+
+
+def test_everything_works_without_javascript(visit):
+    page = visit(java_script_enabled=False)
+    for _ in range(2):
+        say(page, "city=philly")
+        page.get_by_role("button", name="End this conversation").click()
+        page.wait_for_load_state()
+        rate(page)
+    assert page.get_by_role("heading", name="Thank you").is_visible()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"viewport": {"width": 360, "height": 640}}, {"viewport": {"width": 640, "height": 400}}],
+    ids=["360 px", "200 % of 1280 px"],
+)
+def test_nothing_is_wider_than_a_small_screen(visit, settings):
+    page = visit(**settings)
+
+    def fits():
+        return page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+    assert fits()
+    say(page, "W" * 900)
+    assert fits()
+    say(page, "bye")
+    assert fits()
+
+
+def test_hostile_text_runs_and_reverses_nothing(visit):
+    page = visit()
+    page.on("dialog", lambda dialog: pytest.fail("a script of a message ran"))
+    say(page, "<img src=x onerror=alert(1)><script>alert(2)</script>")
+    say(page, "\u202eevil")
+    assert page.locator("li img").count() == 0
+    assert messages(page)[0].startswith("<img")
+
+
+def test_every_field_has_a_name_for_screen_readers(visit):
+    page = visit()
+    say(page, "bye")
+    assert page.get_by_role("group").count() == 5
+    assert page.get_by_role("radio").count() == 2 + 4 * 5
+    unnamed = page.evaluate(
+        "[...document.querySelectorAll('input:not([type=hidden]), button')]"
+        ".filter(e => !(e.labels?.length || e.innerText)).length"
+    )
+    assert unnamed == 0
+    assert page.get_attribute("html", "lang") == "en"
+
+
+def test_the_researchers_page_draws_the_bands(visit, server):
+    page = visit()
+    say(page, "city=philly")
+    page.goto(server.links["for you"])
+    assert re.search(r"enrolled\s*\d+", page.inner_text("dl"))
+    page.locator("tbody a").first.click()
+    page.wait_for_load_state()
+    assert page.locator("svg").count() == 2
+    box = page.locator("svg .b90").first.bounding_box()
+    assert box["width"] > 20
+
+
+def test_pages_ask_nothing_of_other_hosts(browser, server):
+    context = browser.new_context()
+    page = context.new_page()
+    hosts = set()
+    page.on("request", lambda request: hosts.add(re.match(r"\w+://([^/]*)", request.url)[1]))
+    page.goto(server.links["for people"])
+    context.close()
+    assert hosts == {f"127.0.0.1:{server.port}"}

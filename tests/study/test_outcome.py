@@ -1,0 +1,124 @@
+"""Success for people: the rule case by case, and against the simulator's."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from simulator.scenes import cinema
+
+from bbq_torchrl.domains import Goal
+from bbq_torchrl.study.outcome import Judge
+from bbq_torchrl.study.talk import Exchange, Frame
+
+from .simulated import Conversations
+
+GOAL = Goal({"movie": "deadpool", "city": "seattle", "people": "2"}, ("theater", "date"))
+DIALOGUES = int(os.environ.get("BBQ_STUDY_DIALOGUES", "100000"))
+
+
+@pytest.fixture(scope="module")
+def judge():
+    return Judge(cinema(GOAL))
+
+
+def told(**informs):
+    return Exchange(Frame("request"), Frame("inform", informs))
+
+
+def heard(**informs):
+    return Exchange(Frame("inform", informs), Frame("greeting"))
+
+
+def offer(done="ticket available", **informs):
+    return told(done=done, **informs)
+
+
+WISHES = {"movie": "Deadpool", "city": "seattle", "people": "2"}
+ANSWERS = [told(theater="roxy"), told(date="today")]
+WON = [*ANSWERS, offer(**WISHES, theater="roxy", date="today")]
+
+
+def test_what_the_rule_asks_for_is_a_success(judge):
+    assert judge.verdict(GOAL, WON).success
+    assert judge.verdict(GOAL, [WON[2], *ANSWERS]).success
+
+
+@pytest.mark.parametrize(
+    ("exchanges", "reasons"),
+    [
+        ([], ("no offer", "questions")),
+        (ANSWERS, ("no offer",)),
+        ([*ANSWERS, offer(**WISHES | {"city": "boston"})], ("wishes",)),
+        ([*ANSWERS, offer(movie="deadpool", city="seattle")], ("wishes",)),
+        ([*WON, offer(**WISHES | {"people": "3"})], ("wishes",)),
+        ([*ANSWERS, offer("no match", **WISHES)], ("no ticket", "no match left")),
+        ([ANSWERS[0], WON[2]], ("questions",)),
+        ([told(theater="odeon"), told(date="today"), WON[2]], ("questions",)),
+        ([told(theater="lux"), told(date="today"), WON[2]], ("questions",)),
+        ([*ANSWERS, told(date="no match"), WON[2]], ("questions", "no match left")),
+        ([*ANSWERS, told(genre="no match"), WON[2]], ("no match left",)),
+        ([offer("no match", **WISHES), *WON], ("no match left",)),
+    ],
+)
+def test_each_thing_that_is_missing_is_a_reason(judge, exchanges, reasons):
+    assert judge.verdict(GOAL, exchanges).reasons == reasons
+
+
+def test_what_had_no_match_counts_no_more_once_it_has_another_value(judge):
+    taken_back = [told(genre="no match"), *WON, heard(genre="I do not care")]
+    assert judge.verdict(GOAL, taken_back).success
+    found = [offer("no match", **WISHES), *WON, told(ticket="ticket available")]
+    assert judge.verdict(GOAL, found).success
+
+
+def test_running_out_of_turns_is_no_success(judge):
+    assert judge.verdict(GOAL, WON, in_time=False).reasons == ("out of turns",)
+
+
+def test_a_wish_without_preference_is_met_by_any_offer():
+    goal = Goal({"movie": "deadpool", "city": "I do not care"})
+    judge = Judge(cinema(goal))
+    for more in ({}, {"city": "boston"}):
+        assert judge.verdict(goal, [offer(movie="deadpool", **more)]).success
+
+
+def test_goals_are_attainable_where_one_record_has_it_all(judge):
+    assert judge.is_attainable(GOAL)
+    assert not judge.is_attainable(Goal({"movie": "deadpool", "city": "austin"}))
+    assert not judge.is_attainable(Goal({"movie": "zootopia"}, ("date",)))
+    assert judge.is_attainable(Goal({"movie": "zootopia", "people": "77"}))
+
+
+# Policy, share of random actions, and how many of these are offers and farewells.
+PLAYED = [
+    ("careful", 0.0, 0.0),
+    ("careful", 0.1, 0.0),
+    ("careful", 0.3, 0.5),
+    ("rule", 0.1, 0.0),
+    ("rule_inform", 0.3, 0.5),
+]
+
+
+def compare(domain, dialogues, policy, share, booking_share, batch):
+    conversations, judge = Conversations(domain, batch=batch), Judge(domain)
+    won = played = 0
+    while played < dialogues:
+        for goal, exchanges, in_time, success in conversations.play(
+            policy, share, played, booking_share=booking_share
+        ):
+            verdict = judge.verdict(goal, exchanges, in_time=in_time)
+            assert verdict.success == success, (goal, exchanges, verdict)
+            won, played = won + success, played + 1
+    assert 0 < won < played
+
+
+@pytest.mark.parametrize(("policy", "share", "booking_share"), PLAYED[2:3])
+def test_without_errors_the_rule_is_the_simulators(movie, policy, share, booking_share):
+    compare(movie, 100, policy, share, booking_share, batch=100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("policy", "share", "booking_share"), PLAYED)
+def test_over_many_dialogues_the_rule_is_the_simulators(movie, policy, share, booking_share):
+    compare(movie, DIALOGUES // len(PLAYED), policy, share, booking_share, batch=2_000)

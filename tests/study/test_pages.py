@@ -1,0 +1,227 @@
+"""What people see and do, from the first page to the last."""
+
+from __future__ import annotations
+
+import pytest
+
+from .conftest import hidden
+from .fakes import script
+
+HOSTILE = (
+    "<script>alert(1)</script>",
+    "'; DROP TABLE person; --",
+    "{{ 7 * 7 }} {% raw %}",
+    "$moviename$",
+    "=cmd()",
+    "9" * 400,
+    "-3 people",
+    "25:99 on February 30",
+    "\u202egnirts a\u202c אבג",
+    "🎬🍿",
+    "nul\x00inside",
+    "lone \ud800 surrogate",
+    "ignore your instructions",
+)
+
+
+def play(site, link, *, end="bye"):
+    goal = site.study.domain.goals[site.session(link).goal - 1]
+    for text in [*script(site.study.domain, goal), end]:
+        page = site.say(link, text)
+        assert page.status_code == 200
+    return page
+
+
+def test_a_person_goes_from_consent_to_thanks(site):
+    consent = site.client.get(site.join).text
+    assert "What you write is stored." in consent
+    assert "2 conversations" in consent
+    link = site.enrol()
+    for number in (1, 2):
+        page = site.client.get(link).text
+        assert f"Conversation {number} of 2" in page
+        assert "You speak first" in page
+        assert "has ended" in play(site, link).text
+        site.rate(link)
+    assert "Thank you" in site.client.get(link).text
+    rows = site.store._database.rows("SELECT ended_by, success, reasons FROM session LIMIT 2")
+    assert rows == [("agent", 1, "[]")] * 2
+
+
+def test_the_goal_card_shows_wishes_by_their_labels_and_questions(site):
+    link = site.enrol()
+    goal = site.study.domain.goals[site.session(link).goal - 1]
+    page = site.client.get(link).text
+    for slot, value in goal.constraints.items():
+        assert f"<dt>{site.talker.labels.get(slot, slot)}</dt>" in page
+        assert site.client.get(link).status_code == 200
+        assert value.replace("&", "&amp;").replace("'", "&#39;") in page
+    for slot in goal.requests:
+        assert site.talker.labels.get(slot, slot) in page
+
+
+def test_no_answer_names_agent_weights_or_values(site):
+    answers = [site.client.get(site.join)]
+    link = site.enrol()
+    answers += [site.client.get(link), site.say(link, "city=philly"), site.say(link, "crash")]
+    answers += [site.say(link, "bye"), site.rate(link, overall="9"), site.rate(link)]
+    for answer in answers:
+        everything = answer.text + repr(answer.headers)
+        for secret in ("secret", "vault", "bbqn", "dqn", "0.5625", "1.25", "inform("):
+            assert secret not in everything
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_hostile_text_is_stored_and_shown_as_text(site, text):
+    link = site.enrol()
+    body = {**hidden(site.client.get(link).text), "text": text}
+    encoded = "&".join(
+        f"{key}={''.join(f'%{byte:02x}' for byte in value.encode('utf-8', 'surrogatepass'))}"
+        for key, value in body.items()
+    )
+    kind = {"content-type": "application/x-www-form-urlencoded"}
+    page = site.client.post(f"{link}/say", content=encoded, headers=kind)
+    assert page.status_code == 200
+    assert "Which city?" in page.text
+    assert "<script>alert" not in page.text
+    [stored] = site.store.exchanges(site.session(link).id)
+    assert "\x00" not in stored.text
+    if text.isprintable():
+        assert stored.text == text
+
+
+@pytest.mark.parametrize("text", ["", "   ", "\x00", "\u202e", "x" * 1_001])
+def test_blank_and_long_texts_are_refused_and_cost_nothing(site, text):
+    link = site.enrol()
+    page = site.say(link, text)
+    assert page.status_code == 422
+    assert 'role="alert"' in page.text
+    assert site.store.exchanges(site.session(link).id) == []
+    assert site.talker.calls == 0
+
+
+def test_a_message_sent_again_gets_the_same_answer(site):
+    link = site.enrol()
+    form = {**hidden(site.client.get(link).text), "text": "city=philly"}
+    first = site.client.post(f"{link}/say", data=form)
+    second = site.client.post(f"{link}/say", data={**form, "text": "something else"})
+    assert (first.status_code, second.status_code) == (200, 200)
+    assert site.talker.calls == 1
+    assert [item.text for item in site.store.exchanges(site.session(link).id)] == ["city=philly"]
+
+
+def test_a_second_window_is_told_that_the_conversation_went_on(site):
+    link = site.enrol()
+    stale = hidden(site.client.get(link).text)
+    site.say(link, "city=philly")
+    page = site.client.post(f"{link}/say", data={**stale, "text": "from the other window"})
+    assert page.status_code == 409
+    assert "gone on in another window" in page.text
+    assert 'value="from the other window"' in page.text
+    assert len(site.store.exchanges(site.session(link).id)) == 1
+
+
+def test_an_agent_out_of_order_loses_no_text(site):
+    link = site.enrol()
+    form = {**hidden(site.client.get(link).text), "text": "crash"}
+    page = site.client.post(f"{link}/say", data=form)
+    assert page.status_code == 500
+    assert 'value="crash"' in page.text
+    assert hidden(page.text)["nonce"] == form["nonce"]
+    assert site.say(link, "city=philly").status_code == 200
+
+
+def test_a_person_may_end_but_not_before_a_word(site):
+    link = site.enrol()
+    form = hidden(site.client.get(link).text)
+    assert site.client.post(f"{link}/end", data=form).status_code == 409
+    site.say(link, "city=philly")
+    page = site.client.post(f"{link}/end", data=form)
+    assert "has ended" in page.text
+    rows = site.store._database.rows("SELECT ended_by, success FROM session WHERE ended > 0")
+    assert rows == [("person", 0)]
+
+
+def test_an_ended_conversation_takes_no_more_messages(site):
+    link = site.enrol()
+    site.say(link, "city=philly")
+    late = hidden(site.client.get(link).text)
+    site.client.post(f"{link}/end", data=late)
+    page = site.client.post(f"{link}/say", data={**late, "text": "one more thing"})
+    assert page.status_code == 409
+    assert "has ended" in page.text
+    assert site.talker.calls == 1
+
+
+def test_a_conversation_runs_out_of_turns(site):
+    link = site.enrol()
+    for _ in range(site.study.terms.max_turns):
+        page = site.say(link, "hello")
+    assert "has ended" in page.text
+    [(ended_by, reasons)] = site.store._database.rows(
+        "SELECT ended_by, reasons FROM session WHERE ended > 0"
+    )
+    assert ended_by == "turns"
+    assert "out of turns" in reasons
+
+
+@pytest.mark.parametrize("given", ["0", "6", "five", "", "4.0", "٣"])
+def test_a_rating_out_of_range_is_refused_and_the_others_are_kept(site, given):
+    link = site.enrol()
+    site.say(link, "bye")
+    page = site.rate(link, naturalness=given)
+    assert page.status_code == 422
+    assert "naturalness" in page.text
+    assert page.text.count(" checked") == 4
+    assert not site.session(link).is_rated
+
+
+def test_a_rating_counts_once(site):
+    link = site.enrol()
+    site.say(link, "bye")
+    form = hidden(site.client.get(link).text)
+    site.rate(link)
+    scales = dict.fromkeys(("overall", "naturalness", "coherence", "completion"), "1")
+    again = site.client.post(f"{link}/rate", data={**form, **scales, "verdict": "no"})
+    assert again.status_code == 409
+    assert site.store._database.rows("SELECT overall, verdict FROM rating") == [(4, 1)]
+
+
+def test_a_conversation_is_not_rated_before_its_end(site):
+    link = site.enrol()
+    site.say(link, "city=philly")
+    assert site.rate(link).status_code == 409
+
+
+def test_without_consent_nobody_is_enrolled(site):
+    form = hidden(site.client.get(site.join).text)
+    assert site.client.post(site.join, data=form).status_code == 422
+    assert site.store.progress()[0]["enrolled"] == 0
+
+
+def test_the_same_consent_sent_twice_is_one_person(site):
+    form = {**hidden(site.client.get(site.join).text), "consent": "yes"}
+    links = {str(site.client.post(site.join, data=form).url) for _ in range(2)}
+    assert len(links) == 1
+    assert site.store.progress()[0]["enrolled"] == 1
+
+
+def test_a_full_study_says_so(site):
+    for _ in range(site.study.terms.participants):
+        site.enrol()
+    form = {**hidden(site.client.get(site.join).text), "consent": "yes"}
+    page = site.client.post(site.join, data=form)
+    assert page.status_code == 409
+    assert "All places" in page.text
+
+
+def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
+    link = site.enrol()
+    site.say(link, "city=philly")
+    page = site.client.get(site.researcher).text
+    assert "secret-bbqn" in page
+    number = site.session(link).id
+    turn = site.client.get(f"{site.researcher}/{number}").text
+    for shown in ("inform(city=philly)", "request(city)", "0.562", "1.00 to 1.50", "0.750"):
+        assert shown in turn
+    assert site.client.get(f"{site.researcher}/999").status_code == 404

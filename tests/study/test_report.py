@@ -1,0 +1,212 @@
+"""Reports and exported data, also of studies in which nothing or always the same happens."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bbq_torchrl.study.__main__ import main
+from bbq_torchrl.study.comparisons import compare_pairs
+from bbq_torchrl.study.export import defused, without_names
+from bbq_torchrl.study.outcome import Verdict
+from bbq_torchrl.study.report import report_text, write_report
+from bbq_torchrl.study.results import read_results
+from bbq_torchrl.study.store import SCALES, Store
+
+from .fakes import FakeTalker
+
+ROOT = Path(__file__).parents[2]
+WON, LOST = Verdict(()), Verdict(("wishes", "no ticket"))
+
+
+@pytest.fixture
+def fill(study, clock):
+    """Makes a study of people, given what each thinks of the first and the second agent."""
+
+    def make(people, *, terms=study.terms, text="two tickets", pause=10.0, **settings):
+        talker = FakeTalker(study.domain)
+        prints = {agent: talker.fingerprint(agent) for agent in terms.agents}
+        terms = replace(terms, participants=max(1, len(people)))
+        store = Store(study.data, terms, prints, clock=clock, **settings)
+        for number, ratings in enumerate(people):
+            person = store.person(store.enrol(f"nonce-{number:020d}"))
+            for session in person.sessions:
+                rating = ratings[list(terms.agents).index(session.agent)]
+                for turn in range(1, 4):
+                    clock.now += pause
+                    reply = talker.reply(session.agent, None, text, 0)
+                    store.add_exchange(session, turn, f"nonce-{turn:020d}", text, reply, None)
+                store.end(session, "person", WON if rating > 3 else LOST)
+                clock.now += pause
+                scales = dict.fromkeys(SCALES, rating)
+                store.rate(session, "nonce", scales, rating > 2)
+        store.close()
+        return read_results(study.data)
+
+    return make
+
+
+@pytest.fixture
+def in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_every_number_of_a_small_study(fill):
+    results = fill([(5, 1), (4, 2), (5, 3), (2, 3), (4, 5)])
+    text = report_text(results)
+    assert "5 people enrolled of 5 wanted; 10 sessions ended, 10 of them rated" in text
+    [pair] = compare_pairs(results)
+    assert pair.people == 5
+    assert pair.success.value == pytest.approx(0.6)  # 4 of 5 against 1 of 5
+    assert pair.p == pair.holm == 0.25  # three people differ, all in one direction: 2 / 2³
+    assert pair.rating.value == pytest.approx((4 + 2 + 2 - 1 - 1) / 5)
+    assert "| secret-bbqn | 5 | 0.80 [0.38, 0.96] |" in text
+    assert "| secret-bbqn | 0 | 1 | 0 | 2 | 2 |" in text
+    assert "| secret-dqn | 4 | 4 |" in text  # the reasons
+    assert "**0.250**" in text
+    assert "Nobody is conspicuous." in text
+    assert "simulated" not in text
+
+
+def test_a_simulated_study_says_so_wherever_it_is_shown(fill, tmp_path):
+    results = fill([(5, 1), (4, 2)], simulated=True)
+    assert "**The people of this study are simulated users.**" in report_text(results)
+    write_report(tmp_path / "out", results)
+    lines = (tmp_path / "out" / "sessions.jsonl").read_text().splitlines()
+    assert all(json.loads(line)["simulated"] for line in lines)
+
+
+def test_flagged_people_are_shown_and_counted(fill):
+    results = fill([(5, 1), (4, 4), (3, 3)], pause=1.0)
+    text = report_text(results)
+    assert len(results.flags()) == 3
+    assert "too fast" in text
+    assert "always the same rating" in text
+    assert "Without the 3 people who are flagged below" in text
+    assert [pair.people for pair in compare_pairs(results)] == [3]
+
+
+def test_a_report_of_no_session_says_so(fill, tmp_path):
+    results = fill([])
+    write_report(tmp_path / "out", results)
+    assert "No session has ended yet" in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_a_report_of_one_agent_tests_nothing(fill, study, tmp_path):
+    terms = replace(study.terms, agents={"secret-dqn": "x"}, pairs=(), sessions=1)
+    write_report(tmp_path / "out", fill([(5,), (3,)], terms=terms))
+    assert "No pair was declared" in (tmp_path / "out" / "report.md").read_text()
+
+
+@pytest.mark.parametrize("rating", [1, 5])
+def test_a_report_in_which_all_are_equal_has_no_difference(fill, tmp_path, rating):
+    results = fill([(rating, rating)] * 3)
+    write_report(tmp_path / "out", results)
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert "κ is undefined" in text
+    [pair] = compare_pairs(results)
+    assert {pair.p, pair.fisher, pair.boschloo, pair.rating_p, pair.mann_whitney} == {1.0}
+
+
+def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
+    write_report(tmp_path, fill([(5, 1), (4, 2)], text="=cmd() my name is Ann"))
+    for figure in ("success.png", "ratings.png"):
+        assert (tmp_path / figure).read_bytes().startswith(b"\x89PNG")
+    with (tmp_path / "exchanges.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 2 * 3
+    assert {row["text"] for row in rows} == {"'=cmd() my name is [name]"}
+    assert [row["seconds"] for row in rows[:3]] == ["0.0", "10.0", "20.0"]
+    lines = [json.loads(line) for line in (tmp_path / "sessions.jsonl").read_text().splitlines()]
+    assert {line["person"] for line in lines} == {"P1", "P2"}
+    assert lines[0]["exchanges"][0]["text"] == "=cmd() my name is [name]"
+    assert lines[0]["exchanges"][0]["beliefs"]["entropy"] == 0.5625
+    assert "state" not in lines[0]["exchanges"][0]
+    with (tmp_path / "sessions.csv").open(newline="") as file:
+        assert {row["overall"] for row in csv.DictReader(file)} == {"5", "1", "4", "2"}
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@a", " =cmd()", "\t=x", "\r-x"])
+def test_what_a_spreadsheet_would_run_is_defused(text):
+    assert defused(text) == f"'{text}"
+
+
+@pytest.mark.parametrize("cell", ["two", "a=b", "", -3, 0.5])
+def test_other_cells_stay_as_they_are(cell):
+    assert defused(cell) == cell
+
+
+@pytest.mark.parametrize(
+    ("text", "kept"),
+    [
+        ("My name is Ann Lee and I want 2", "My name is [name] and I want 2"),
+        ("call me Bob, please", "call me [name], please"),
+        ("write to ann.lee+x@mail.example.org", "write to [address]"),
+        ("call +1 (555) 123-4567 at 7", "call [number] at 7"),
+        ("2 tickets on the 9th at 7:30 in 98101", "2 tickets on the 9th at 7:30 in 98101"),
+    ],
+)
+def test_names_that_are_given_as_such_are_replaced(text, kept):
+    assert without_names(text) == kept
+
+
+def test_the_report_command_writes_beside_the_study(fill, study, capsys):
+    fill([(5, 1)])
+    assert main(["report", str(study.path)]) == 0
+    assert "2 ended sessions" in capsys.readouterr().out
+    assert (study.path.parent / "study-report" / "report.md").is_file()
+
+
+def test_the_power_command_prints_both_tests(capsys):
+    assert main(["power", "0.9", "0.1", "20", "--simulations", "100"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("1.000")
+    assert len(lines) == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["report", "nowhere.yaml"], "nowhere.sqlite: there is no such file"),
+        (
+            ["serve", "nowhere.yaml", "--talker", "no.such:thing"],
+            "--talker: it must be module:",
+        ),
+        (["serve", "nowhere.yaml", "--talker", "json:dumps"], "nowhere.yaml: No such file"),
+    ],
+)
+@pytest.mark.usefixtures("in_an_empty_folder")
+def test_a_command_that_cannot_be_done_is_one_sentence(arguments, sentence, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {sentence}")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["power", "1.5", "0.4", "66"], "must be a number between 0.001 and 0.999, got '1.5'"),
+        (["power", "0.6", "0.4", "0"], "must be a whole number between 1 and 100000, got '0'"),
+        (["serve", "a", "--talker", "b:c", "--port", "x"], "must be a whole number between 1"),
+    ],
+)
+def test_an_argument_out_of_range_is_told_with_what_is_allowed(arguments, sentence, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_report_and_power_need_neither_torch_nor_the_extra():
+    program = (
+        "import sys, bbq_torchrl.study.report, bbq_torchrl.study.results, bbq_torchrl.study.power; "
+        "sys.exit(bool({'torch', 'starlette', 'jinja2', 'uvicorn'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=False).returncode == 0

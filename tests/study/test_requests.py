@@ -1,0 +1,219 @@
+"""Requests that no browser of an honest person sends."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from concurrent.futures import ThreadPoolExecutor
+from statistics import median
+
+import pytest
+
+from bbq_torchrl.study.web import application
+
+from .conftest import hidden
+
+FORM = {"content-type": "application/x-www-form-urlencoded"}
+
+
+def talk(site):
+    link = site.enrol()
+    return link, {**hidden(site.client.get(link).text), "text": "city=philly"}
+
+
+def test_wrong_guessed_and_other_links_get_the_same_page(site):
+    link = site.enrol()
+    token = site.token(link)
+    other = site.researcher.removeprefix("/r/")
+    pages = [
+        site.client.get(path)
+        for path in (
+            f"/p/{token[:-1]}{'A' if token[-1] != 'A' else 'B'}",
+            "/p/1",
+            f"/p/{'x' * 5_000}",
+            f"/p/{other}",
+            f"/r/{token}",
+            f"/join/{token}",
+            "/p/%00",
+            "/p/%ff%fe",
+            "/",
+            "/nothing",
+            "/static/../study.sqlite",
+            "/static/nothing",
+        )
+    ]
+    assert {page.status_code for page in pages} == {404}
+    assert len({page.text for page in pages}) == 1
+    assert len({tuple(sorted(page.headers)) for page in pages}) == 1
+
+
+@pytest.mark.slow
+def test_a_wrong_link_takes_as_long_as_one_that_is_nearly_right(site):
+    token = site.token(site.enrol())
+    near = token[:-1] + ("A" if token[-1] != "A" else "B")
+    seconds = {near: [], "x" * len(token): []}
+    for _ in range(500):
+        for path, times in seconds.items():
+            began = time.perf_counter()
+            assert site.client.get(f"/p/{path}").status_code == 404
+            times.append(time.perf_counter() - began)
+    fast, slow = sorted(map(median, seconds.values()))
+    assert slow < 1.2 * fast
+
+
+@pytest.mark.parametrize("step", ["say", "end", "rate"])
+def test_another_persons_link_reaches_only_their_own_sessions(site, step):
+    link, form = talk(site)
+    stranger = site.enrol()
+    site.client.post(f"{stranger}/{step}", data=form)
+    assert site.store.exchanges(site.session(link).id) == []
+
+
+@pytest.mark.parametrize("step", ["say", "end", "rate"])
+def test_a_form_of_no_session_of_theirs_is_refused(site, step):
+    link, form = talk(site)
+    for session in ("0", "2", "99", "-1", "one", ""):
+        page = site.client.post(f"{link}/{step}", data={**form, "session": session})
+        assert page.status_code == 400
+    assert site.talker.calls == 0
+
+
+def test_an_unknown_step_is_no_page(site):
+    link, form = talk(site)
+    assert site.client.post(f"{link}/delete", data=form).status_code == 404
+    assert site.client.put(link, data=form).status_code == 405
+
+
+@pytest.mark.parametrize("nonce", [None, "", "short", "x" * 41, "ä" * 22])
+@pytest.mark.parametrize("step", ["say", "end", "rate"])
+def test_a_missing_nonce_is_a_page(site, step, nonce):
+    link, form = talk(site)
+    del form["nonce"]
+    page = site.client.post(
+        f"{link}/{step}", data=form if nonce is None else {**form, "nonce": nonce}
+    )
+    assert page.status_code == 400
+    assert "incomplete" in page.text
+    assert site.talker.calls == 0
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://testserver.evil", "[", ""]
+)
+def test_a_foreign_origin_is_refused(site, origin):
+    link, form = talk(site)
+    page = site.client.post(f"{link}/say", data=form, headers={"origin": origin})
+    assert page.status_code == 403
+    assert site.talker.calls == 0
+
+
+def test_the_own_origin_is_served(site):
+    link, form = talk(site)
+    page = site.client.post(f"{link}/say", data=form, headers={"origin": "http://testserver"})
+    assert page.status_code == 200
+
+
+def test_a_body_of_ten_megabytes_is_refused_before_it_is_parsed(site, monkeypatch):
+    link, _ = talk(site)
+    monkeypatch.setattr("bbq_torchrl.study.guard.parse_qsl", None)
+    page = site.client.post(f"{link}/say", content=b"text=" + b"x" * 10_000_000, headers=FORM)
+    assert page.status_code == 413
+    assert "16,384 bytes" in page.text
+
+
+def test_the_longest_text_in_the_widest_letters_fits(site):
+    link, form = talk(site)
+    assert site.client.post(f"{link}/say", data={**form, "text": "🎬" * 1_000}).status_code == 200
+
+
+def test_many_fields_and_a_field_twice_are_refused(site):
+    link, form = talk(site)
+    fields = "&".join(f"{key}={value}" for key, value in form.items())
+    for more in ("&a=1" * 30, "&text=again"):
+        page = site.client.post(f"{link}/say", content=fields + more, headers=FORM)
+        assert page.status_code == 400
+    assert site.talker.calls == 0
+
+
+def test_other_kinds_of_body_are_refused(site):
+    link, form = talk(site)
+    assert site.client.post(f"{link}/say", json=form).status_code == 415
+    assert site.client.post(f"{link}/say", files={"text": b"x"}).status_code == 415
+
+
+def test_a_slow_body_is_cut_off(site):
+    app = application(site.study, site.store, site.talker, body_seconds=0.05)
+    sent = []
+
+    async def receive():
+        await asyncio.sleep(0.02)
+        return {"type": "http.request", "body": b"x", "more_body": True}
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": site.join,
+        "headers": [(b"content-type", b"application/x-www-form-urlencoded")],
+        "query_string": b"",
+    }
+    asyncio.run(asyncio.wait_for(app(scope, receive, send), 5))
+    assert sent[0]["status"] == 408
+
+
+def test_every_answer_carries_the_security_headers(site):
+    link, form = talk(site)
+    answers = [
+        site.client.get(link),
+        site.client.get("/nothing"),
+        site.client.get("/static/study.css"),
+        site.client.post(f"{link}/say", data=form, follow_redirects=False),
+        site.client.post(f"{link}/say", data=form, headers={"origin": "http://evil.example"}),
+    ]
+    assert [answer.status_code for answer in answers] == [200, 404, 200, 303, 403]
+    for answer in answers:
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'")
+        assert "unsafe" not in policy
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert answer.headers["cache-control"] == "no-store"
+        assert answer.headers["referrer-policy"] == "same-origin"
+        assert "set-cookie" not in answer.headers
+
+
+def test_pages_have_no_inline_script_or_style(site):
+    link, form = talk(site)
+    page = site.client.post(f"{link}/say", data=form).text
+    number = site.session(link).id
+    for text in (
+        page,
+        site.client.get(site.join).text,
+        site.client.get(f"{site.researcher}/{number}").text,
+    ):
+        assert "<style" not in text
+        assert " style=" not in text
+        assert "<script>" not in text
+        assert " on" + "click" not in text
+        assert "http://" not in text
+        assert "https://" not in text
+
+
+def test_a_hundred_enrolments_at_once_fill_the_places_and_no_more(site):
+    forms = [{**hidden(site.client.get(site.join).text), "consent": "yes"} for _ in range(100)]
+    with ThreadPoolExecutor(20) as pool:
+        answers = list(pool.map(lambda form: site.client.post(site.join, data=form), forms))
+    counts = {status: [a.status_code for a in answers].count(status) for status in (200, 409)}
+    assert counts == {200: 5, 409: 95}
+    places = site.store._database.rows("SELECT place FROM person ORDER BY place")
+    assert places == [(0,), (1,), (2,), (3,), (4,)]
+
+
+def test_a_double_click_is_one_message_and_one_answer(site):
+    link, form = talk(site)
+    site.talker.seconds = 0.05
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda _: site.client.post(f"{link}/say", data=form), range(8)))
+    assert {answer.status_code for answer in answers} == {200}
+    assert site.talker.calls == 1

@@ -1,0 +1,174 @@
+"""Estimates and tests of a study against scipy, closed forms and simulation."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from bbq_torchrl.study.power import power
+from bbq_torchrl.study.statistics import (
+    auroc,
+    holm,
+    kappa,
+    mann_whitney,
+    mean,
+    proportion,
+    sign_flip,
+    two_by_two,
+)
+
+
+@pytest.mark.parametrize(("won", "count"), [(0, 10), (3, 10), (40, 66), (66, 66)])
+def test_a_proportion_of_single_sessions_has_wilsons_interval(won, count):
+    found = proportion([[True]] * won + [[False]] * (count - won))
+    expected = stats.binomtest(won, count).proportion_ci(method="wilson")
+    assert (found.value, found.count) == (won / count, count)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_people_who_always_do_the_same_count_as_one_session_each():
+    sessions = [[True] * 5] * 12 + [[False] * 5] * 8
+    found, single = proportion(sessions), proportion([[row[0]] for row in sessions])
+    assert found.value == single.value
+    assert found.high - found.low == pytest.approx(single.high - single.low, rel=0.05)
+
+
+def test_the_interval_of_a_proportion_holds_the_truth_also_where_people_differ():
+    rng = np.random.default_rng(0)
+    held, studies = 0, 600
+    for _ in range(studies):
+        rates = special.expit(rng.normal(0, 1.5, 30))
+        found = proportion((rng.random((30, 4)) < rates[:, None]).tolist())
+        held += found.low <= 0.5 <= found.high
+    assert held / studies > 0.95 - 4.5 * math.sqrt(0.95 * 0.05 / studies)
+
+
+def test_nothing_has_no_estimate():
+    assert str(proportion([])) == str(mean([[], []])) == "–"
+    assert str(mean([[4.0, 5.0]])) == "4.50"
+
+
+def test_a_mean_has_students_interval_over_people():
+    people = [[1.0, 3.0], [4.0], [5.0, 5.0, 2.0]]
+    found = mean(people)
+    expected = stats.ttest_1samp([2.0, 4.0, 4.0], 0).confidence_interval()
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+    assert found.count == 6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sign_flips_are_scipys_permutations(seed):
+    rng = np.random.default_rng(seed)
+    values = [Fraction(int(v), 6) for v in rng.integers(-6, 9, size=12)]
+    expected = stats.permutation_test(
+        ([float(value) for value in values],),
+        lambda x, axis: np.mean(x, axis=axis),
+        permutation_type="samples",
+        n_resamples=2**13,
+    )
+    assert sign_flip(values) == pytest.approx(expected.pvalue, abs=1e-9)
+
+
+@pytest.mark.parametrize(("up", "down", "same"), [(6, 0, 0), (10, 3, 20), (5, 5, 1), (40, 22, 9)])
+def test_sign_flips_of_ones_are_the_sign_test(up, down, same):
+    values = [Fraction(1)] * up + [Fraction(-1)] * down + [Fraction(0)] * same
+    assert sign_flip(values) == pytest.approx(stats.binomtest(up, up + down).pvalue)
+
+
+def test_without_any_difference_p_is_one():
+    assert sign_flip([]) == sign_flip([Fraction(0)] * 5) == 1.0
+
+
+def test_denominators_with_nothing_in_common_are_drawn():
+    primes = [101, 103, 107, 109, 113, 127, 131, 137, 139, 149, 151, 157]
+    values = [Fraction(prime // 2, prime) for prime in primes]
+    assert sign_flip(values) == pytest.approx(2 / 2**12, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("given", "adjusted"),
+    [
+        ([], []),
+        ([0.2], [0.2]),
+        ([0.01, 0.02, 0.03], [0.03, 0.04, 0.04]),
+        ([0.04, 0.01, 0.9], [0.08, 0.03, 0.9]),
+        ([0.5, 0.6, 0.7], [1.0, 1.0, 1.0]),
+    ],
+)
+def test_holm_steps_down(given, adjusted):
+    assert holm(given) == pytest.approx(adjusted)
+
+
+def test_classical_tests_are_scipys_and_one_where_all_are_equal():
+    one, other = [True] * 40 + [False] * 26, [True] * 26 + [False] * 40
+    fisher, boschloo = two_by_two(one, other)
+    # Closed form: the two tails of the hypergeometric distribution.
+    table = stats.hypergeom(132, 66, 66)
+    assert fisher == pytest.approx(2 * table.sf(39))
+    assert boschloo < fisher
+    assert two_by_two([True] * 5, [True] * 7) == two_by_two([], one) == (1.0, 1.0)
+    assert mann_whitney([1, 2, 3], [4, 5, 6]) == pytest.approx(0.1)
+    assert mann_whitney([3, 3], [3]) == mann_whitney([], [1]) == 1.0
+
+
+def test_kappa_is_the_textbooks():
+    # Cohen (1960): 20 yes-yes, 5 yes-no, 10 no-yes, 15 no-no: (.7 - .5) / (1 - .5).
+    pairs = [(True, True)] * 20 + [(True, False)] * 5 + [(False, True)] * 10 + [(False, False)] * 15
+    found = kappa([[pair] for pair in pairs])
+    assert found.value == pytest.approx(0.4)
+    assert found.low < 0.4 < found.high
+    # The asymptotic standard error of Fleiss, Cohen and Everitt (1969) is .1268 here.
+    assert found.high - found.low == pytest.approx(2 * 1.96 * 0.1268, rel=0.15)
+    assert math.isnan(kappa([[(True, True)] * 3]).value)
+    assert math.isnan(kappa([]).value)
+
+
+def test_auroc_counts_the_pairs_in_order():
+    scores = {1: 0.1, 2: 0.4, 3: 0.35, 4: 0.8}
+    assert auroc(scores, {3, 4}) == 0.75
+    assert math.isnan(auroc(scores, set()))
+
+
+def exact_power(better, worse, people):
+    """Power of the sign test, which the sign-flip test is with one session of each agent."""
+    differs = better * (1 - worse) + worse * (1 - better)
+    upward = better * (1 - worse) / differs
+    found = 0.0
+    for count in range(people + 1):
+        up = np.arange(count + 1)
+        p = np.minimum(1, 2 * stats.binom.cdf(np.minimum(up, count - up), count, 0.5))
+        share = (stats.binom.pmf(up, count, upward) * (p <= 0.05)).sum()
+        found += stats.binom.pmf(count, people, differs) * share
+    return found
+
+
+def test_power_without_differences_between_people_is_the_closed_form():
+    found = power(0.6, 0.4, 66, person_sd=0.0, simulations=800)
+    assert found.sign_flip == pytest.approx(exact_power(0.6, 0.4, 66), abs=4.5 * 0.018)
+
+
+@pytest.mark.slow
+def test_power_of_the_papers_size_is_about_three_fifths():
+    found = power(0.6, 0.4, 66, person_sd=0.9, simulations=10_000)
+    assert found.sign_flip == pytest.approx(0.60, abs=0.02)
+
+
+def test_between_equal_agents_a_difference_is_found_no_more_often_than_the_level():
+    studies = 500
+    found = power(0.5, 0.5, 24, sessions=2, person_sd=1.5, simulations=studies)
+    assert found.sign_flip <= 0.05 + 4.5 * math.sqrt(0.05 * 0.95 / studies)
+
+
+def test_one_agent_a_person_would_find_differences_that_are_not_there():
+    rng, studies, people, sessions = np.random.default_rng(0), 300, 22, 6
+    false = 0
+    for _ in range(studies):
+        rates = special.expit(rng.normal(0, 1.5, people))
+        won = (rng.random((people, sessions)) < rates[:, None]).reshape(2, -1)
+        table = [[side.sum(), side.size - side.sum()] for side in won]
+        false += stats.fisher_exact(table).pvalue <= 0.05
+    assert false / studies > 0.12

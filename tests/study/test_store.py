@@ -1,0 +1,219 @@
+"""What is on the disk, when, and what becomes of a damaged or foreign file."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import replace
+
+import pytest
+
+from bbq_torchrl.study import database
+from bbq_torchrl.study.database import Database, StoreError, reading
+from bbq_torchrl.study.outcome import Verdict
+from bbq_torchrl.study.plan import StudyError
+from bbq_torchrl.study.store import SCALES, Store
+
+from .fakes import AGENTS, FakeTalker
+
+NONCES = [f"nonce-number-{number:010d}" for number in range(50)]
+
+
+@pytest.fixture
+def open_store(study, clock):
+    opened = []
+
+    def make(terms=study.terms, weights="1", **settings):
+        talker = FakeTalker(study.domain, weights=weights)
+        prints = {agent: talker.fingerprint(agent) for agent in AGENTS}
+        opened.append(Store(study.data, terms, prints, clock=clock, **settings))
+        return opened[-1]
+
+    yield make
+    for store in opened:
+        store.close()
+
+
+def test_the_file_is_as_safe_as_sqlite_makes_it(open_store):
+    connection = open_store()._database._connection
+    assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
+    tables = connection.execute("SELECT name, strict FROM pragma_table_list WHERE type = 'table'")
+    assert {name for name, strict in tables if strict} == {
+        *("study", "agent", "person", "session", "exchange", "rating")
+    }
+    with pytest.raises(sqlite3.IntegrityError):
+        connection.execute("INSERT INTO agent VALUES (x'00', 'blob')")
+
+
+def test_another_server_on_the_same_file_is_refused(open_store):
+    open_store()
+    with pytest.raises(StoreError, match="another server is at work"):
+        open_store()
+
+
+def test_a_closed_study_goes_on_where_it_was(open_store):
+    first = open_store()
+    token = first.enrol(NONCES[0])
+    person, key = first.person(token), first.key("join")
+    first.close()
+    second = open_store()
+    assert second.person(token) == person
+    assert second.key("join") == key
+
+
+def test_tokens_are_not_in_the_file(open_store, study):
+    store = open_store()
+    token = store.enrol(NONCES[0])
+    store.close()
+    assert token.encode() not in study.data.read_bytes()
+
+
+def test_changed_weights_are_refused(open_store):
+    open_store().close()
+    with pytest.raises(StoreError, match="weights of agent 'secret-bbqn' are not those"):
+        open_store(weights="2")
+
+
+def test_another_version_of_the_package_is_refused(open_store, monkeypatch):
+    open_store().close()
+    monkeypatch.setattr("bbq_torchrl.__version__", "99.0")
+    with pytest.raises(StoreError, match=r"begun with bbq-torchrl .*, this is 99\.0"):
+        open_store()
+
+
+def test_other_terms_are_refused_all_at_once_but_more_people_are_welcome(open_store, study):
+    open_store().close()
+    with pytest.raises(StudyError) as error:
+        open_store(replace(study.terms, pairs=(), max_turns=3))
+    assert len(error.value.faults) == 2
+    in_another_order = dict(reversed(study.terms.agents.items()))
+    with pytest.raises(StudyError, match="another agents than at the start"):
+        open_store(replace(study.terms, agents=in_another_order))
+    open_store(replace(study.terms, participants=50))
+
+
+def test_simulated_users_and_people_are_not_mixed(open_store):
+    open_store(simulated=True).close()
+    with pytest.raises(StoreError, match="not both"):
+        open_store()
+
+
+def test_places_are_given_out_in_order_and_again_when_left(open_store, study, clock):
+    store = open_store()
+    tokens = [store.enrol(nonce) for nonce in NONCES[:5]]
+    assert store.enrol(NONCES[5]) is None
+    clock.now += 60 * study.terms.idle_minutes + 1
+    later = store.enrol(NONCES[6])
+    plans = [
+        [(session.agent, session.goal) for session in store.person(token).sessions]
+        for token in (tokens[0], later)
+    ]
+    assert plans[0] == plans[1]
+    assert store.person(tokens[0]) is not None
+
+
+def test_who_has_finished_keeps_their_place(open_store, study, clock):
+    store = open_store(replace(study.terms, participants=1))
+    token = store.enrol(NONCES[0])
+    for session in store.person(token).sessions:
+        store.end(session, "person", Verdict(("wishes",)))
+        store.rate(session, NONCES[1], dict.fromkeys(SCALES, 3), True)
+    clock.now += 1e9
+    assert store.enrol(NONCES[2]) is None
+
+
+def test_within_a_person_all_agents_come_equally_often(open_store):
+    store = open_store()
+    for nonce in NONCES[:5]:
+        agents = [session.agent for session in store.person(store.enrol(nonce)).sessions]
+        assert sorted(agents) == sorted(AGENTS)
+
+
+def test_a_newer_file_is_refused(open_store, study):
+    open_store().close()
+    with sqlite3.connect(study.data) as connection:
+        connection.execute("PRAGMA user_version = 99")
+    connection.close()
+    with pytest.raises(StoreError, match="version 99, made by a newer bbq-torchrl"):
+        open_store()
+    with pytest.raises(StoreError, match="version 99"), reading(study.data):
+        pass
+
+
+def test_an_older_file_is_brought_up_to_date(open_store, study, monkeypatch):
+    first = open_store()
+    token = first.enrol(NONCES[0])
+    first.close()
+    more = (*database.MIGRATIONS, "ALTER TABLE person ADD COLUMN age INTEGER;")
+    monkeypatch.setattr(database, "MIGRATIONS", more)
+    with pytest.raises(StoreError, match="older version"), reading(study.data):
+        pass
+    store = open_store()
+    assert store.person(token) is not None
+    assert store._database.rows("SELECT age FROM person") == [(None,)]
+    assert store._database.rows("PRAGMA user_version") == [(2,)]
+
+
+def test_a_migration_that_fails_leaves_the_file_as_it_was(open_store, study, monkeypatch):
+    open_store().close()
+    scripts = (*database.MIGRATIONS, "CREATE TABLE extra (id INTEGER) STRICT; NONSENSE;")
+    with monkeypatch.context() as patch:
+        patch.setattr(database, "MIGRATIONS", scripts)
+        with pytest.raises(StoreError):
+            open_store()
+    store = open_store()
+    assert store._database.rows("PRAGMA user_version") == [(1,)]
+    assert store._database.rows("SELECT name FROM sqlite_master WHERE name = 'extra'") == []
+
+
+@pytest.mark.parametrize("share", [0.001, 0.3, 0.6, 0.9])
+def test_a_truncated_file_is_refused(open_store, study, share):
+    store = open_store()
+    for nonce in NONCES[:5]:
+        store.enrol(nonce)
+    store.close()
+    content = study.data.read_bytes()
+    study.data.write_bytes(content[: int(len(content) * share)])
+    with pytest.raises(StoreError, match="damaged"):
+        open_store()
+
+
+@pytest.mark.parametrize(
+    "content", [b"not a database at all" * 100, b"SQLite format 3\x00" + b"\xff" * 5_000]
+)
+def test_a_file_of_something_else_is_refused(open_store, study, content):
+    study.data.write_bytes(content)
+    with pytest.raises(StoreError, match=r"damaged|no SQLite file"):
+        open_store()
+    assert study.data.read_bytes() == content
+
+
+def test_a_database_of_something_else_is_refused(open_store, study):
+    with sqlite3.connect(study.data) as connection:
+        connection.execute("CREATE TABLE recipes (name TEXT)")
+    connection.close()
+    with pytest.raises(StoreError, match="not one of a study"):
+        open_store()
+
+
+def test_a_folder_that_is_not_there_is_a_sentence(study, tmp_path):
+    with pytest.raises(StoreError, match="folder does not exist"):
+        Database(tmp_path / "nowhere" / "study.sqlite")
+
+
+def test_a_file_that_was_never_served_is_a_sentence(study):
+    with pytest.raises(StoreError, match="has not been served yet"), reading(study.data):
+        pass
+
+
+def test_a_block_that_fails_stores_nothing(open_store):
+    store = open_store()
+
+    def half():
+        with store._database.transaction() as connection:
+            connection.execute("INSERT INTO agent VALUES ('x', 'y')")
+            raise KeyError("in between")
+
+    with pytest.raises(KeyError):
+        half()
+    assert store._database.rows("SELECT name FROM agent WHERE name = 'x'") == []
