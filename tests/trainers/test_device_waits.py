@@ -71,7 +71,7 @@ def make_trainer(agent: str, domain: Path, folder: Path, *further: str) -> Round
 
 
 @pytest.mark.parametrize("agent", AGENTS)
-def test_a_rounds_updates_never_wait_for_the_device(
+def test_a_rounds_updates_never_wait_and_find_all_on_their_device(
     agent, restaurant_folder, tmp_path, monkeypatch
 ):
     draw_as_on_a_device(monkeypatch)
@@ -81,11 +81,6 @@ def test_a_rounds_updates_never_wait_for_the_device(
     with NeverWaits():
         trainer._update_all(1)
 
-
-@pytest.mark.parametrize("agent", AGENTS)
-def test_everything_that_an_update_uses_is_on_its_device(agent, restaurant_folder, tmp_path):
-    trainer = make_trainer(agent, restaurant_folder, tmp_path)
-    trainer.begin()
     trainer._compute_targets()
     batch = next(trainer.replay.epoch(8)).transitions.to("meta")
     # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
