@@ -12,14 +12,21 @@ from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseExceptio
 
 from bbq_torchrl.cli.launchers import LAUNCHER, LAUNCHER_EXTRAS
 from bbq_torchrl.options import CalibrateConfig, Config, ConfigError, EvaluateConfig, schemas
-from bbq_torchrl.options.registry import EXPERIMENT, load_folder
+from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options_folder
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["explain", "not_an_option", "take_config_dir", "unknown_key", "unreadable"]
+__all__ = [
+    "explain",
+    "not_an_option",
+    "take_config_dir",
+    "train_command",
+    "unknown_key",
+    "unreadable",
+]
 
 ONE_VALUE = "each key has one value in this command"
 
@@ -75,6 +82,13 @@ def take_config_dir(arguments: Sequence[str]) -> list[str]:
         else:
             rest.append(argument)
     return rest
+
+
+def train_command() -> list[str]:
+    """Returns how ``train.py`` is called, with the folder of options if there is one."""
+    folder = options_folder()
+    flag = [] if folder is None else ["--config-dir", str(folder)]
+    return ["python", "train.py", *flag]
 
 
 def unreadable(override: str, hint: str = "write key=value") -> str:
