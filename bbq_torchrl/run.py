@@ -150,7 +150,8 @@ def _result_line(config: Config, result: RunResult) -> str:
         f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in result.scripted.items()
     )
     name = agent_name(dataclasses.asdict(config))
-    return f"{name} books {_short(result.success_rate)} of dialogues{spread} ({others})"
+    does = "books {} of dialogues" if config.env.has_domain else "succeeds in {} of episodes"
+    return f"{name} {does.format(_short(result.success_rate))}{spread} ({others})"
 
 
 def _short(rate: float) -> str:

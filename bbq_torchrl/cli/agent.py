@@ -9,6 +9,7 @@ import torch
 from torchrl.envs import Compose
 
 from bbq_torchrl.options import Task
+from bbq_torchrl.options.base import action_mask_key
 from bbq_torchrl.trainers import derive_seed
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config, EvaluateConfig
+    from bbq_torchrl.trainers import ReplicaOptimizer
 
 __all__ = ["Agent", "make_agent", "make_domain", "task_of"]
 
@@ -33,6 +35,7 @@ class Agent:
     Attributes:
         actor: the Q-network and its choice of an action.
         loss: what is learned.
+        optimiser: moves the loss's parameters.
         policy: acts with exploration.
         metrics: what of the exploration is worth a column of the metrics; one number, or
             [replicas].
@@ -41,6 +44,7 @@ class Agent:
 
     actor: QValueActor
     loss: LossModule
+    optimiser: ReplicaOptimizer
     policy: TensorDictModuleBase
     metrics: dict[str, Callable[[], float | Tensor]] = field(default_factory=dict)
     transform: Transform | None = None
@@ -64,6 +68,7 @@ def task_of(config: Config, env: EnvBase) -> Task:
         replicas=config.replicas,
         rounds=config.protocol.rounds,
         device=env.device,
+        action_mask_key=action_mask_key(env),
         inactive_inputs=inputs,
         inactive_actions=actions,
     )
@@ -78,9 +83,11 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     policy, metrics = config.explore.make(actor, config.agent.make_greedy(actor), task)
     loss, transforms = config.intrinsic.make(loss, task)
     transforms = [*config.agent.make_transforms(task), *transforms]
+    loss = loss.to(env.device)
     return Agent(
         actor,
-        loss.to(env.device),
+        loss,
+        config.agent.make_optimizer(actor, loss.parameters(), task),
         policy.to(env.device),
         metrics,
         Compose(*transforms).to(env.device) if transforms else None,

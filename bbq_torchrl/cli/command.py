@@ -34,7 +34,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.launchers import LAUNCHER, check_launcher
-from bbq_torchrl.cli.messages import explain, too_large
+from bbq_torchrl.cli.messages import explain, too_large, train_command
 from bbq_torchrl.cli.resume import (
     RUN_CONFIG,
     restarted_config,
@@ -51,7 +51,7 @@ from bbq_torchrl.cli.store import (
 )
 from bbq_torchrl.cli.sweeps import table_of_runs
 from bbq_torchrl.options import Config
-from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options_folder
+from bbq_torchrl.options.registry import EXPERIMENT, load_folder
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.text import sentence
 
@@ -186,7 +186,8 @@ class _Sweep:
     def how_to_go_on(self) -> str:
         """What is finished, and what goes on with the others."""
         finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
-        return f"{finished}; {_program()} resume=<run folder> goes on with one that is not"
+        command = shlex.join(train_command())
+        return f"{finished}; {command} resume=<run folder> goes on with one that is not"
 
 
 def _stop_workers() -> None:
@@ -200,14 +201,7 @@ def _how_to_go_on(folder: Path) -> str:
         return "the same command begins again"
     plain = re.fullmatch(r"[\w./~@%+:-]+", os.fspath(folder)) is not None
     override = f"resume={folder if plain else _quoted(folder)}"
-    own = options_folder()
-    flag = "" if own is None else f"--config-dir {shlex.quote(str(own))} "
-    return f"{_program()} {flag}{shlex.quote(override)} goes on"
-
-
-def _program() -> str:
-    """How this process was called."""
-    return "bbq train" if Path(sys.argv[0]).stem == "bbq" else "python train.py"
+    return f"{shlex.join([*train_command(), override])} goes on"
 
 
 def _end(end: BaseException, sweep: _Sweep | None) -> NoReturn:

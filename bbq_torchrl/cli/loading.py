@@ -89,8 +89,10 @@ def trained_policy(
     The environment enters the round in which that was saved.
 
     Raises:
-        ConfigError: no checkpoint that can be read, or none of such weights.
+        ConfigError: a mode that the agent lacks, no checkpoint that can be read, or none of such
+            weights.
     """
+    config.agent.check_mode(mode)
     agent = make_agent(config, env)
     name, policy = config.agent.make_evaluation(agent.actor, mode)
     best = None

@@ -105,7 +105,7 @@ def training_needs(config: Config, domain: Domain | None) -> list[Need]:
             )
             for what, part in (
                 ("the networks", config.agent),
-                ("the network of the dynamics", config.intrinsic),
+                ("the model of the intrinsic reward", config.intrinsic),
             )
         ),
     ]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from itertools import accumulate
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
@@ -13,7 +15,7 @@ from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseExceptio
 
 from bbq_torchrl.cli.launchers import LAUNCHER, LAUNCHER_EXTRAS
 from bbq_torchrl.options import CalibrateConfig, Config, ConfigError, EvaluateConfig, schemas
-from bbq_torchrl.options.registry import EXPERIMENT, load_folder
+from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options_folder
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.text import sentence, shown
 
@@ -25,6 +27,7 @@ __all__ = [
     "not_an_option",
     "take_config_dir",
     "too_large",
+    "train_command",
     "unknown_key",
     "unreadable",
 ]
@@ -97,6 +100,14 @@ def too_large(overrides: Sequence[str]) -> str | None:
         if max(depth, default=0) > _DEEPEST:
             return unreadable(override, "it is nested too deeply")
     return None
+
+
+def train_command() -> list[str]:
+    """Returns how ``train.py`` is called, with the folder of options if there is one."""
+    folder = options_folder()
+    flag = [] if folder is None else ["--config-dir", str(folder)]
+    program = ["bbq", "train"] if Path(sys.argv[0]).stem == "bbq" else ["python", "train.py"]
+    return [*program, *flag]
 
 
 def unreadable(override: str, hint: str = "write key=value") -> str:

@@ -21,7 +21,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.messages import unreadable
 from bbq_torchrl.cli.parameters import Parameter, parse_parameter
-from bbq_torchrl.cli.store import compose_raw, conf_folder, options, session, to_config
+from bbq_torchrl.cli.store import compose_raw, config_folders, options, session, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
@@ -206,7 +206,8 @@ def _read(chosen: str) -> _Given:
             f"{SEARCH} must be one of {', '.join(options(SEARCH))} or a YAML file, "
             f"got {shown(chosen)}"
         )
-    file = Path(chosen).expanduser() if own else conf_folder() / SEARCH / f"{chosen}.yaml"
+    places = [folder / SEARCH / f"{chosen}.yaml" for folder in config_folders()]
+    file = Path(chosen).expanduser() if own else next(place for place in places if place.is_file())
     try:
         loaded = OmegaConf.load(file)
         plain = OmegaConf.to_container(loaded, resolve=False)

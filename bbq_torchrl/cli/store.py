@@ -43,6 +43,7 @@ __all__ = [
     "compose",
     "compose_raw",
     "conf_folder",
+    "config_folders",
     "explorations_table",
     "load_config",
     "options",
@@ -81,16 +82,21 @@ def conf_folder() -> Path:
     raise FileNotFoundError(f"no configuration folder 'conf' in {_PACKAGE} or beside it")
 
 
+def config_folders() -> list[Path]:
+    """The folders of YAML files: ours, and that of ``--config-dir`` if one is given."""
+    own = options_folder()
+    return [conf_folder()] if own is None else [conf_folder(), own]
+
+
 def options(group: str) -> list[str]:
     """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``.
 
     Those of ``experiment`` are files; one in a folder of its own is named with it: ``agents/vime``.
     """
     names = set(schemas().get(group, {}))
-    for root in (conf_folder(), options_folder()):
-        if root is not None:
-            files = (root / group).rglob("*.yaml")
-            names |= {file.relative_to(root / group).with_suffix("").as_posix() for file in files}
+    for root in config_folders():
+        files = (root / group).rglob("*.yaml")
+        names |= {file.relative_to(root / group).with_suffix("").as_posix() for file in files}
     return sorted(names)
 
 

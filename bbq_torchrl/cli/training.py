@@ -10,13 +10,18 @@ from torchrl.objectives import HardUpdate
 from bbq_torchrl.cli.agent import Agent, make_agent, make_domain
 from bbq_torchrl.cli.resume import description
 from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.while_training import RoundEvaluator
-from bbq_torchrl.options.values import replica_values, spread
-from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer, SpikeSettings
+from bbq_torchrl.options.base import action_mask_key
+from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.trainers import RoundSettings, RoundTrainer, SpikeSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+
+    from tensordict import NestedKey
+    from torchrl.envs import EnvBase
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
@@ -52,14 +57,11 @@ def build_trainer(
         ReplicaReplay(
             protocol.capacity,
             replicas=config.replicas,
+            keys=_transition_keys(env),
             transform=agent.transform,
             device=config.device,
         ),
-        ReplicaAdam(
-            agent.loss.parameters(),
-            config.replicas,
-            lr=list(map(float, spread(config.agent.lr, config.replicas))),
-        ),
+        agent.optimiser,
         HardUpdate(agent.loss, value_network_update_interval=0),
         RoundSettings(
             rounds=protocol.rounds,
@@ -87,6 +89,12 @@ def build_trainer(
         described=description(config),
     )
     return trainer, agent
+
+
+def _transition_keys(env: EnvBase) -> list[NestedKey]:
+    """Returns the entries of a transition that the environment has."""
+    masks = () if action_mask_key(env) else ("action_mask", ("next", "action_mask"))
+    return [key for key in TRANSITION_KEYS if key not in masks]
 
 
 def evaluation_places(config: Config, dialogues: int) -> int:

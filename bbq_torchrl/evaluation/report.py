@@ -38,9 +38,12 @@ __all__ = ["curves", "main", "setting_of", "write_report"]
 
 
 def setting_of(groups: Sequence[Group]) -> str:
-    """Returns what the groups have in common: ``"env=full, domain=movie"``."""
-    common = {name: {getattr(group.first, name) for group in groups} for name in ("env", "domain")}
-    return ", ".join(f"{name}={'|'.join(sorted(values))}" for name, values in common.items())
+    """Returns what the groups have in common: ``"env=full, domain=movie"``; no domain if none."""
+    common = {
+        name: sorted({getattr(group.first, name) for group in groups} - {""})
+        for name in ("env", "domain")
+    }
+    return ", ".join(f"{name}={'|'.join(values)}" for name, values in common.items() if values)
 
 
 def curves(group: Group) -> Curves:

@@ -22,14 +22,15 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
+from bbq_torchrl.options.values import spread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     import torch
     from tensordict.nn import TensorDictModuleBase
-    from torch import Tensor
+    from torch import Tensor, nn
     from torchrl.data import TensorSpec
     from torchrl.envs import EnvBase, Transform
     from torchrl.modules import QValueActor
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options.root import Config
+    from bbq_torchrl.trainers import ReplicaOptimizer
 
 __all__ = [
     "AgentOption",
@@ -49,6 +51,8 @@ __all__ = [
     "LoggerOption",
     "Option",
     "Task",
+    "action_mask_key",
+    "parameters",
 ]
 
 
@@ -63,6 +67,7 @@ class Task:
             of every batch.
         rounds: of the training, which schedules take a share of.
         device: of the weights.
+        action_mask_key: where an observation says which actions are legal; None: all always are.
         inactive_inputs: bool [inputs], features that come into use later; None: there are none.
         inactive_actions: bool [actions], the same of actions.
     """
@@ -72,6 +77,7 @@ class Task:
     replicas: int
     rounds: int
     device: torch.device | None = None
+    action_mask_key: str | None = "action_mask"
     inactive_inputs: Tensor | None = None
     inactive_actions: Tensor | None = None
 
@@ -133,6 +139,7 @@ class AgentOption(Option):
         offers: what exploration can use of it: any of ``posterior``, ``heads``, ``noise``,
             ``values`` (one Q-value an action), or a word that a strategy of your own needs.
         explores_by: the strategy that it has where none is chosen.
+        modes: of :meth:`make_evaluation`, where there are several policies to evaluate.
     """
 
     group: ClassVar[str] = "agent"
@@ -143,6 +150,7 @@ class AgentOption(Option):
 
     offers: ClassVar[tuple[str, ...]] = ("values",)
     explores_by: ClassVar[str] = "epsilon_greedy"
+    modes: ClassVar[tuple[str, ...]] = ()
 
     def make_actor(self, task: Task) -> QValueActor:
         """Makes the Q-network and its choice of an action.
@@ -155,6 +163,21 @@ class AgentOption(Option):
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """Makes what is learned: a loss with ``loss`` (scalar) and ``loss_value`` [replicas]."""
         raise NotImplementedError
+
+    def make_optimizer(
+        self, actor: QValueActor, parameters: Iterable[nn.Parameter], task: Task
+    ) -> ReplicaOptimizer:
+        """Makes what moves the parameters: Adam, for each replica its own.
+
+        Args:
+            actor: of :meth:`make_actor`.
+            parameters: all that are learned: the actor's, and those of an intrinsic reward's model.
+            task: what they fit.
+        """
+        from bbq_torchrl.trainers import ReplicaAdam
+
+        rates = list(map(float, spread(self.lr, task.replicas)))
+        return ReplicaAdam(parameters, task.replicas, lr=rates)
 
     def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
         """Makes the policy that acts without exploration."""
@@ -169,14 +192,15 @@ class AgentOption(Option):
 
         Args:
             actor: of :meth:`make_actor`.
-            mode: one of several policies; None: the agent's own.
-
-        Raises:
-            ConfigError: an agent that has no such mode.
+            mode: one of :attr:`modes`; None: the agent's own.
         """
-        if mode is not None:
-            raise ConfigError(f"mode must be null for agent={self.name}, got {mode!r}")
         return "greedy", self.make_greedy(actor)
+
+    def check_mode(self, mode: str | None) -> None:
+        """Refuses a mode that is not one of the agent's."""
+        if mode is not None and mode not in self.modes:
+            several = f"one of {', '.join(self.modes)} or " if self.modes else ""
+            raise ConfigError(f"mode must be {several}null for agent={self.name}, got {mode!r}")
 
     def make_transforms(self, task: Task) -> list[Transform]:
         """Returns what the replay buffer has to do for the agent."""
@@ -282,12 +306,16 @@ class EnvOption(Option):
         raise NotImplementedError
 
     def policies(self, domain: Domain | None, *, with_random: bool = False) -> tuple[str, ...]:
-        """Returns the names of the scripted policies that there are."""
-        return ()
+        """Returns the names of the scripted policies, and last ``random`` if it is asked for."""
+        return ("random",) if with_random else ()
 
     def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
-        """Makes a scripted policy."""
-        raise NotImplementedError
+        """Makes a scripted policy, or the random one."""
+        from torchrl.envs.utils import RandomPolicy
+
+        from bbq_torchrl.modules import RandomPolicy as RandomLegalPolicy
+
+        return RandomLegalPolicy() if action_mask_key(env) else RandomPolicy(env.action_spec)
 
     def check_domain(self, domain: Domain | None) -> None:
         """Raises ValueError for a domain that cannot be played in."""
@@ -345,6 +373,11 @@ class LoggerOption(Option):
         from bbq_torchrl.trainers import check_logger
 
         check_logger(self.name)
+
+
+def action_mask_key(env: EnvBase) -> str | None:
+    """Returns where an environment says which actions are legal; None: all of them always are."""
+    return "action_mask" if "action_mask" in list(env.observation_spec.keys()) else None
 
 
 def parameters(sizes: Sequence[int]) -> int:

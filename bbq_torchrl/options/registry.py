@@ -128,6 +128,7 @@ def load_folder(folder: Path | str) -> None:
     folder = Path(folder).expanduser().resolve()
     if not folder.is_dir():
         raise ConfigError(f"--config-dir must be a folder, got {folder}")
+    schemas()  # ours first: of two options of one name the folder's is refused
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
     for file in sorted(folder.glob("*.py")):
@@ -153,6 +154,9 @@ def explorations() -> dict[str, tuple[str, ...]]:
     """Returns for each agent the strategies that it can use, its own first.
 
     An agent can use a strategy if it offers all that the strategy needs.
+
+    Raises:
+        ConfigError: an agent that cannot use the strategy that it names as its own.
     """
     known = schemas()
     found = {}
@@ -163,6 +167,11 @@ def explorations() -> dict[str, tuple[str, ...]]:
             for other, explore in known["explore"].items()
             if set(explore.needs) <= set(agent.offers)  # type: ignore[attr-defined]
         ]
+        if own not in able:
+            raise ConfigError(
+                f"{_where(agent)}.explores_by must be one of {', '.join(able)}, which need only "
+                f"what the agent offers, got {own!r}"
+            )
         found[name] = tuple(sorted(able, key=lambda other: other != own))
     return found
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from bbq_torchrl.options.agent.bbqn import EVALUATION_MODES
 from bbq_torchrl.options.base import (
     AgentOption,
     DomainOption,
@@ -78,9 +77,9 @@ class EvaluateConfig:
     batch: int = setting(2_500, COUNT, "dialogues that run side by side")
     mode: str | None = setting(
         None,
-        optional(one_of(*EVALUATION_MODES), "the agent's own"),
-        "policy of a Bayesian agent: mean network, average of draws, one draw, or new draws at "
-        "every step",
+        optional(ANY_TEXT, "the agent's own"),
+        "policy of an agent that has several, as bbqn: mean network, average of draws, one draw, "
+        "or thompson, new draws at every step",
     )
     weights: str = setting(
         "last",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import optuna
 
+from bbq_torchrl.cli.messages import train_command
 from bbq_torchrl.evaluation.results import write_json
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def best_trial(search: Search, study: optuna.Study) -> dict[str, Any] | None:
         "statistic": search.settings.statistic,
         "values": values,
         "folder": str(search.folder / trial_name(best.number)),
-        "command": shlex.join(["python", "train.py", *search.overrides(values)]),
+        "command": shlex.join([*train_command(), *search.overrides(values)]),
         "trials": dict(sorted(Counter(item.state.name.lower() for item in trials).items())),
     }
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.data import Batch
-    from bbq_torchrl.trainers.optimiser import ReplicaAdam
+    from bbq_torchrl.trainers.optimiser import ReplicaOptimizer
 
 __all__ = ["LossSums", "Update", "learn_epoch"]
 
@@ -111,7 +111,7 @@ class Update:
     Args:
         loss (callable): returns ``loss``, the scalar to differentiate, and ``loss_value``
             [replicas]; whatever else it returns in shape [replicas] is averaged and reported.
-        optimiser (ReplicaAdam): of its parameters.
+        optimiser (ReplicaOptimizer): of its parameters.
 
     Attributes:
         sums (LossSums): takes in what the loss returns.
@@ -120,7 +120,7 @@ class Update:
     def __init__(
         self,
         loss: Callable[[TensorDictBase], TensorDictBase],
-        optimiser: ReplicaAdam,
+        optimiser: ReplicaOptimizer,
     ) -> None:
         self.loss = loss
         self.optimiser = optimiser

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +12,31 @@ from torch.optim.adam import adam
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["ReplicaAdam"]
+__all__ = ["ReplicaAdam", "ReplicaOptimizer"]
+
+
+class ReplicaOptimizer(Protocol):
+    """What moves parameters whose first dimension are replicas that must not touch one another.
+
+    :class:`ReplicaAdam` is one. What is random in one comes from torch's global generator, which
+    the trainer seeds for each epoch, and is drawn for all replicas at every step.
+    """
+
+    @property
+    def replicas(self) -> int:
+        """The number of replicas."""
+
+    def zero_grad(self) -> None:
+        """Forgets the gradients."""
+
+    def step(self, active: Sequence[bool] | None = None) -> None:
+        """Moves the replicas that are active, all by default; the others stay bitwise the same."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns what a resumed training needs."""
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restores it."""
 
 
 class _GroupState:

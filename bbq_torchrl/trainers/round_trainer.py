@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.trainers.best_weights import BestWeights
-    from bbq_torchrl.trainers.optimiser import ReplicaAdam
+    from bbq_torchrl.trainers.optimiser import ReplicaOptimizer
 
 __all__ = ["Evaluator", "RoundCallback", "RoundTrainer"]
 
@@ -100,7 +100,7 @@ class RoundTrainer:
         loss (LossModule): returns ``loss`` (scalar) and ``loss_value`` [replicas], and may return
             more of shape [replicas], which becomes a metric.
         replay (ReplicaReplay): the buffers, empty.
-        optimiser (ReplicaAdam): of the loss's parameters.
+        optimiser (ReplicaOptimizer): of the loss's parameters.
         target_updater (TargetUpdater): ``.step()`` freezes the target.
         settings (RoundSettings): the protocol.
         run_folder (Path): takes ``metrics.csv`` and ``checkpoint/``.
@@ -127,7 +127,7 @@ class RoundTrainer:
         policy: nn.Module,
         loss: nn.Module,
         replay: ReplicaReplay,
-        optimiser: ReplicaAdam,
+        optimiser: ReplicaOptimizer,
         target_updater: TargetUpdater,
         settings: RoundSettings,
         run_folder: Path | str,

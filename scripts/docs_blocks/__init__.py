@@ -9,6 +9,7 @@ from scripts.docs_blocks.config import config_blocks
 from scripts.docs_blocks.deep_sea import deep_sea_blocks
 from scripts.docs_blocks.dialogues import dialogues_blocks
 from scripts.docs_blocks.domain import domain_blocks
+from scripts.docs_blocks.extending import extending_blocks
 from scripts.docs_blocks.floor import floor_blocks
 from scripts.docs_blocks.growth import draw_growth, growth_blocks
 from scripts.docs_blocks.learning import learning_blocks
@@ -26,6 +27,7 @@ BLOCKS = (
     deep_sea_blocks,
     dialogues_blocks,
     domain_blocks,
+    extending_blocks,
     floor_blocks,
     growth_blocks,
     learning_blocks,

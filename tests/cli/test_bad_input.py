@@ -16,6 +16,7 @@ from bbq_torchrl import evaluate
 from bbq_torchrl.cli.agent import make_agent
 from bbq_torchrl.cli.checks import check
 from bbq_torchrl.cli.command import REFUSED, prepare
+from bbq_torchrl.cli.loading import trained_policy
 from bbq_torchrl.cli.store import compose, save_config
 
 
@@ -202,12 +203,18 @@ def test_a_schedule_falls_over_its_share_of_the_rounds(fraction, epsilons):
     assert seen == pytest.approx(epsilons)
 
 
-def test_an_agent_without_a_posterior_has_no_modes():
-    config = compose(["agent=dqn"])
+@pytest.mark.parametrize(
+    ("agent", "mode", "allowed"),
+    [
+        ("dqn", "mean", "null for agent=dqn"),
+        ("bbqn", "nope", "one of mean, average, draw, thompson or null for agent=bbqn"),
+    ],
+)
+def test_a_mode_must_be_one_of_the_agents(agent, mode, allowed, tmp_path):
+    config = compose([f"agent={agent}"])
     env = config.env.make(config.domain.make(), (1, 2))
-    agent = make_agent(config, env)
-    with pytest.raises(ValueError, match="mode must be null for agent=dqn, got 'mean'"):
-        config.agent.make_evaluation(agent.actor, "mean")
+    with pytest.raises(ValueError, match=f"mode must be {allowed}, got '{mode}'"):
+        trained_policy(config, tmp_path, env, mode=mode)
 
 
 def test_an_evaluation_prints_one_line_of_json(capsys, restaurant_folder, tmp_path):

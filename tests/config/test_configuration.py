@@ -275,7 +275,6 @@ REFUSED_EVALUATIONS = {
     "policy=rule seed=1,2": "seed=1,2 has several values: each key has one value in this command",
     "policy=rule env=full,domain_ext": "got 'full,domain_ext'; each key has one value in this",
     "policy=rule dialogues=0": "dialogues must be an integer from 1 to 10**9, got 0",
-    "policy=rule mode=nope": "mode must be one of mean, average, draw, thompson or null",
     "policy=rule weights=first": "weights must be one of last, best, got 'first'",
     "policy=rule agent=dqn": "agent is not a key; the keys of the configuration are env, domain",
     "policy=rule env.priorstd=1": "env.priorstd is not a key; the keys of env=full are name",

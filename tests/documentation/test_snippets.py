@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import pytest
 
 from bbq_torchrl.cli.searches import compose_search
 from bbq_torchrl.cli.store import compose, conf_folder
-from bbq_torchrl.options import EvaluateConfig
+from bbq_torchrl.options import EvaluateConfig, registry
 
 from .pages import PAGES, commands, snippets
 
@@ -23,10 +25,15 @@ def test_readme_and_parts_page_show_python() -> None:
 
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
-def test_python_of_a_page_runs_from_top_to_bottom(page: Path) -> None:
-    namespace: dict[str, object] = {"__name__": page.stem}
+def test_python_of_a_page_runs_from_top_to_bottom(
+    page: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = {group: dict(found) for group, found in registry.schemas().items()}
+    monkeypatch.setattr(registry, "_OPTIONS", known)  # a page's options are its own
+    module = ModuleType(page.stem)
+    monkeypatch.setitem(sys.modules, page.stem, module)
     for text in snippets(page, "python"):
-        exec(compile(text, str(page), "exec"), namespace)
+        exec(compile(text, str(page), "exec"), vars(module))
 
 
 def _arguments(arguments: list[str], folder: Path) -> list[str]:

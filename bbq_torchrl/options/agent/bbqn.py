@@ -78,6 +78,7 @@ class BBQN(AgentOption):
 
     offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
+    modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
 
     def check(self, config: Config) -> None:
         """Refuses a target noise of the other target, and a sampled KL where slots are added."""
@@ -110,7 +111,7 @@ class BBQN(AgentOption):
             device=task.device,
         )
         task.reset_inactive_(network)
-        return q_network(network, task.action_spec)
+        return q_network(network, task.action_spec, action_mask_key=task.action_mask_key)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The negative ELBO of a draw of the weights."""

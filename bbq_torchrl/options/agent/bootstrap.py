@@ -79,7 +79,7 @@ class Bootstrap(AgentOption):
             device=task.device,
         )
         task.reset_inactive_(network)
-        return bootstrap_actor(network, task.action_spec)
+        return bootstrap_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The squared TD error of the heads that a transition is for."""

@@ -62,7 +62,7 @@ class DQN(AgentOption):
         else:
             network = MLP(*sizes, stack=stack, dropout=self.dropout, device=task.device)
         task.reset_inactive_(network)
-        return q_network(network, task.action_spec)
+        return q_network(network, task.action_spec, action_mask_key=task.action_mask_key)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The squared TD error, with dropout or noise in the prediction."""

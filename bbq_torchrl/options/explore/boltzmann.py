@@ -65,6 +65,7 @@ class BoltzmannActing(ExploreOption):
             beside_dialogues(self.temperature_init, task),
             beside_dialogues(self.temperature_end, task),
             annealed_rounds(self.anneal_fraction, task),
+            action_mask_key=task.action_mask_key,
         )
         return (
             TensorDictSequential(greedy, boltzmann),

@@ -54,7 +54,7 @@ class EpsilonGreedy(ExploreOption):
             eps_init=start,
             eps_end=end,
             annealing_num_steps=annealed_rounds(self.anneal_fraction, task),
-            action_mask_key="action_mask",
+            action_mask_key=task.action_mask_key,
         )
         return TensorDictSequential(greedy, epsilon), {"epsilon": lambda: epsilon.eps.squeeze(-1)}
 

@@ -1,0 +1,1 @@
+"""Options for bbq-torchrl: a strategy, an agent, an intrinsic reward and an environment."""

@@ -1,0 +1,287 @@
+"""The door by which options come in: what it lets through, and what it says of the rest."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from bbq_torchrl.cli import store
+from bbq_torchrl.cli.messages import take_config_dir, train_command
+from bbq_torchrl.cli.resume import run_config
+from bbq_torchrl.cli.store import compose, options, save_config
+from bbq_torchrl.options import (
+    AgentOption,
+    ConfigError,
+    ExploreOption,
+    explorations,
+    register,
+    registry,
+)
+from bbq_torchrl.options.settings import COUNT, option, setting
+
+ROOT = Path(__file__).resolve().parents[2]
+
+STRATEGY = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+from bbq_torchrl.options import ExploreOption, register
+from bbq_torchrl.options.settings import COUNT, option, setting
+
+
+@register
+@dataclass
+class Narrow(ExploreOption):
+    \"\"\"Greedy, and patient.\"\"\"
+
+    name: str = option("narrow")
+    patience: int = setting(3, COUNT, "rounds")
+
+    needs: ClassVar[tuple[str, ...]] = ("posterior",)
+
+    def make(self, actor, greedy, task):
+        return greedy, {"patience": lambda: self.patience}
+"""
+
+
+@pytest.fixture(autouse=True)
+def unchanged(monkeypatch, tmp_path):
+    """What a test registers or loads is gone after it."""
+    known = {group: dict(found) for group, found in registry.schemas().items()}
+    monkeypatch.setattr(registry, "_OPTIONS", known)
+    monkeypatch.setattr(store, "_registered", set(store._registered))
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setenv(registry.FOLDER_VARIABLE, "")  # so that it is put back
+    monkeypatch.delenv(registry.FOLDER_VARIABLE)
+    yield
+    for name, module in list(sys.modules.items()):
+        if (getattr(module, "__file__", None) or "").startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+def folder_with(folder, **files):
+    folder.mkdir(exist_ok=True)
+    for name, text in files.items():
+        (folder / f"{name}.py").write_text(text)
+    return folder
+
+
+def load(folder, *rest):
+    return take_config_dir(["--config-dir", str(folder), *rest])
+
+
+# --------------------------------------------------------------------------------------- register
+
+
+def test_a_class_that_is_no_dataclass_is_refused():
+    class Plain:
+        name = "plain"
+
+    with pytest.raises(TypeError, match="an option must be a dataclass, got <class"):
+        register(Plain)
+
+
+def test_a_dataclass_of_no_group_is_refused():
+    @dataclass
+    class Homeless:
+        name: str = option("homeless")
+
+    with pytest.raises(TypeError, match=r"Homeless must extend the option of a group, such as"):
+        register(Homeless)
+
+
+def test_a_field_that_says_nothing_of_itself_is_refused():
+    @dataclass
+    class Vague(ExploreOption):
+        name: str = option("vague")
+        patience: int = 3
+
+    with pytest.raises(
+        TypeError, match=r"Vague.patience must be declared by setting\(default, all"
+    ):
+        register(Vague)
+
+
+@pytest.mark.parametrize("given", ["two words", "", "../up"])
+def test_a_name_that_cannot_be_typed_is_refused(given):
+    @dataclass
+    class Odd(ExploreOption):
+        name: str = option(given)
+
+    with pytest.raises(
+        TypeError, match=re.escape(f"Odd.name must be option('<name>'), got {given!r}")
+    ):
+        register(Odd)
+
+
+def test_an_option_without_a_name_is_refused():
+    @dataclass
+    class Nameless(ExploreOption):
+        patience: int = setting(3, COUNT, "rounds")
+
+    with pytest.raises(TypeError, match=r"Nameless.name must be option\('<name>'\), got '\?\?\?'"):
+        register(Nameless)
+
+
+def test_a_name_is_taken_once_and_by_the_same_class_again():
+    @dataclass
+    class Mine(ExploreOption):
+        name: str = option("thompson")
+
+    with pytest.raises(
+        TypeError, match=r"explore=thompson is registered already, by bbq_torchrl\."
+    ):
+        register(Mine)
+    ours = registry.schemas()["explore"]["thompson"]
+    assert register(ours) is ours
+
+
+def test_an_agent_must_be_able_to_explore_by_its_own_strategy():
+    @register
+    @dataclass
+    class Lost(AgentOption):
+        name: str = option("lost")
+
+        explores_by: ClassVar[str] = "thompson"
+
+    with pytest.raises(ConfigError, match=r"Lost.explores_by must be one of .*greedy.*'thompson'$"):
+        explorations()
+
+
+# ----------------------------------------------------------------------------------- --config-dir
+
+
+def test_an_option_of_a_folder_is_checked_and_paired_like_ours(tmp_path):
+    folder = folder_with(tmp_path / "own", narrow_explore=STRATEGY)
+    rest = load(folder, "explore=narrow", "explore.patience=5")
+
+    assert rest == ["explore=narrow", "explore.patience=5"]
+    assert compose(rest).explore.patience == 5
+    assert "narrow" in options("explore")
+    assert "narrow" in explorations()["bbqn"]
+    for command, said in {
+        "explore=narrow explore.patience=0": "explore.patience must be an integer from 1 to",
+        "explore=narrow explore.patiance=2": "did you mean explore.patience?",
+        "explore=narow": "epsilon_greedy, greedy, narrow, noisy",
+        "agent=dqn explore=narrow": "agent=dqn cannot be combined with explore=narrow",
+    }.items():
+        with pytest.raises(ConfigError, match=re.escape(said)):
+            compose(command.split())
+
+
+def test_a_yaml_file_of_a_folder_is_an_option_with_other_defaults(tmp_path):
+    folder = folder_with(tmp_path / "own", narrow_other=STRATEGY)
+    (folder / "explore").mkdir()
+    (folder / "explore" / "patient.yaml").write_text("defaults: [narrow, _self_]\npatience: 9\n")
+    load(folder)
+
+    config = compose(["explore=patient"])
+
+    assert (config.explore.name, config.explore.patience) == ("narrow", 9)
+    assert "patient" in options("explore")
+
+
+def test_the_folder_is_part_of_the_commands_that_are_told(tmp_path):
+    assert train_command() == ["python", "train.py"]
+    folder = folder_with(tmp_path / "own folder")
+    load(folder)
+    assert train_command() == ["python", "train.py", "--config-dir", str(folder)]
+
+
+@pytest.mark.parametrize("given", [["--config-dir"], ["--config-dir", "nowhere"]])
+def test_a_folder_that_is_not_there_is_refused(given, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if len(given) == 1:
+        (tmp_path / "file").write_text("")
+        given = [*given, "file"]
+    with pytest.raises(ConfigError, match=r"--config-dir must be a folder, got /.*(file|nowhere)$"):
+        take_config_dir(given)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("broken", "1 +", r"broken\.py cannot be imported: invalid syntax"),
+        ("lacking", "import no_such_module", r"lacking\.py cannot be imported: No module named"),
+        (
+            "taken",
+            STRATEGY.replace("narrow", "greedy"),
+            r"taken\.py cannot .*=greedy is registered",
+        ),
+        ("json", "", r"json\.py must have a name that no other module has, got json, which is"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named(name, text, said, tmp_path):
+    with pytest.raises(ConfigError, match=said):
+        load(folder_with(tmp_path / "own", **{name: text}))
+
+
+def test_a_run_whose_option_is_not_there_is_refused_with_the_way_to_it(tmp_path):
+    load(folder_with(tmp_path / "own", narrow_saved=STRATEGY))
+    save_config(compose(["explore=narrow"]), tmp_path / "config.yaml")
+    assert run_config(tmp_path).explore.name == "narrow"
+
+    del registry.schemas()["explore"]["narrow"]
+
+    with pytest.raises(
+        ConfigError,
+        match=r"config\.yaml: explore must be one of .* 'narrow': optio"
+        r"ns of your own come with an installed package or with --config-dir",
+    ):
+        run_config(tmp_path)
+
+
+# ----------------------------------------------------------------------------------- entry points
+
+
+def test_a_package_that_cannot_be_imported_is_named(tmp_path, monkeypatch):
+    metadata = tmp_path / "ailing-1.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: ailing\nVersion: 1\n")
+    (metadata / "entry_points.txt").write_text("[bbq_torchrl.options]\nill = ailing.ill\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(registry, "_loaded", set())
+
+    with pytest.raises(
+        ConfigError, match=r"options of ill \(ailing.ill\) cannot be imported: No mod"
+    ):
+        registry.schemas()
+
+
+@pytest.mark.slow
+def test_the_commands_take_a_folder_in_processes_of_their_own(tmp_path):
+    folder = folder_with(tmp_path / "own", narrow=STRATEGY)
+    small = (
+        "protocol.rounds=1", "protocol.dialogues=2", "protocol.capacity=100", "agent.hidden=[8]",
+        "protocol.eval_every=0", "protocol.eval_dialogues=2", "spike.dialogues=2",
+    )  # fmt: skip
+
+    def python(*arguments, code=0):
+        done = subprocess.run(
+            [sys.executable, *map(str, arguments)],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == code, done.stderr
+        return done.stdout + done.stderr
+
+    train, own = ROOT / "train.py", ("--config-dir", folder)
+    assert "narrow" in python(train, *own, "--help")
+    # Two jobs side by side: their processes find the folder too.
+    python(train, *own, "-m", "explore=narrow", "seed=1,2", "hydra.sweep.dir=sweep", *small)
+    (one, _) = sorted(file.parent for file in (tmp_path / "sweep").rglob("result.json"))
+    again = ("resume=" + str(one), "protocol.rounds=2", "protocol.keep_checkpoints=last")
+    assert "with --config-dir <folder>" in python(train, *again, code=2)
+    evaluated = ("-m", "bbq_torchrl.evaluate", f"policy={one}", "dialogues=2")
+    assert "with --config-dir <folder>" in python(*evaluated, code=2)
+    assert json.loads(python(*evaluated[:2], *own, *evaluated[2:]))["dialogues"] == 2

@@ -1,0 +1,322 @@
+"""Options of another package: they train, resume, evaluate, report and search like ours."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.data import Categorical
+from torchrl.envs.utils import ExplorationType, check_env_specs, set_exploration_type
+
+from bbq_torchrl import evaluate
+from bbq_torchrl.cli import store
+from bbq_torchrl.cli.checks import check
+from bbq_torchrl.cli.searches import compose_search
+from bbq_torchrl.cli.store import compose, explorations_table
+from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.evaluation import report
+from bbq_torchrl.evaluation.results import read_metrics
+from bbq_torchrl.modules import BayesMLP, q_network, set_weight_mode
+from bbq_torchrl.options import ConfigError, EvaluateConfig, registry
+from bbq_torchrl.run import run
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "examples" / "extending"
+SHRUNKEN = (
+    "protocol.rounds=2",
+    "protocol.dialogues=3",
+    "protocol.capacity=100",
+    "protocol.eval_dialogues=4",
+    "protocol.eval_every=1",
+    "protocol.eval_every_dialogues=4",
+    "protocol.checkpoint_every=1",
+    "protocol.keep_checkpoints=last",
+    "agent.hidden=[8]",
+    "env=chain",
+    "env.length=5",
+    "spike=none",
+    "replicas=2",
+)
+RUNS = {
+    "agent and environment": ("agent=langevin", "agent.inverse_temperature=[1e4,1e8]"),
+    "strategy and intrinsic reward": ("agent=bbqn", "explore=ucb", "intrinsic=visits"),
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def installed(tmp_path_factory):
+    """The package as pip would have installed it: on the path, with its entry points."""
+    site = tmp_path_factory.mktemp("site")
+    points = re.findall(
+        r'^\w+ = "bbq_extending\.\w+"', (PACKAGE / "pyproject.toml").read_text(), re.M
+    )
+    metadata = site / "bbq_extending-0.1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: bbq-extending\nVersion: 0.1.0\n"
+    )
+    lines = ["[bbq_torchrl.options]", *(point.replace('"', "") for point in points)]
+    (metadata / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    known = {group: dict(options) for group, options in registry.schemas().items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "_OPTIONS", known)
+        patch.setattr(registry, "_loaded", set())
+        patch.setattr(store, "_registered", set(store._registered))
+        for folder in (site, PACKAGE):
+            patch.syspath_prepend(folder)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def without_curves():
+    """Drawing takes as long as training here, and is tested elsewhere."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bbq_torchrl.run._draw", lambda *_: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def finished(installed, tmp_path_factory):
+    """A finished run of each of the command lines."""
+    folders = {}
+    for name, choices in RUNS.items():
+        folders[name] = tmp_path_factory.mktemp("run")
+        run(compose([*choices, *SHRUNKEN]), folders[name])
+    return folders
+
+
+def test_its_options_are_in_the_tables_of_help():
+    table = explorations_table()
+    assert "agent=langevin   explore=greedy (default)" in table
+    bbqn = next(line for line in table.splitlines() if line.startswith("agent=bbqn"))
+    assert "ucb" in bbqn
+    assert "chain" in store.options("env")
+    assert "visits" in store.options("intrinsic")
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        ("agent=dqn explore=ucb", "agent=dqn cannot be combined with explore=ucb"),
+        ("agent=bbqn explore=ucb explore.draws=1", "explore.draws must be an integer from 2 to"),
+        ("env=chain env.lenght=4", "env.lenght is not a key (did you mean env.length?)"),
+        (
+            "agent=langevin replicas=2 agent.bias=[1,2,3]",
+            "agent.bias must be one value or a list of 2",
+        ),
+    ],
+)
+def test_its_keys_are_checked_before_anything_runs(command, sentence):
+    with pytest.raises(ConfigError, match=re.escape(sentence)):
+        compose(command.split())
+
+
+def test_an_environment_without_scripted_policies_is_not_spiked():
+    with pytest.raises(ConfigError, match="spike must be none with env=chain"):
+        check(compose(["env=chain", "protocol=quick"]))
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_resumed_run_ends_bitwise_as_one_that_was_not_interrupted(name, finished, tmp_path):
+    config = compose([*RUNS[name], *SHRUNKEN])
+    one_round = dataclasses.replace(config.protocol, rounds=1)
+    run(dataclasses.replace(config, protocol=one_round), tmp_path)
+    run(dataclasses.replace(config, resume=str(tmp_path)), tmp_path)
+
+    def state(folder):
+        trainer, _ = build_trainer(dataclasses.replace(config, resume=str(folder)), folder)
+        trainer.begin(resume=True)
+        assert trainer.rounds_done == 2
+        return trainer.loss.state_dict()
+
+    whole, parts = state(finished[name]), state(tmp_path)
+    assert all(torch.equal(whole[key], parts[key]) for key in whole)
+    columns = read_metrics(finished[name]).columns
+    for column in (column for column in columns if not column.startswith("seconds")):
+        assert (columns[column] == read_metrics(tmp_path)[column]).all(), column
+
+
+def test_its_runs_are_evaluated_and_reported(finished, capsys):
+    folders = [str(folder) for folder in finished.values()]
+    for policy in (*folders, "random"):
+        given = [f"policy={policy}", "env=chain", "env.length=5", "dialogues=6", "batch=3"]
+        line = evaluate.evaluation(compose(given, EvaluateConfig), given)
+        assert line["turns"] == 14
+        assert "domain" not in line
+    assert "states_seen" in read_metrics(finished["strategy and intrinsic reward"]).columns
+    capsys.readouterr()
+    assert report.main(folders) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("# env=chain\n")
+    assert "LANGEVIN, agent.inverse_temperature=10000.0" in out
+    assert "BBQN-MAP" in out
+
+
+def test_a_run_whose_options_are_not_there_is_refused_with_the_way(finished, monkeypatch):
+    without = {
+        name: item for name, item in registry.schemas()["agent"].items() if name != "langevin"
+    }
+    monkeypatch.setitem(registry._OPTIONS, "agent", without)
+    given = [f"policy={finished['agent and environment']}"]
+    with pytest.raises(ConfigError, match="got 'langevin': options of your own come with an inst"):
+        evaluate.evaluation(compose(given, EvaluateConfig), given)
+
+
+def test_its_search_space_is_found_in_a_folder_of_options(monkeypatch):
+    monkeypatch.setenv(registry.FOLDER_VARIABLE, str(PACKAGE))
+    search = compose_search(["search=langevin", *(item for item in SHRUNKEN if "=" in item)])
+    assert [item.name for item in search.space] == ["agent.lr", "agent.inverse_temperature"]
+    config = search.config({"agent.lr": 0.01, "agent.inverse_temperature": 1e5})
+    assert (config.agent.name, config.agent.lr) == ("langevin", 0.01)
+
+
+# ---------------------------------------------------------------------------------------- parts
+
+
+def test_the_chain_keeps_torchrls_conventions():
+    from bbq_extending.chain_env import ChainEnv
+
+    env = ChainEnv(4, batch_size=(2, 3))
+    check_env_specs(env)
+    left = env.rollout(13, lambda td: td.set("action", torch.zeros(2, 3, dtype=torch.int64)))
+    assert left["next", "reward"].sum(-2).flatten().tolist() == pytest.approx([0.013] * 6)
+    assert not left["next", "success"].any()
+    assert left["next", "done"].squeeze(-1).sum(-1).tolist() == [[1] * 3] * 2
+
+
+def test_the_upper_bound_is_the_mean_without_a_coefficient_and_prefers_spread_with_one():
+    from bbq_extending.ucb_policy import UpperConfidence
+
+    torch.manual_seed(0)
+    network = BayesMLP(2, 2, (), mean_init="zero")
+    with torch.no_grad():  # of two actions of mean 0, the second one's weights are uncertain
+        _, layer = network.layout, network.posterior
+        ((weight, bias),) = network.layout.unflatten(layer.rho)
+        weight.fill_(-20), bias.fill_(-20)
+        weight[:, 1] = 1.0
+    actor = q_network(network, Categorical(2), action_mask_key=None)
+    rows = TensorDict(observation=torch.ones(50, 2), batch_size=[50])
+    policy = UpperConfidence(actor, coefficient=5.0, draws=30)
+    assert (policy(rows.clone())["action"] == 1).all()
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        greedy = policy(rows.clone())["action_value"]
+    with set_weight_mode("mean"):
+        assert torch.equal(greedy, actor(rows.clone())["action_value"])
+
+
+def test_langevin_steps_are_those_of_the_paper():
+    from bbq_extending.langevin_adam import LangevinAdam
+
+    lr, bias = torch.tensor([0.1, 0.01]), 2.0
+    weight = nn.Parameter(torch.tensor([[1.0, -2.0], [0.5, 3.0]]))
+    expected, mean, square = weight.detach().clone(), torch.zeros(2, 2), torch.zeros(2, 2)
+    optimizer = LangevinAdam([weight], 2, noisy=[], lr=lr, bias=bias)
+    for _ in range(3):
+        optimizer.zero_grad()
+        (weight**2).sum().backward()
+        optimizer.step()
+        gradient = 2 * expected
+        mean, square = 0.9 * mean + 0.1 * gradient, 0.99 * square + 0.01 * gradient**2
+        expected -= lr[:, None] * (gradient + bias * mean / (square + 1e-8).sqrt())
+    assert torch.allclose(weight, expected)
+
+
+def test_langevin_noise_has_the_temperature_and_leaves_inactive_replicas_alone():
+    from bbq_extending.langevin_adam import LangevinAdam
+
+    def after(active, seed=0):
+        torch.manual_seed(seed)
+        weight = nn.Parameter(torch.zeros(3, 20_000))
+        beta = torch.tensor([1e2, 1e2, 1e4])
+        optimizer = LangevinAdam([weight], 3, lr=0.5, inverse_temperature=beta)
+        for _ in range(2):
+            weight.grad = torch.zeros_like(weight)
+            optimizer.step(active)
+        return weight.detach()
+
+    everyone, some = after(None), after((True, False, True))
+    # two steps of variance 2 · lr / beta
+    assert everyone.std(1).tolist() == pytest.approx([0.02**0.5, 0.02**0.5, 0.0002**0.5], rel=0.03)
+    assert not some[1].any()
+    assert torch.equal(some[[0, 2]], everyone[[0, 2]])
+
+
+def test_a_state_is_worth_less_each_time_that_it_is_stored():
+    from bbq_extending.visit_reward import VisitReward
+
+    transform = VisitReward(3, replicas=2, eta=torch.tensor([1.0, 0.5]))
+    state = torch.eye(3).expand(2, 3, 3)
+    rows = TensorDict({"next": {"observation": state, "reward": torch.ones(2, 3, 1)}}, [2, 3])
+    rows["valid"] = torch.tensor([[True, True, True], [True, False, False]])
+    stored = transform.inv(rows)
+    assert transform.pop_metrics()["states_seen"].tolist() == [3, 1]
+    assert transform(stored)["next", "reward"][:, 0].flatten().tolist() == [2.0, 1.5]
+    for _ in range(3):
+        stored = transform.inv(rows)
+    assert transform(stored)["next", "reward"][:, 0].flatten().tolist() == [1.5, 1.25]
+    assert (rows["next", "reward"] == 1).all()
+
+
+# ----------------------------------------------------------------------------------- installed
+
+
+@pytest.mark.slow
+def test_the_installed_package_trains_sweeps_resumes_evaluates_and_searches(tmp_path):
+    pytest.importorskip("optuna")
+    copy, site, runs = (tmp_path / name for name in ("copy", "site", "runs"))
+    shutil.copytree(PACKAGE, copy)
+    # What builds the package is installed already or comes from the index.
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", site, copy],
+        check=True,
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (site, ROOT)))}
+
+    def python(*arguments):
+        done = subprocess.run(
+            [sys.executable, *map(str, arguments)],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    train = ROOT / "train.py"
+    assert "langevin" in python(train, "--help")
+    swept = ("agent=bbqn", "explore=thompson,ucb", "intrinsic=visits", f"hydra.sweep.dir={runs}")
+    python(train, "--multirun", *swept, *SHRUNKEN)
+    single = tmp_path / "single"
+    python(train, "agent=langevin", *SHRUNKEN, f"hydra.run.dir={single}")
+    python(train, f"resume={single}", "protocol.rounds=3")
+    line = json.loads(python("-m", "bbq_torchrl.evaluate", f"policy={single}", "dialogues=5"))
+    assert line["env"] == "chain"
+    text = python("-m", "bbq_torchrl.evaluation.report", runs)
+    assert "explore=ucb" in text
+    best = json.loads(
+        python(
+            "-m",
+            "bbq_torchrl.search",
+            "--config-dir",
+            copy,
+            "search=langevin",
+            "search.trials=2",
+            f"search.folder={tmp_path / 'search'}",
+            *SHRUNKEN,
+        )
+    )
+    assert f"--config-dir {copy}" in best["command"]
+    with (tmp_path / "search" / "trials.csv").open() as file:
+        assert [row["state"] for row in csv.DictReader(file)] == ["complete"] * 2
