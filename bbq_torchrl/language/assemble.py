@@ -18,11 +18,44 @@ if TYPE_CHECKING:
 
 __all__ = ["assemble", "chosen"]
 
-_CORRECTS = frozenset("no not nope nah actually instead rather better sorry wait meant mean wrong".split())
+_CORRECTS = frozenset(
+    [
+        "no",
+        "not",
+        "nope",
+        "nah",
+        "actually",
+        "instead",
+        "rather",
+        "better",
+        "sorry",
+        "wait",
+        "meant",
+        "mean",
+        "wrong",
+    ]
+)
 _NOT = frozenset(("not", "isn't", "isnt", "except", "but"))
-_ORDER = {"first": 0, "former": 0, "1st": 0, "second": 1, "2nd": 1, "third": 2, "3rd": 2, "fourth": 3,
-          "last": -1, "latter": -1, "1": 0, "2": 1, "3": 2, "4": 3, "one": 0, "two": 1}  # fmt: skip
-_YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true".split())
+_ORDER = {
+    "first": 0,
+    "former": 0,
+    "1st": 0,
+    "second": 1,
+    "2nd": 1,
+    "third": 2,
+    "3rd": 2,
+    "fourth": 3,
+    "last": -1,
+    "latter": -1,
+    "1": 0,
+    "2": 1,
+    "3": 2,
+    "4": 3,
+    "one": 0,
+    "two": 1,
+}
+_SHORT = 4
+_YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
 
 def chosen(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> str | None:
@@ -46,7 +79,7 @@ def chosen(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> st
     if "earlier" in words or "earliest" in words:
         return keys[min(keys)]
     # Words that some choices have and others do not: "the downtown one".
-    own = {value: set(compact(part) for part in value.split()) for value in choices}
+    own = {value: {compact(part) for part in value.split()} for value in choices}
     hits = {value: len(parts & {compact(word) for word in words}) for value, parts in own.items()}
     best = [value for value, count in hits.items() if count and count == max(hits.values())]
     if len(best) == 1:
@@ -77,7 +110,12 @@ def assemble(
     offered = chosen(words, question, lexicon)
     if offered is not None and question is not None:
         return Frame("inform", {question.requests[0]: offered}), (), 1.0
-    informs, unclear, fit = _values(words, reading, question, lexicon)
+    informs, unclear, fit = _values(words, reading, lexicon)
+    if (short := _short_answer(words, question, lexicon)) is not None:
+        return Frame("inform", short), (), 1.0
+    if question is not None and question.act == "confirm_question" and question.informs:
+        if not informs and words[0] in _YES and len(words) <= _SHORT:
+            return Frame("inform", dict(question.informs)), (), fit
     is_open = [slot for slot in domain.slots if slot not in informs]
     chances = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
     informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
@@ -91,7 +129,11 @@ def assemble(
             requests = [likely]
         elif informs or unclear:
             act = "inform"
-    elif act not in ("inform", "request", "confirm_question") and (informs or unclear) and not requests:
+    elif (
+        act not in ("inform", "request", "confirm_question")
+        and (informs or unclear)
+        and not requests
+    ):
         act = "inform"
     elif requests and act not in ("request", "inform", "thanks", "deny", "closing"):
         act = "request"
@@ -99,11 +141,22 @@ def assemble(
         act = "request"
     if act == "thanks" and requests and not _is_offer(question, domain):
         act = "request"
-    if question is not None and act == "confirm_answer" and question.act == "confirm_question" and question.informs:
-        return Frame("inform", dict(question.informs)), (), fit
     if act == "thanks" and informs:
         act = "request" if requests else "inform"
     return Frame(act, informs, tuple(requests)), unclear, fit
+
+
+def _short_answer(
+    words: Sequence[str], question: Frame | None, lexicon: Lexicon
+) -> dict[str, str] | None:
+    """Returns the value of the slot asked for, if the words are just one of its names."""
+    if question is None or not question.requests or len(words) > _SHORT:
+        return None
+    slot = question.requests[0]
+    link = lexicon.link(slot, " ".join(words)) if slot in lexicon.slots else None
+    if link is None or len(link.values) != 1 or link.score < 0.95:
+        return None
+    return {slot: link.values[0]}
 
 
 def _is_offer(question: Frame | None, domain: Domain) -> bool:
@@ -111,7 +164,7 @@ def _is_offer(question: Frame | None, domain: Domain) -> bool:
 
 
 def _values(
-    words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
+    words: Sequence[str], reading: Reading, lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...], float]:
     """Returns slot to value, what is unclear, and the score of the worst link."""
     found: dict[str, list[tuple[str, tuple[str, ...], float, bool]]] = {}

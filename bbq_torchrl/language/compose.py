@@ -11,12 +11,15 @@ from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
     import random
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.phrases import Phrases
 
 __all__ = ["Composer"]
+
+_TRIES = 8
+
 
 @dataclass
 class _Turn:
@@ -27,6 +30,7 @@ class _Turn:
     values: dict[str, list[Piece]]
     left: list[str]
     is_terse: bool
+    is_booking: bool
 
 
 class Composer:
@@ -35,13 +39,16 @@ class Composer:
     Args:
         domain: what is spoken of.
         phrases: how.
-        ambiguous: the values, in letters and digits, that several slots have.
+        owners: for values, in letters and digits, that several slots have: whose they are where
+            nothing else is said.
     """
 
-    def __init__(self, domain: Domain, phrases: Phrases, ambiguous: Iterable[str] = ()) -> None:
+    def __init__(
+        self, domain: Domain, phrases: Phrases, owners: Mapping[str, str] | None = None
+    ) -> None:
         self._domain = domain
         self._phrases = phrases
-        self._ambiguous = frozenset(ambiguous)
+        self._owners = owners or {}
         self._rules = {**phrases.rules, "thing": phrases.user["thing"]}
 
     def compose(
@@ -63,18 +70,20 @@ class Composer:
             is_clear: whether a value that several slots have is said with the slot's name.
         """
         told = {slot: value for slot, value in frame.informs.items() if value != ANY}
-        values = {
-            slot: [Piece(surface(slot, value, rng), slot)] for slot, value in told.items()
-        }
+        values = {slot: [Piece(surface(slot, value, rng), slot)] for slot, value in told.items()}
+        asked = question.requests if question is not None else ()
         hidden = {
-            slot for slot, value in told.items() if is_clear and compact(value) in self._ambiguous
+            slot
+            for slot, value in told.items()
+            if is_clear and slot not in asked and self._owners.get(compact(value), slot) != slot
         }
         turn = _Turn(
             rng,
             question,
             {slot: pieces for slot, pieces in values.items() if slot not in hidden},
             [slot for slot in told if slot not in hidden],
-            rng.random() < 0.3,
+            rng.random() < 0.35,
+            self._domain.ticket_slot in frame.requests,
         )
         rng.shuffle(turn.left)
         parts = self._parts(frame, turn)
@@ -121,7 +130,7 @@ class Composer:
         while turn.left and turn.rng.random() < 0.85:
             slot = turn.left.pop()
             piece = self._slot_phrase(slot, "with", turn)
-            if turn.question is None and turn.rng.random() < 0.15:
+            if turn.question is None and turn.rng.random() < (0.5 if turn.is_terse else 0.15):
                 front.append([*piece, Piece(turn.rng.choice([", ", " ", ". ", ": "]))])
             else:
                 first = [*first, Piece(" "), *piece]
@@ -147,7 +156,11 @@ class Composer:
         for slot in [slot for slot in cares if slot in asked]:
             cares.remove(slot)
             use_own = rng.random() < 0.4
-            parts.append(self._any(slot, turn) if use_own else self._fill(self._phrases.user["dont_care"], turn, slot))
+            parts.append(
+                self._any(slot, turn)
+                if use_own
+                else self._fill(self._phrases.user["dont_care"], turn, slot)
+            )
         answered = [slot for slot in turn.left if slot in asked]
         corrected = [slot for slot in turn.left if slot in wrong and slot not in asked]
         if answered:
@@ -155,9 +168,9 @@ class Composer:
             turn.left.remove(slot)
             wrapper = rng.random()
             said = turn.values[slot]
-            if wrapper < 0.45:
+            if 0.1 < wrapper < 0.45:
                 said = self._slot_phrase(slot, rng.choice(["say", "say", "with"]), turn)
-            if not (turn.is_terse or 0.3 < wrapper < 0.45):
+            if not (turn.is_terse or wrapper < 0.1 or 0.3 < wrapper < 0.45):
                 said = self._around("answer", said, turn, slot)
             parts.append(said)
         elif corrected or (wrong and turn.left and rng.random() < 0.6):
@@ -168,7 +181,13 @@ class Composer:
                 said = self._slot_phrase(slot, "with", turn)
             other = wrong.get(slot, "that")
             parts.append(
-                self._around("correct", said, turn, slot, {"wrong": [Piece(other if other != ANY else "that")]})
+                self._around(
+                    "correct",
+                    said,
+                    turn,
+                    slot,
+                    {"wrong": [Piece(other if other != ANY else "that")]},
+                )
             )
         elif turn.left and question is None:
             parts.append(self._open(turn))
@@ -204,15 +223,31 @@ class Composer:
         if slot in turn.left:
             turn.left.remove(slot)
         own = {slot: turn.values[slot]}
-        return self._fill(self._phrases.slots[slot].phrases[use], turn, slot, own)
+        for _ in range(_TRIES):
+            said = self._fill(self._phrases.slots[slot].phrases[use], turn, slot, own)
+            if not self._books_by_chance(said, slot, turn):
+                break
+        return said
+
+    def _books_by_chance(self, said: list[Piece], slot: str, turn: _Turn) -> bool:
+        """Returns whether a value is said in words that also ask for the ticket: "2 tickets"."""
+        asked = turn.question.requests if turn.question is not None else ()
+        if turn.is_booking or slot in asked:
+            return False
+        words = {word for piece in said if piece.slot is None for word in piece.text.split()}
+        return not words.isdisjoint(self._phrases.slots[self._domain.ticket_slot].nouns)
 
     def _wrap(self, use: str, said: list[Piece], turn: _Turn) -> list[Piece]:
         return self._fill(self._phrases.user[use], turn, values={"q": said})
 
     def _around(
-        self, use: str, said: list[Piece], turn: _Turn, slot: str,
+        self,
+        use: str,
+        said: list[Piece],
+        turn: _Turn,
+        slot: str,
         more: Mapping[str, list[Piece]] | None = None,
-    ) -> list[Piece]:  # fmt: skip
+    ) -> list[Piece]:
         return self._fill(self._phrases.user[use], turn, slot, {"": said, **(more or {})})
 
     def _fill(

@@ -12,6 +12,7 @@ from bbq_torchrl.language.compose import Composer
 from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.language.noise import as_second_language, slangy, with_typos
 from bbq_torchrl.language.surfaces import Surfaces
+from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
 
 if TYPE_CHECKING:
@@ -24,8 +25,19 @@ if TYPE_CHECKING:
 
 __all__ = ["Example", "make_examples", "tag"]
 
-_NO_CONTENT = ("greeting", "thanks", "deny", "confirm_answer", "not_sure", "closing", "welcome",
-               "request", "inform", "confirm_question", "multiple_choice")  # fmt: skip
+_NO_CONTENT = (
+    "greeting",
+    "thanks",
+    "deny",
+    "confirm_answer",
+    "not_sure",
+    "closing",
+    "welcome",
+    "request",
+    "inform",
+    "confirm_question",
+    "multiple_choice",
+)
 
 
 _SMALL_WORDS = frozenset(("in", "or", "ok", "hi", "me", "oh"))
@@ -37,7 +49,7 @@ class Example:
 
     Attributes:
         words: as :func:`~bbq_torchrl.language.words.tokenize` makes them.
-        tags: for each word ``O``, ``B-slot`` or ``I-slot``.
+        tags: the slot whose value each word is part of, else :data:`OUTSIDE`.
         frame: what is meant.
         question: the agent's last act; ``None`` at the opening.
     """
@@ -55,10 +67,7 @@ def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
     for slot, together in groupby(pieces, key=lambda piece: piece.slot):
         own = tokenize("".join(piece.text for piece in together))
         words += own
-        if slot is None:
-            tags += ["O"] * len(own)
-        else:
-            tags += [f"{'I' if index else 'B'}-{slot}" for index in range(len(own))]
+        tags += [OUTSIDE if slot is None else slot] * len(own)
     return words, tags
 
 
@@ -79,7 +88,7 @@ def make_examples(
     source = _Frames(domain, phrases, lexicon)
     composer = Composer(domain, phrases)
     surfaces = Surfaces(lexicon, domain.free_slots)
-    examples = []
+    examples: list[Example] = []
     while len(examples) < count:
         question, frame = source.draw(rng)
         words, tags = tag(composer.compose(frame, question, rng, surfaces))
@@ -93,7 +102,11 @@ def _spoil(
     words: list[str], tags: list[str], rng: random.Random, noise: float
 ) -> tuple[list[str], list[str]]:
     if rng.random() < 0.5 * noise:
-        kept = [(w, t) for w, t in zip(words, tags, strict=True) if t != "O" or w.isalnum() or "'" in w or rng.random() < 0.15]
+        kept = [
+            (w, t)
+            for w, t in zip(words, tags, strict=True)
+            if t != OUTSIDE or w.isalnum() or "'" in w or rng.random() < 0.15
+        ]
         words, tags = [word for word, _ in kept], [tag for _, tag in kept]
     if rng.random() < 0.3 * noise:
         words, tags = as_second_language(words, tags, rng)
@@ -139,6 +152,10 @@ class _Frames:
             slot: 0.35 + 2.0 * (constrained.count(slot) / goals) ** 0.5 for slot in lexicon.slots
         }
 
+        self._wishes = {
+            slot: [g.constraints[slot] for g in domain.goals if g.constraints.get(slot, ANY) != ANY]
+            for slot in lexicon.slots
+        }
         self._shapes = {slot: _shapes(lexicon, slot) for slot in lexicon.slots}
 
     def draw(self, rng: random.Random) -> tuple[Frame | None, Frame]:
@@ -146,10 +163,10 @@ class _Frames:
         kind = rng.random()
         if kind < 0.32:
             return None, self._opening(rng)
-        if kind < 0.68 and self._asked:
-            slot = rng.choice(self._asked)
+        if kind < 0.70 and self._asked:
+            slot = rng.choices(self._asked, [self._valued[s] for s in self._asked])[0]
             return Frame("request", {}, (slot,)), self._answer(slot, rng)
-        if kind < 0.82 and self._told:
+        if kind < 0.83 and self._told:
             slot = rng.choice(self._told)
             value = "no match" if rng.random() < 0.2 else self._value(slot, rng)
             return Frame("inform", {slot: value}), self._reaction(slot, rng)
@@ -158,14 +175,24 @@ class _Frames:
             verdict = rng.choice(("ticket available", "no match"))
             question = Frame("inform", {complete: verdict, **self._values(rng, rng.randint(1, 4))})
             return question, self._verdict(question, rng)
-        act = rng.choice([a for a in ("greeting", "deny", "confirm_question", "confirm_answer") if a in self._domain.acts])
+        act = rng.choice(
+            [
+                a
+                for a in ("greeting", "deny", "confirm_question", "confirm_answer")
+                if a in self._domain.acts
+            ]
+        )
         if rng.random() < 0.3:
-            ticket = Frame("inform", {self._domain.ticket_slot: rng.choice(("ticket available", "no match"))})
+            ticket = Frame(
+                "inform", {self._domain.ticket_slot: rng.choice(("ticket available", "no match"))}
+            )
             return ticket, self._reaction(None, rng)
         return Frame(act), self._after_act(act, rng)
 
     def _value(self, slot: str, rng: random.Random) -> str:
         """Returns a value; those of few kinds ("after work") as often as clocks of many."""
+        if self._wishes.get(slot) and rng.random() < 0.35:
+            return rng.choice(self._wishes[slot])
         shapes, weights = self._shapes[slot]
         value = rng.choice(rng.choices(shapes, weights)[0])
         return rng.choice(self._lexicon.values(slot)) if value in _SMALL_WORDS else value
@@ -178,7 +205,9 @@ class _Frames:
             values[slot] = self._value(slot, rng)
         return values
 
-    def _requests(self, rng: random.Random, count: int, but: tuple[str, ...] = ()) -> tuple[str, ...]:
+    def _requests(
+        self, rng: random.Random, count: int, but: tuple[str, ...] = ()
+    ) -> tuple[str, ...]:
         slots = [slot for slot in self._wanted if slot not in but]
         weights = [self._wanted[slot] for slot in slots]
         return tuple(dict.fromkeys(rng.choices(slots, weights, k=count)))
@@ -194,7 +223,11 @@ class _Frames:
             return Frame("request", self._values(rng, count, requests), requests)
         if kind < 0.9:
             return Frame("inform", self._values(rng, max(count, 1)))
-        return Frame("greeting") if rng.random() < 0.5 and "greeting" in self._slotless else self._slotless_act(rng)
+        return (
+            Frame("greeting")
+            if rng.random() < 0.5 and "greeting" in self._slotless
+            else self._slotless_act(rng)
+        )
 
     def _answer(self, slot: str, rng: random.Random) -> Frame:
         kind = rng.random()
@@ -203,7 +236,7 @@ class _Frames:
             return Frame("inform", value)
         if kind < 0.46:
             return Frame("inform", value | self._values(rng, 1, (slot,)))
-        if kind < 0.53:
+        if kind < 0.56:
             return Frame("inform", value, self._requests(rng, 1, (slot,)))
         if kind < 0.67:
             return Frame("inform", {slot: ANY})
@@ -214,7 +247,9 @@ class _Frames:
         if kind < 0.79:
             return Frame("inform", self._values(rng, rng.choice((1, 1, 2)), (slot,)))
         if kind < 0.88:
-            asked = (slot,) if rng.random() < 0.7 and slot in self._wanted else self._requests(rng, 1)
+            asked = (
+                (slot,) if rng.random() < 0.7 and slot in self._wanted else self._requests(rng, 1)
+            )
             return Frame("request", self._values(rng, rng.choice((0, 0, 0, 1)), asked), asked)
         if kind < 0.93:
             return Frame("not_sure") if "not_sure" in self._slotless else self._slotless_act(rng)
@@ -223,14 +258,17 @@ class _Frames:
     def _reaction(self, slot: str | None, rng: random.Random) -> Frame:
         kind = rng.random()
         if kind < 0.2 and slot is not None:
-            return Frame("inform", {slot: self._value(slot, rng)} | self._values(rng, rng.choice((0, 0, 1)), (slot,)))
+            return Frame(
+                "inform",
+                {slot: self._value(slot, rng)} | self._values(rng, rng.choice((0, 0, 1)), (slot,)),
+            )
         if kind < 0.3:
             requests = self._requests(rng, rng.choice((0, 0, 1)))
             return Frame("inform", self._values(rng, 1, requests), requests)
         if kind < 0.62:
             requests = self._requests(rng, 1)
             return Frame("request", self._values(rng, rng.choice((0, 0, 0, 1)), requests), requests)
-        if kind < 0.67 and "confirm_question" in self._slotless:
+        if kind < 0.69 and "confirm_question" in self._slotless:
             return Frame("confirm_question", self._values(rng, 1))
         if kind < 0.82:
             return Frame("thanks")
@@ -242,7 +280,7 @@ class _Frames:
         kind = rng.random()
         if kind < 0.32:
             return Frame("thanks")
-        if kind < 0.44:
+        if kind < 0.46:
             return Frame("thanks", {}, self._requests(rng, 1))
         if kind < 0.62:
             return Frame("deny")
@@ -253,7 +291,7 @@ class _Frames:
         if kind < 0.9:
             requests = self._requests(rng, 1)
             return Frame("request", self._values(rng, rng.choice((0, 1)), requests), requests)
-        return Frame("closing") if rng.random() < 0.6 else self._slotless_act(rng)
+        return Frame("closing") if rng.random() < 0.8 else self._slotless_act(rng)
 
     def _after_act(self, act: str, rng: random.Random) -> Frame:
         if act == "greeting" and rng.random() < 0.8:

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.quantities import (
-    DAY_WORDS, MONTH_WORDS, NUMBER_WORDS, ORDINAL_WORDS, PART_WORDS, RELATION_WORDS,
-)  # fmt: skip
+    DAY_WORDS,
+    MONTH_WORDS,
+    NUMBER_WORDS,
+    ORDINAL_WORDS,
+    PART_WORDS,
+    RELATION_WORDS,
+)
+from bbq_torchrl.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
@@ -31,9 +38,13 @@ class Features:
         phrases: whose nouns of slots are looked for.
         known: the words that training sentences have; others are corrected to the nearest of
             them by one letter, or unknown.
+        offer: the slot whose inform offers a booking.
     """
 
-    def __init__(self, lexicon: Lexicon, phrases: Phrases, known: Iterable[str]) -> None:
+    def __init__(
+        self, lexicon: Lexicon, phrases: Phrases, known: Iterable[str], offer: str = ""
+    ) -> None:
+        self._offer = offer
         self._names: dict[str, dict[str, set[str]]] = {}
         self._part: dict[str, set[str]] = {}
         for slot, names in lexicon.names.items():
@@ -101,10 +112,21 @@ class Features:
                 row += [f"{step}:w={spelled[near]}", f"{step}:c={classes[near]}"]
                 if abs(step) == 1:
                     row += [f"{step}:{name}" for name in found[near]]
-                    pair = (spelled[near], spelled[at]) if step < 0 else (spelled[at], spelled[near])
-                    row += [f"{step}:2={'_'.join(pair)}", f"{step}:cc={classes[near]}_{classes[at]}"]
+                    pair = (
+                        (spelled[near], spelled[at]) if step < 0 else (spelled[at], spelled[near])
+                    )
+                    row += [
+                        f"{step}:2={'_'.join(pair)}",
+                        f"{step}:cc={classes[near]}_{classes[at]}",
+                    ]
             row += [f"q={item}" for item in asked]
-            row += [f"q={item}&{name}" for item in asked for name in (f"c={classes[at]}", *found[at])]
+            if any(f"ask:{name.split(':')[1]}" in asked for name in found[at]):
+                row += ["asked", f"asked&n={min(len(words), 4)}"]
+            if len(words) < 3:
+                row += [f"short&{item}" for item in asked]
+            row += [
+                f"q={item}&{name}" for item in asked for name in (f"c={classes[at]}", *found[at])
+            ]
             rows.append(row)
         return rows
 
@@ -122,8 +144,8 @@ class Features:
                             length = size
                             break
                 for index in range(length):
-                    size = "1" if length == 1 else "2" if length == 2 else "n"
-                    found[at + index].append(f"g:{slot}:{'I' if index else 'B'}{size}")
+                    extent = "1" if length == 1 else "2" if length == 2 else "n"
+                    found[at + index].append(f"g:{slot}:{'I' if index else 'B'}{extent}")
                 at += max(length, 1)
         return found
 
@@ -135,30 +157,51 @@ class Features:
         asked = _question(question)
         act = question.act if question is not None else "none"
         told = question.informs if question is not None else {}
+        act = "offer" if self._offer in told else act
         slots = []
-        for word, tag in zip(words, tags, strict=True):
-            if tag == "O":
+        spans = {span.start: span.slot for span in spans_of(tags)}
+        for at, (word, tag) in enumerate(zip(words, tags, strict=True)):
+            if tag == OUTSIDE:
                 line.append(self.spelled(word))
-            elif tag[0] == "B":
-                line.append(f"<{tag[2:]}>")
-                slots.append(tag[2:])
+            elif at in spans:
+                line.append(f"<{tag}>")
+                slots.append(tag)
         nouns = [self._nouns.get(word, [""])[0] for word in line]
         line = ["^", *line, "$"]
-        abstract = ["^", *(f"N:{noun}" if noun else word for word, noun in zip(line[1:-1], nouns, strict=True)), "$"]
-        items = ["bias", *(f"q={item}" for item in asked), f"n={min(len(line) - 2, 8)}", f"k={min(len(slots), 4)}"]
+        abstract = [
+            "^",
+            *(f"N:{noun}" if noun else word for word, noun in zip(line[1:-1], nouns, strict=True)),
+            "$",
+        ]
+        items = [
+            "bias",
+            *(f"q={item}" for item in asked),
+            f"n={min(len(line) - 2, 8)}",
+            f"k={min(len(slots), 4)}",
+        ]
         content = [word for word in line if word.isalnum() or word[0] in "<^$" or "'" in word]
         for size in (1, 2, 3):
-            items += [f"{size}={'_'.join(content[at : at + size])}" for at in range(len(content) - size + 1)]
+            items += [
+                f"{size}={'_'.join(content[at : at + size])}"
+                for at in range(len(content) - size + 1)
+            ]
         for size in (2, 3):
-            items += [f"a{size}={'_'.join(abstract[at : at + size])}" for at in range(len(abstract) - size + 1)]
+            items += [
+                f"a{size}={'_'.join(abstract[at : at + size])}"
+                for at in range(len(abstract) - size + 1)
+            ]
         items += [f"skip={a}_{b}" for a, b in zip(content, content[2:], strict=False)]
         items += [f"stem={word[:4]}" for word in content if len(word) > 4 and word[0].isalpha()]
         items += [f"N={slot}" for word in line for slot in self._nouns.get(word, ())]
         items += [f"S={slot}" for slot in slots]
-        items += [f"q={asked[0]}&1={word}" for word in content]
-        items += [f"q={act}&2={a}_{b}" for a, b in zip(content, content[1:], strict=False)]
+        items += [f"q={act}&1={word}" for word in content]
+        items += [f"q={act}&2={a}_{b}" for a, b in pairwise(content)]
         items += [f"q&S={slot in asked}{slot in told}" for slot in slots]
-        items += [f"q&N={slot in asked}{slot in told}" for word in line for slot in self._nouns.get(word, ())]
+        items += [
+            f"q&N={slot in asked}{slot in told}"
+            for word in line
+            for slot in self._nouns.get(word, ())
+        ]
         items += [f"first={content[1]}", f"first={'_'.join(content[1:3])}", f"last={content[-2]}"]
         items += [f"q={act}&first={content[1]}"]
         if "?" in words:
@@ -180,7 +223,9 @@ def _class(word: str) -> str:
     if word.isdecimal():
         return f"d{len(word)}" if len(word) < 6 else "d+"
     if word[0].isdigit():
-        return "clock" if any(mark in word for mark in ":.h") else "date" if "/" in word else "mixed"
+        return (
+            "clock" if any(mark in word for mark in ":.h") else "date" if "/" in word else "mixed"
+        )
     for name, words in _CLASSES:
         if word in words:
             return name
@@ -188,10 +233,15 @@ def _class(word: str) -> str:
 
 
 _CLASSES = (
-    ("number", NUMBER_WORDS), ("ordinal", ORDINAL_WORDS), ("day", DAY_WORDS), ("month", MONTH_WORDS),
-    ("part", PART_WORDS), ("relation", RELATION_WORDS), ("meridian", frozenset(("am", "pm", "a.m", "p.m", "a.m.", "p.m."))),
+    ("number", NUMBER_WORDS),
+    ("ordinal", ORDINAL_WORDS),
+    ("day", DAY_WORDS),
+    ("month", MONTH_WORDS),
+    ("part", PART_WORDS),
+    ("relation", RELATION_WORDS),
+    ("meridian", frozenset(("am", "pm", "a.m", "p.m", "a.m.", "p.m."))),
     ("suffix", frozenset(("st", "nd", "rd", "th"))),
-)  # fmt: skip
+)
 
 
 def _is_slip(left: str, right: str) -> bool:

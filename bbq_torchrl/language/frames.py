@@ -72,7 +72,10 @@ class Frame:
         Raises:
             ValueError: if it is written in another way, or names an unknown act or slot.
         """
-        act, informs, requests, choices = "", {}, [], []
+        act = ""
+        informs: dict[str, str] = {}
+        requests: list[str] = []
+        choices: list[str] = []
         if _FRAME.fullmatch(text.strip()) is None:
             raise ValueError(
                 f"a frame is written 'act', 'request(slot)' or 'inform(slot=value)', "
@@ -80,12 +83,16 @@ class Frame:
             )
         for match in _PART.finditer(text):
             act = act or match["act"]
-            for item in re.split(r",\s+(?=\w+(?:=|,|$))", match["content"]) if match["content"] else ():
+            for item in (
+                re.split(r",\s+(?=\w+(?:=|,|$))", match["content"]) if match["content"] else ()
+            ):
                 slot, is_told, value = item.partition("=")
                 if match["act"] == "multiple_choice":
                     requests, choices = [slot], [*choices, value]
                 elif bool(is_told) != (match["act"] == "inform") or slot in informs:
-                    raise ValueError(f"a frame requests slots and informs slot=value once, got {shown(text)}")
+                    raise ValueError(
+                        f"a frame requests slots and informs slot=value once, got {shown(text)}"
+                    )
                 elif is_told:
                     informs[slot] = value
                 else:

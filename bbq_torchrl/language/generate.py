@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.domains import AVAILABLE, NO_MATCH, RESERVED_TEXT, fold
 from bbq_torchrl.language.compose import Composer
 from bbq_torchrl.language.frames import ANY, Frame
+from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.phrases import Phrases, load_phrases
 from bbq_torchrl.language.templates import Piece, expand, is_possible, plain
 
@@ -60,7 +61,7 @@ class Generator:
         self._records = [
             {slot: fold(value) for slot, value in record.items()} for record in domain.records
         ]
-        self._composer = Composer(domain, self._phrases, _ambiguous(domain))
+        self._composer = Composer(domain, self._phrases, Lexicon(domain, self._phrases).owners)
 
     @classmethod
     def of(cls, domain: Domain, folder: str | Path | None = None) -> Generator:
@@ -80,7 +81,8 @@ class Generator:
         """
         rng = chance(session, turn, "user")
         pieces = self._composer.compose(frame, question, rng, _as_spelled, is_clear=True)
-        return sentence(pieces)
+        text = sentence(pieces)
+        return f"{text[:-1]}?" if frame.requests and text[-1] == "." else text
 
     def agent(
         self,
@@ -202,10 +204,3 @@ class Generator:
 
 def _as_spelled(slot: str, value: str, rng: random.Random) -> str:
     return value
-
-
-def _ambiguous(domain: Domain) -> set[str]:
-    """Returns the values, in letters and digits, that several slots have."""
-    from bbq_torchrl.language.lexicon import Lexicon
-
-    return Lexicon(domain).ambiguous

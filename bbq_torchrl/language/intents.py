@@ -64,10 +64,17 @@ class IntentNet(nn.Module):
             ValueError: if they are of another shape, or not finite.
         """
         with torch.no_grad():
-            for name, weight in (("bag", self.bag.weight), ("heads", self.heads.weight), ("bias", self.heads.bias)):
+            for name, weight in (
+                ("bag", self.bag.weight),
+                ("heads", self.heads.weight),
+                ("bias", self.heads.bias),
+            ):
                 given = torch.from_numpy(np.array(arrays[name], dtype=np.float32))
                 if given.shape != weight.shape or not bool(given.isfinite().all()):
-                    raise ValueError(f"the weights {name} must be finite, of shape {list(weight.shape)}, got {list(given.shape)}")
+                    raise ValueError(
+                        f"the weights {name} must be finite, of shape {list(weight.shape)}, "
+                        f"got {list(given.shape)}"
+                    )
                 weight.copy_(given)
 
 
@@ -95,7 +102,9 @@ def train_intents(
         most: how many features are kept, those that most sentences have.
     """
     count = Counter(name for names_ in sentences for name in set(names_))
-    ranked = sorted((item for item in count.items() if item[1] > 1), key=lambda item: (-item[1], item[0]))
+    ranked = sorted(
+        (item for item in count.items() if item[1] > 1), key=lambda item: (-item[1], item[0])
+    )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         net = IntentNet([name for name, _ in ranked[:most]], *names)
@@ -107,7 +116,14 @@ def train_intents(
         for _ in range(epochs):
             order = torch.randperm(len(bags))
             for rows in order.split(_BATCH):
-                keep = [[i for i, u in zip(bags[r], torch.rand(len(bags[r])).tolist(), strict=True) if u > 0.15] for r in rows.tolist()]
+                keep = [
+                    [
+                        i
+                        for i, u in zip(bags[r], torch.rand(len(bags[r])).tolist(), strict=True)
+                        if u > 0.15
+                    ]
+                    for r in rows.tolist()
+                ]
                 act, request, care = net(keep)
                 loss = (
                     functional.cross_entropy(act, target[rows], label_smoothing=0.02)

@@ -22,16 +22,43 @@ if TYPE_CHECKING:
 
 __all__ = ["Lexicon", "Link"]
 
-_SMALL = frozenset("the a an of in at on and or to for & : - , . ' / ! ? ( )".split())
+_SMALL = frozenset(
+    [
+        "the",
+        "a",
+        "an",
+        "of",
+        "in",
+        "at",
+        "on",
+        "and",
+        "or",
+        "to",
+        "for",
+        "&",
+        ":",
+        "-",
+        ",",
+        ".",
+        "'",
+        "/",
+        "!",
+        "?",
+        "(",
+        ")",
+    ]
+)
 _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045
 _LEAST = 0.6
 _MOST_TIES = 6
-_SAME_WORD = {
-    "ii": "2", "iii": "3", "iv": "4", "vi": "6", "one": "1", "two": "2", "three": "3", "four": "4",
-    "five": "5", "six": "6", "saint": "st", "sq": "square", "ctr": "center", "centre": "center",
-    "mt": "mount", "ft": "fort", "and": "&", "vol": "volume", "movies": "movie",
-}  # fmt: skip
+_SAME_WORD = dict(
+    pair.split(":")
+    for pair in (
+        "ii:2 iii:3 iv:4 vi:6 one:1 two:2 three:3 four:4 five:5 six:6 saint:st sq:square "
+        "ctr:center centre:center mt:mount ft:fort and:& vol:volume movies:movie"
+    ).split()
+)
 
 
 @dataclass(frozen=True)
@@ -62,7 +89,9 @@ class Lexicon:
             if slot not in domain.special_slots and len(texts) > FIRST_VALUE
         }
         self._frequency = Counter(
-            (slot, fold(value)) for record in domain.records for slot, value in record.items()
+            (slot, fold(value))
+            for record in (*domain.records, *(goal.constraints for goal in domain.goals))
+            for slot, value in record.items()
         )
         self.kinds: dict[str, Kind] = {}
         self.aliases: dict[str, Mapping[str, tuple[str, ...]]] = {}
@@ -109,12 +138,18 @@ class Lexicon:
         return self._group.get(slot, {}).get(name, name)
 
     @cached_property
-    def ambiguous(self) -> set[str]:
-        """The values, in letters and digits, that several slots have."""
-        slots = Counter(
-            name for slot in self._values for name in {compact(v) for v in self._values[slot]}
-        )
-        return {name for name, count in slots.items() if count > 1}
+    def owners(self) -> dict[str, str]:
+        """For values, in letters and digits, that several slots have: the slot that has it most."""
+        holders: dict[str, dict[str, int]] = {}
+        for slot, values in self._values.items():
+            for value in values:
+                count = holders.setdefault(compact(value), {})
+                count[slot] = count.get(slot, 0) + self._frequency[slot, fold(value)]
+        return {
+            name: max(count, key=lambda slot: count[slot])
+            for name, count in holders.items()
+            if len(count) > 1
+        }
 
     @cached_property
     def names(self) -> dict[str, set[tuple[str, ...]]]:

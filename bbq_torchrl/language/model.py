@@ -10,7 +10,7 @@ import torch
 
 from bbq_torchrl.language.features import Features
 from bbq_torchrl.language.intents import IntentNet, train_intents
-from bbq_torchrl.language.tagger import Tagger
+from bbq_torchrl.language.tagger import OUTSIDE, Tagger
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,17 +103,25 @@ def fit(
         steps: of the tagger's optimizer.
         epochs: of the net.
     """
-    words = Counter(w for e in examples for w, t in zip(e.words, e.tags, strict=True) if t == "O")
-    features = Features(lexicon, phrases, (word for word, count in words.items() if count > 1))
+    words = Counter(
+        w for e in examples for w, t in zip(e.words, e.tags, strict=True) if t == OUTSIDE
+    )
+    known = [word for word, count in words.items() if count > 1]
+    features = Features(lexicon, phrases, known, domain.complete_slot)
     tagger = Tagger.train(
-        [features.of_words(e.words, e.question) for e in examples], [e.tags for e in examples], steps
+        [features.of_words(e.words, e.question) for e in examples],
+        [e.tags for e in examples],
+        steps,
     )
     slots = domain.slots
     requests = torch.zeros(len(examples), len(slots) + 1)
     dont_care = torch.zeros(len(examples), len(slots) + 1)
     for row, example in enumerate(examples):
         asked = example.question.requests if example.question is not None else ()
-        for target, own in ((requests, example.frame.requests), (dont_care, example.frame.dont_care)):
+        for target, own in (
+            (requests, example.frame.requests),
+            (dont_care, example.frame.dont_care),
+        ):
             for slot in own:
                 # "Any" means the slot asked for; "any city" means the city whatever was asked.
                 target[row, len(slots) if slot in asked[:1] else slots.index(slot)] = 1.0

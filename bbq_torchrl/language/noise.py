@@ -4,41 +4,71 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.language.tagger import OUTSIDE
+
 if TYPE_CHECKING:
     import random
     from collections.abc import Sequence
 
-__all__ = ["Tagged", "as_second_language", "lowered", "slangy", "typo", "with_typos"]
+__all__ = ["as_second_language", "lowered", "slangy", "typo", "with_typos"]
 
-Tagged = "tuple[list[str], list[str]]"
-
-_KEYS = {
-    "a": "sq", "b": "vn", "c": "xv", "d": "sf", "e": "wr", "f": "dg", "g": "fh", "h": "gj",
-    "i": "uo", "j": "hk", "k": "jl", "l": "ko", "m": "n", "n": "bm", "o": "ip", "p": "o",
-    "q": "w", "r": "et", "s": "ad", "t": "ry", "u": "yi", "v": "cb", "w": "qe", "x": "zc",
-    "y": "tu", "z": "x",
-}  # fmt: skip
-_SLANG = {
-    "you": "u", "are": "r", "please": "plz", "for": "4", "to": "2", "tickets": "tix", "want": "wanna",
-    "thanks": "thx", "tomorrow": "tmrw", "tonight": "2nite", "movie": "flick", "going": "gonna",
-    "because": "cuz", "people": "ppl", "i": "im", "what's": "whats", "don't": "dont", "i'd": "id",
-    "we'd": "wed", "the": "da", "theater": "theatre", "see": "c", "great": "gr8", "okay": "k", "and": "n",
-    "at": "@", "with": "w/", "time": "tym", "about": "abt", "something": "smth", "doesn't": "doesnt",
-    "i'm": "im", "it's": "its", "what": "wat", "that": "dat", "give": "gimme", "probably": "prolly",
-    "night": "nite", "can't": "cant", "where's": "wheres", "let's": "lets", "i'll": "ill",
-}  # fmt: skip
-_DROPPED = frozenset("the a an to is are do does of on at in it i me we would can for there".split())
+_KEYS = dict(
+    pair.split(":")
+    for pair in (
+        "a:sq b:vn c:xv d:sf e:wr f:dg g:fh h:gj i:uo j:hk k:jl l:ko m:n n:bm o:ip p:o q:w r:et "
+        "s:ad t:ry u:yi v:cb w:qe x:zc y:tu z:x"
+    ).split()
+)
+_SLANG = dict(
+    pair.split(":")
+    for pair in (
+        "you:u are:r please:plz for:4 to:2 tickets:tix want:wanna thanks:thx tomorrow:tmrw "
+        "tonight:2nite movie:flick going:gonna because:cuz people:ppl i:im what's:whats don't:dont "
+        "i'd:id we'd:wed the:da theater:theatre see:c great:gr8 okay:k and:n at:@ with:w/ time:tym "
+        "about:abt something:smth doesn't:doesnt i'm:im it's:its what:wat that:dat give:gimme "
+        "probably:prolly night:nite can't:cant where's:wheres let's:lets i'll:ill"
+    ).split()
+)
+_DROPPED = frozenset(
+    [
+        "the",
+        "a",
+        "an",
+        "to",
+        "is",
+        "are",
+        "do",
+        "does",
+        "of",
+        "on",
+        "at",
+        "in",
+        "it",
+        "i",
+        "me",
+        "we",
+        "would",
+        "can",
+        "for",
+        "there",
+    ]
+)
 _SWAPPED = {
-    "in": ("at", "on", "to"), "on": ("in", "at"), "at": ("in", "on"), "to": ("for",), "for": ("to",),
-    "what": ("which",), "which": ("what",), "movie": ("film",), "movies": ("films",), "theater": ("cinema",),
-    "theaters": ("cinemas",), "people": ("persons", "peoples"), "tickets": ("ticket",), "would": ("will",),
-    "is": ("are", "be"), "are": ("is",), "does": ("do",), "any": ("some",), "like": ("want",), "see": ("look",),
-    "start": ("begin", "starts"), "much": ("many",), "have": ("has",), "showing": ("given", "projected"),
-}  # fmt: skip
+    word: tuple(others.split(","))
+    for word, others in (
+        pair.split(":")
+        for pair in (
+            "in:at,on,to on:in,at at:in,on to:for for:to what:which which:what movie:film "
+            "movies:films theater:cinema theaters:cinemas people:persons,peoples tickets:ticket "
+            "would:will is:are,be are:is does:do any:some like:want see:look start:begin,starts "
+            "much:many have:has showing:given,projected"
+        ).split()
+    )
+}
 
 
 def typo(word: str, rng: random.Random) -> str:
-    """Returns the word with one slip of the fingers; words of less than three letters as they are."""
+    """Returns the word with one slip of the fingers; very short words as they are."""
     if len(word) < 3 or not word.isalpha():
         return word
     at = rng.randrange(1, len(word))
@@ -62,9 +92,11 @@ def lowered(text: str) -> str:
     kept = [
         letter
         for at, letter in enumerate(text)
-        if letter.isalnum() or letter.isspace() or letter in "$%&@'"
+        if letter.isalnum()
+        or letter.isspace()
+        or letter in "$%&@'"
         or (0 < at < len(text) - 1 and text[at - 1].isalnum() and text[at + 1].isalnum())
-    ]  # fmt: skip
+    ]
     return " ".join("".join(kept).lower().split())
 
 
@@ -72,7 +104,7 @@ def slangy(words: list[str], tags: list[str], rng: random.Random) -> tuple[list[
     """Returns a sentence in which some words are written as in short messages."""
     share = rng.choice((0.2, 0.5))
     written = [
-        _SLANG.get(word, word) if tag == "O" and rng.random() < share else word
+        _SLANG.get(word, word) if tag == OUTSIDE and rng.random() < share else word
         for word, tag in zip(words, tags, strict=True)
     ]
     return written, tags
@@ -84,12 +116,12 @@ def as_second_language(
     """Returns a sentence that lost small words, with others in their place."""
     kept = []
     for word, tag in zip(words, tags, strict=True):
-        if tag == "O" and word in _DROPPED and rng.random() < 0.3:
+        if tag == OUTSIDE and word in _DROPPED and rng.random() < 0.3:
             continue
-        if tag == "O" and word in _SWAPPED and rng.random() < 0.2:
+        if tag == OUTSIDE and word in _SWAPPED and rng.random() < 0.2:
             word = rng.choice(_SWAPPED[word])
-        if tag == "O" and rng.random() < 0.02:
-            kept.append(("the", "O"))
+        if tag == OUTSIDE and rng.random() < 0.02:
+            kept.append(("the", OUTSIDE))
         kept.append((word, tag))
     if not kept:
         return words, tags

@@ -22,7 +22,20 @@ __all__ = ["LANGUAGE_FILE", "Phrases", "PhrasesError", "SlotPhrases", "load_phra
 LANGUAGE_FILE = "language.yaml"
 _GENERIC = Path(__file__).with_name("generic.yaml")
 _SECTIONS = ("rules", "user", "agent", "slots")
-_SLOT_KEYS = ("ask", "tell", "none", "care", "want", "options", "say", "with", "any", "wish", "check", "clear")
+_SLOT_KEYS = (
+    "ask",
+    "tell",
+    "none",
+    "care",
+    "want",
+    "options",
+    "say",
+    "with",
+    "any",
+    "wish",
+    "check",
+    "clear",
+)
 _DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "q")
 """Rules that are filled in while a sentence is made."""
 
@@ -111,7 +124,9 @@ class _Reader:
             name: {key: self._templates(f"{name}.{key}", texts) for key, texts in section.items()}
             for name, section in sections.items()
         }
-        slots = {slot: self._slot(slot, given.get(slot, {}), generic) for slot in self._domain.slots}
+        slots = {
+            slot: self._slot(slot, given.get(slot, {}), generic) for slot in self._domain.slots
+        }
         phrases = Phrases(read["rules"], read["user"], read["agent"], slots)
         self.faults += _unknown_names(phrases, self._domain)
         return phrases
@@ -128,7 +143,9 @@ class _Reader:
             self.faults.append(f"{where}.kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
         aliases = {
             str(value): self._texts(f"{where}.aliases.{value}", texts)
-            for value, texts in self._mapping(f"{where}.aliases", own.get("aliases", {}), None).items()
+            for value, texts in self._mapping(
+                f"{where}.aliases", own.get("aliases", {}), None
+            ).items()
         }
         is_offer = slot == self._domain.complete_slot
         fallback = dict(generic["slot"])
@@ -153,10 +170,16 @@ class _Reader:
                 self.faults.append(
                     f"{where} has the unknown key {shown(key)}; allowed are {', '.join(allowed)}"
                 )
-        return {str(key): value for key, value in content.items() if allowed is None or key in allowed}
+        return {
+            str(key): value for key, value in content.items() if allowed is None or key in allowed
+        }
 
     def _texts(self, where: str, content: object) -> tuple[str, ...]:
-        if not isinstance(content, list) or not content or not all(isinstance(t, (str, int)) for t in content):
+        if (
+            not isinstance(content, list)
+            or not content
+            or not all(isinstance(t, (str, int)) for t in content)
+        ):
             self.faults.append(f"{where} must be a list of texts, got {shown(content)}")
             return ()
         return tuple(str(text) for text in content)
@@ -192,4 +215,7 @@ def _unknown_names(phrases: Phrases, domain: Domain) -> Iterator[str]:
                     f"{', '.join(domain.slots)}"
                 )
             elif kind == "rule" and name not in rules:
-                yield f"{where} names the unknown rule {shown(name)}; the rules are {', '.join(rules)}"
+                yield (
+                    f"{where} names the unknown rule {shown(name)}; the rules are "
+                    f"{', '.join(rules)}"
+                )

@@ -15,64 +15,139 @@ from bbq_torchrl.language.words import tokenize
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-__all__ = ["KINDS", "READERS", "Kind", "kind_of", "read_count", "read_date", "read_price", "read_time"]
+__all__ = [
+    "KINDS",
+    "READERS",
+    "Kind",
+    "kind_of",
+    "read_count",
+    "read_date",
+    "read_price",
+    "read_time",
+]
 
 Kind = Literal["text", "time", "date", "count", "price"]
 KINDS: tuple[Kind, ...] = ("text", "time", "date", "count", "price")
 
-_UNITS = (
-    "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen "
-    "sixteen seventeen eighteen nineteen"
-).split()
+_UNITS = [
+    "zero",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+    "thirteen",
+    "fourteen",
+    "fifteen",
+    "sixteen",
+    "seventeen",
+    "eighteen",
+    "nineteen",
+]
 _TENS = {"twenty": 20, "thirty": 30, "forty": 40, "fifty": 50}
 _NUMBERS = {word: number for number, word in enumerate(_UNITS)} | _TENS
 _ORDINALS = {
     word: number
     for number, word in enumerate(
-        "first second third fourth fifth sixth seventh eighth ninth tenth eleventh twelfth "
-        "thirteenth fourteenth fifteenth sixteenth seventeenth eighteenth nineteenth "
-        "twentieth".split(),
+        [
+            "first",
+            "second",
+            "third",
+            "fourth",
+            "fifth",
+            "sixth",
+            "seventh",
+            "eighth",
+            "ninth",
+            "tenth",
+            "eleventh",
+            "twelfth",
+            "thirteenth",
+            "fourteenth",
+            "fifteenth",
+            "sixteenth",
+            "seventeenth",
+            "eighteenth",
+            "nineteenth",
+            "twentieth",
+        ],
         1,
     )
 } | {"thirtieth": 30}
 _DAYS = tuple(day.lower() for day in calendar.day_name)
 _DAY = {day[:length]: day for day in _DAYS for length in (3, len(day))} | {
-    "tues": "tuesday", "weds": "wednesday", "thur": "thursday", "thurs": "thursday"
-}  # fmt: skip
+    "tues": "tuesday",
+    "weds": "wednesday",
+    "thur": "thursday",
+    "thurs": "thursday",
+}
 _MONTH = {
     name.lower(): number
     for names in (calendar.month_name, calendar.month_abbr)
     for number, name in enumerate(names)
     if number
 } | {"sept": 9}
-_PART = {
-    "morning": "morning", "afternoon": "afternoon", "evening": "evening", "eve": "evening",
-    "night": "night", "nite": "night", "noon": "noon",
-}  # fmt: skip
+_PART = dict(
+    pair.split(":")
+    for pair in (
+        "morning:morning afternoon:afternoon evening:evening eve:evening night:night nite:night "
+        "noon:noon"
+    ).split()
+)
 _TOMORROW = {"tomorrow", "tmrw", "tmw", "tomorow", "tommorow", "tommorrow", "tmrow", "2morrow"}
-_DATE_FILLERS = {"on", "the", "of", "in", "for", "at", "day", "st", "nd", "rd", "th", ",", ".", "'", "s", "by", "a"}  # fmt: skip
+_DATE_FILLERS = frozenset(("on the of in for at day st nd rd th , . ' s by a").split())
 _RELATIONS = (
-    ("not before", "after"), ("not earlier than", "after"), ("not after", "before"),
-    ("no later than", "before"), ("after", "after"), ("from", "after"), ("past", "after"),
-    ("later than", "after"), ("before", "before"), ("earlier than", "before"), ("until", "before"),
-    ("by", "before"), ("around", "around"), ("about", "around"), ("near", "around"),
-    ("approximately", "around"), ("circa", "around"), ("ish", "around"),
-)  # fmt: skip
-_TIME_FILLERS = {"at", "the", "in", "o", "clock", "o'clock", "oclock", "sharp", "somewhere", "of", "on", "for", "hours", "hour", "hrs", ",", ".", "and", "it", "is"}  # fmt: skip
+    ("not before", "after"),
+    ("not earlier than", "after"),
+    ("not after", "before"),
+    ("no later than", "before"),
+    ("after", "after"),
+    ("from", "after"),
+    ("past", "after"),
+    ("later than", "after"),
+    ("before", "before"),
+    ("earlier than", "before"),
+    ("until", "before"),
+    ("by", "before"),
+    ("around", "around"),
+    ("about", "around"),
+    ("near", "around"),
+    ("approximately", "around"),
+    ("circa", "around"),
+    ("ish", "around"),
+)
+_TIME_FILLERS = frozenset(
+    (
+        "at the in o clock o'clock oclock sharp somewhere of on for hours hour hrs , . and it is"
+    ).split()
+)
 NUMBER_WORDS = frozenset(_NUMBERS)
 ORDINAL_WORDS = frozenset(_ORDINALS)
 DAY_WORDS = frozenset({*_DAY, *_TOMORROW, "today", "tonight", "weekend", "week"})
 MONTH_WORDS = frozenset(_MONTH)
 PART_WORDS = frozenset({*_PART, "midnight", "matinee", "midday"})
-RELATION_WORDS = frozenset(("after", "before", "around", "about", "past", "quarter", "half", "until"))
+RELATION_WORDS = frozenset(
+    ("after", "before", "around", "about", "past", "quarter", "half", "until")
+)
 
 _ALONE = {"alone", "myself", "single", "solo"}
-_COMPANIONS = {
-    "wife", "husband", "girlfriend", "boyfriend", "partner", "friend", "brother", "sister",
-    "mother", "father", "mom", "dad", "son", "daughter", "date", "fiance", "roommate", "colleague",
-    "buddy", "spouse", "cousin", "aunt", "uncle", "boss", "grandma", "grandmother", "neighbor",
-}  # fmt: skip
-_COMPANIES = {"friends", "buddies", "colleagues", "pals", "mates", "kids", "children", "sons", "daughters", "others", "more"}  # fmt: skip
+_COMPANIONS = frozenset(
+    (
+        "wife husband girlfriend boyfriend partner friend brother sister mother father mom dad son "
+        "daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
+        "grandmother neighbor"
+    ).split()
+)
+_COMPANIES = frozenset(
+    ("friends buddies colleagues pals mates kids children sons daughters others more").split()
+)
 _CLOCK = re.compile(r"(\d{1,2})[:.h](\d\d)")
 
 
@@ -97,7 +172,9 @@ def read_time(text: str) -> str | None:
     joined = " ".join(words)
     relation = "at"
     for phrase, name in _RELATIONS:
-        if re.search(rf"(^|\b(at|in|somewhere|something|anything|only|a bit|is) ){phrase}\b", joined):
+        if re.search(
+            rf"(^|\b(at|in|somewhere|something|anything|only|a bit|is) ){phrase}\b", joined
+        ):
             relation, joined = name, joined.replace(phrase, " ", 1)
             break
     words = [word for word in joined.split() if word not in _TIME_FILLERS]
@@ -110,7 +187,12 @@ def read_time(text: str) -> str | None:
     for word in words:
         if word.rstrip(".") in ("am", "a.m") or word in ("morning",):
             meridian = 0
-        elif word.rstrip(".") in ("pm", "p.m") or word in ("evening", "night", "afternoon", "tonight"):
+        elif word.rstrip(".") in ("pm", "p.m") or word in (
+            "evening",
+            "night",
+            "afternoon",
+            "tonight",
+        ):
             meridian = 12
         else:
             kept.append(word)
@@ -122,7 +204,9 @@ def read_time(text: str) -> str | None:
     if clock is None:
         return None
     hour, minute, has_24 = clock
-    if not (0 <= hour <= 23 and 0 <= minute <= 59) or (meridian is not None and hour > 12 and meridian == 0):
+    if not (0 <= hour <= 23 and 0 <= minute <= 59) or (
+        meridian is not None and hour > 12 and meridian == 0
+    ):
         return None
     if meridian is not None and hour <= 12:
         return f"{relation} {hour % 12 + meridian:02}:{minute:02}"
@@ -142,13 +226,19 @@ def _clock(words: list[str]) -> tuple[int, int, bool] | None:
         number = number_of(word)
         return None if number is None or number > 24 else (number % 24, 0, False)
     joined = " ".join(words)
-    match = re.fullmatch(r"(half|quarter|a quarter|\w+)(?: minutes)? (past|after|to|till|before) (\w+)", joined)
+    match = re.fullmatch(
+        r"(half|quarter|a quarter|\w+)(?: minutes)? (past|after|to|till|before) (\w+)", joined
+    )
     if match:
         minutes = {"half": 30, "quarter": 15, "a quarter": 15}.get(match[1]) or number_of(match[1])
         hour = number_of(match[3])
         if minutes is None or hour is None or not 0 < minutes < 60:
             return None
-        return (hour, minutes, False) if match[2] in ("past", "after") else ((hour - 1) % 12 or 12, 60 - minutes, False)
+        return (
+            (hour, minutes, False)
+            if match[2] in ("past", "after")
+            else ((hour - 1) % 12 or 12, 60 - minutes, False)
+        )
     if match := re.fullmatch(r"(half) (\w+)", joined):
         hour = number_of(match[2])
         return None if hour is None else (hour, 30, False)
@@ -159,9 +249,19 @@ def _clock(words: list[str]) -> tuple[int, int, bool] | None:
         return (hour, minute, False) if minute >= 10 else None
     if len(words) == 2 and words[1].count("-") == 1:
         return None
-    if len(words) == 3 and words[1] in _TENS and (unit := number_of(words[2])) is not None and unit < 10:
+    if (
+        len(words) == 3
+        and words[1] in _TENS
+        and (unit := number_of(words[2])) is not None
+        and unit < 10
+    ):
         return hour, _TENS[words[1]] + unit, False
-    if len(words) == 3 and words[1] in ("oh", "o") and (unit := number_of(words[2])) is not None and unit < 10:
+    if (
+        len(words) == 3
+        and words[1] in ("oh", "o")
+        and (unit := number_of(words[2])) is not None
+        and unit < 10
+    ):
         return hour, unit, False
     return None
 
@@ -241,7 +341,10 @@ def read_count(text: str) -> str | None:
     """
     words = tokenize(text.replace("-", " ") if not re.search(r"-\s*\d", text) else text)
     numbers = [number for word in words if (number := number_of(word)) is not None]
-    if any(re.fullmatch(r"-\d+", word) or (word.isdecimal() and number_of(word) is None) for word in words):
+    if any(
+        re.fullmatch(r"-\d+", word) or (word.isdecimal() and number_of(word) is None)
+        for word in words
+    ):
         return None
     has_me = any(word in ("me", "i", "my", "myself") for word in words)
     if "dozen" in words:
@@ -249,7 +352,9 @@ def read_count(text: str) -> str | None:
     if len(numbers) > 1:
         return None
     if numbers:
-        is_plus = bool(_COMPANIES & set(words)) and (has_me or "with" in words) and "us" not in words
+        is_plus = (
+            bool(_COMPANIES & set(words)) and (has_me or "with" in words) and "us" not in words
+        )
         total = numbers[0] + is_plus
         return str(total) if 0 < total <= 99 else None
     if {"couple", "pair", "both"} & set(words):
@@ -257,7 +362,17 @@ def read_count(text: str) -> str | None:
     companions = sum(word in _COMPANIONS for word in words)
     if companions and (has_me or "with" in words or words[:1] == ["a"]):
         return str(1 + companions)
-    if _ALONE & set(words) or " ".join(words) in ("me", "just me", "only me", "for me", "just for me", "only for me", "one", "it's just for me", "it's just me"):
+    if _ALONE & set(words) or " ".join(words) in (
+        "me",
+        "just me",
+        "only me",
+        "for me",
+        "just for me",
+        "only for me",
+        "one",
+        "it's just for me",
+        "it's just me",
+    ):
         return "1"
     return None
 
@@ -302,8 +417,7 @@ def kind_of(values: Iterable[str]) -> Kind:
         # "amc 8" has a number and is no count.
         longest = 1 if kind == "count" else 5
         read = sum(
-            READERS[kind](value) is not None and len(tokenize(value)) <= longest
-            for value in values
+            READERS[kind](value) is not None and len(tokenize(value)) <= longest for value in values
         )
         if values and read > len(values) / 2:
             return kind

@@ -17,16 +17,62 @@ if TYPE_CHECKING:
 
 __all__ = ["Surfaces"]
 
-_WORDS = (
-    "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen "
-    "sixteen seventeen eighteen nineteen"
-).split()
+_WORDS = [
+    "zero",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+    "thirteen",
+    "fourteen",
+    "fifteen",
+    "sixteen",
+    "seventeen",
+    "eighteen",
+    "nineteen",
+]
 _TENS = {2: "twenty", 3: "thirty", 4: "forty", 5: "fifty"}
-_ORDINALS = (
-    "first second third fourth fifth sixth seventh eighth ninth tenth eleventh twelfth thirteenth "
-    "fourteenth fifteenth sixteenth seventeenth eighteenth nineteenth twentieth"
-).split()
-_MATES = ("wife", "husband", "girlfriend", "boyfriend", "friend", "brother", "mother", "son", "partner")
+_ORDINALS = [
+    "first",
+    "second",
+    "third",
+    "fourth",
+    "fifth",
+    "sixth",
+    "seventh",
+    "eighth",
+    "ninth",
+    "tenth",
+    "eleventh",
+    "twelfth",
+    "thirteenth",
+    "fourteenth",
+    "fifteenth",
+    "sixteenth",
+    "seventeenth",
+    "eighteenth",
+    "nineteenth",
+    "twentieth",
+]
+_MATES = (
+    "wife",
+    "husband",
+    "girlfriend",
+    "boyfriend",
+    "friend",
+    "brother",
+    "mother",
+    "son",
+    "partner",
+)
 _RELATIONS = {
     "after": ("after", "from", "not before", "later than", "any time after", "after the"),
     "before": ("before", "not after", "by", "earlier than", "until"),
@@ -106,20 +152,46 @@ class Surfaces:
             return self._alias(slot, value, rng)
         hour, minute = int(clock[:2]), int(clock[3:])
         short = hour % 12 or 12
-        meridian = rng.choice(("am", " am", " a.m.", "AM") if hour < 12 else ("pm", " pm", " p.m.", "PM"))
-        part = rng.choice(("", "", "in the morning" if hour < 12 else "in the evening" if hour > 16 else "in the afternoon"))
+        meridian = rng.choice(
+            ("am", " am", " a.m.", "AM") if hour < 12 else ("pm", " pm", " p.m.", "PM")
+        )
+        part = rng.choice(
+            (
+                "",
+                "",
+                "in the morning"
+                if hour < 12
+                else "in the evening"
+                if hour > 16
+                else "in the afternoon",
+            )
+        )
         spelled = _spell(minute)
         options = [
-            f"{short}{rng.choice(':::.')}{minute:02}{meridian}", f"{short}:{minute:02}", f"{hour:02}:{minute:02}",
-            f"{hour}{rng.choice('.h:')}{minute:02}", f"{short}:{minute:02} {part}", f"{hour:02}{minute:02}",
-        ]  # fmt: skip
+            f"{short}{rng.choice(':::.')}{minute:02}{meridian}",
+            f"{short}:{minute:02}",
+            f"{hour:02}:{minute:02}",
+            f"{hour}{rng.choice('.h:')}{minute:02}",
+            f"{short}:{minute:02} {part}",
+            f"{hour:02}{minute:02}",
+        ]
         if not minute:
             options += [
-                f"{short}{meridian}", f"{short} o'clock", f"{_WORDS[short]}", f"{_WORDS[short]} o'clock {part}",
-                str(short), f"{short} {part}", f"{_WORDS[short]} {meridian.strip()}", f"{short} o clock {part}",
-            ]  # fmt: skip
+                f"{short}{meridian}",
+                f"{short} o'clock",
+                f"{_WORDS[short]}",
+                f"{_WORDS[short]} o'clock {part}",
+                str(short),
+                f"{short} {part}",
+                f"{_WORDS[short]} {meridian.strip()}",
+                f"{short} o clock {part}",
+            ]
         else:
-            options += [f"{_WORDS[short]} {spelled}", f"{_WORDS[short]} {spelled} {part}", f"{_WORDS[short]} {spelled} {meridian.strip()}"]
+            options += [
+                f"{_WORDS[short]} {spelled}",
+                f"{_WORDS[short]} {spelled} {part}",
+                f"{_WORDS[short]} {spelled} {meridian.strip()}",
+            ]
             if minute in (15, 30, 45):
                 name = {15: "quarter past", 30: "half past", 45: "quarter to"}[minute]
                 named = short if minute < 45 else short % 12 + 1
@@ -142,10 +214,28 @@ class Surfaces:
             names = (calendar.month_name[month], calendar.month_abbr[month])
             name = rng.choice(names).lower()
             nth = rng.choice((str(day), f"{day}{_suffix(day)}", _ordinal(day)))
-            return rng.choice((f"{name} {nth}", f"{nth} of {name}", f"the {nth} of {name}", f"{nth} {name}", f"{month}/{day}", f"the {day} {name}", f"{name} the {nth}"))
+            return rng.choice(
+                (
+                    f"{name} {nth}",
+                    f"{nth} of {name}",
+                    f"the {nth} of {name}",
+                    f"{nth} {name}",
+                    f"{month}/{day}",
+                    f"the {day} {name}",
+                    f"{name} the {nth}",
+                )
+            )
         if match := re.fullmatch(r"day (\d+)", key):
             day = int(match[1])
-            return rng.choice((f"the {day}{_suffix(day)}", f"{day}{_suffix(day)}", f"the {_ordinal(day)}", f"the day {day}", f"the {day}"))
+            return rng.choice(
+                (
+                    f"the {day}{_suffix(day)}",
+                    f"{day}{_suffix(day)}",
+                    f"the {_ordinal(day)}",
+                    f"the day {day}",
+                    f"the {day}",
+                )
+            )
         words = key.split()
         for index, word in enumerate(words):
             if word.capitalize() in calendar.day_name and rng.random() < 0.4:
@@ -153,16 +243,31 @@ class Surfaces:
             elif word == "tomorrow":
                 words[index] = rng.choice(("tomorrow", "tmrw", "tomorow", "tommorrow", "tmw"))
         if key == "today night":
-            return rng.choice(("tonight", "tonite", "today night", "today in the night", "today at night", "this night"))
+            return rng.choice(
+                (
+                    "tonight",
+                    "tonite",
+                    "today night",
+                    "today in the night",
+                    "today at night",
+                    "this night",
+                )
+            )
         if key.startswith("today "):
             return rng.choice((f"today {words[1]}", f"this {words[1]}", f"today in the {words[1]}"))
         written = " ".join(words)
         if len(words) == 2 and words[1] in ("night", "evening", "afternoon", "morning"):
-            written = rng.choice((written, f"{words[0]} in the {words[1]}", f"the {written}", written))
+            written = rng.choice(
+                (written, f"{words[0]} in the {words[1]}", f"the {written}", written)
+            )
         if len(words) == 1 and rng.random() < 0.4:
-            written = rng.choice((f"this {written}", f"the {written}", f"{written}s", f"this coming {written}"))
+            written = rng.choice(
+                (f"this {written}", f"the {written}", f"{written}s", f"this coming {written}")
+            )
         if key == "weekend":
-            return rng.choice(("the weekend", "this weekend", "weekend", "the week end", "this week end"))
+            return rng.choice(
+                ("the weekend", "this weekend", "weekend", "the week end", "this week end")
+            )
         return written
 
     def _count(self, slot: str, value: str, rng: random.Random) -> str:
@@ -175,15 +280,39 @@ class Surfaces:
         if slot not in self._people:
             return rng.choice(options).strip()
         if number == 1:
-            options += ["just me", "only me", "just one", "alone", "myself", "me", "just myself", "single", "me alone"]
+            options += [
+                "just me",
+                "only me",
+                "just one",
+                "alone",
+                "myself",
+                "me",
+                "just myself",
+                "single",
+                "me alone",
+            ]
         if number == 2:
             options += [
-                f"me and my {mate}", f"my {mate} and me", f"my {mate} and i", "a couple", f"i and my {mate}",
-                "a couple of", "a pair of", f"with my {mate}", f"a {mate} and me", f"me and a {mate}",
-            ]  # fmt: skip
+                f"me and my {mate}",
+                f"my {mate} and me",
+                f"my {mate} and i",
+                "a couple",
+                f"i and my {mate}",
+                "a couple of",
+                "a pair of",
+                f"with my {mate}",
+                f"a {mate} and me",
+                f"me and a {mate}",
+            ]
         if number > 2:
             some = rng.choice((str(number - 1), _WORDS[number - 1]))
-            options += [f"me and {some} friends", f"{some} friends and me", f"with {some} friends", f"{some} of my friends and me", f"with {some} friend"]
+            options += [
+                f"me and {some} friends",
+                f"{some} friends and me",
+                f"with {some} friends",
+                f"{some} of my friends and me",
+                f"with {some} friend",
+            ]
         return rng.choice(options).strip()
 
     def _price(self, slot: str, value: str, rng: random.Random) -> str:
@@ -193,7 +322,8 @@ class Surfaces:
             return self._alias(slot, value, rng)
         money = rng.choice((f"${match[2]}", f"{match[2]} dollars", f"{match[2]} bucks"))
         if match[1]:
-            return f"{rng.choice(('under', 'less than', 'below', 'at most', 'max', 'not more than', 'up to'))} {money}"
+            most = ("under", "less than", "below", "at most", "max", "not more than", "up to")
+            return f"{rng.choice(most)} {money}"
         return money
 
 

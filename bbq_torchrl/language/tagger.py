@@ -11,7 +11,11 @@ from bbq_torchrl.language.extra import needed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Span", "Tagger", "spans_of"]
+__all__ = ["OUTSIDE", "Span", "Tagger", "spans_of"]
+
+
+OUTSIDE = "-"
+"""The tag of a word that is part of no value."""
 
 
 class Span(NamedTuple):
@@ -54,9 +58,7 @@ class Tagger:
         trainer = needed("python-crfsuite", "pycrfsuite").Trainer(verbose=False)
         for row, own in zip(rows, tags, strict=True):
             trainer.append(row, own)
-        trainer.set_params(
-            {"c1": 0.05, "c2": 0.02, "max_iterations": steps, "feature.minfreq": 2}
-        )
+        trainer.set_params({"c1": 0.05, "c2": 0.02, "max_iterations": steps, "feature.minfreq": 2})
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "tagger.crf"
             trainer.train(str(path))
@@ -74,16 +76,15 @@ def spans_of(tags: Sequence[str]) -> list[Span]:
     """Returns the spans that tags mark.
 
     Example:
-        >>> spans_of(["O", "B-city", "I-city", "B-date"])
+        >>> spans_of([OUTSIDE, "city", "city", "date"])
         [Span(slot='city', start=1, end=3), Span(slot='date', start=3, end=4)]
     """
     spans: list[Span] = []
     for at, tag in enumerate(tags):
-        if tag == "O":
+        if tag == OUTSIDE:
             continue
-        slot = tag[2:]
-        if tag[0] == "I" and spans and spans[-1].end == at and spans[-1].slot == slot:
+        if spans and spans[-1].end == at and spans[-1].slot == tag:
             spans[-1] = spans[-1]._replace(end=at + 1)
         else:
-            spans.append(Span(slot, at, at + 1))
+            spans.append(Span(tag, at, at + 1))
     return spans

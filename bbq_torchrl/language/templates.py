@@ -71,10 +71,6 @@ class Template:
                 yield "rule", part.name
 
 
-Values = "Mapping[str, Sequence[Piece]]"
-Rules = "Mapping[str, Sequence[Template]]"
-
-
 def parse(text: str, own: str = "") -> Template:
     """Returns the phrase that ``text`` writes; ``{}`` is the value of the slot ``own``.
 
@@ -116,7 +112,11 @@ def _options(tokens: list[str], at: int, own: str, depth: int) -> tuple[list[Tem
     return [*options, Template(tuple(parts))], at
 
 
-def is_possible(template: Template, values: Values, rules: Rules) -> bool:
+def is_possible(
+    template: Template,
+    values: Mapping[str, Sequence[Piece]],
+    rules: Mapping[str, Sequence[Template]],
+) -> bool:
     """Returns whether the values that the phrase needs are there."""
     for part in template.parts:
         if isinstance(part, _Slot) and part.name not in values:
@@ -131,7 +131,12 @@ def is_possible(template: Template, values: Values, rules: Rules) -> bool:
     return True
 
 
-def expand(template: Template, values: Values, rules: Rules, rng: random.Random) -> list[Piece]:
+def expand(
+    template: Template,
+    values: Mapping[str, Sequence[Piece]],
+    rules: Mapping[str, Sequence[Template]],
+    rng: random.Random,
+) -> list[Piece]:
     """Returns one sentence of the phrase, in pieces.
 
     Args:

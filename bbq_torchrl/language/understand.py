@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import random
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +37,7 @@ __all__ = ["Understander"]
 
 _VERSION = 1
 _MOST_WORDS = 120
-_HELD_OUT = 0.2
+_HELD_OUT = 0.15
 _CUES = 8
 
 
@@ -63,7 +64,7 @@ class Understander:
         domain: Domain,
         phrases: Phrases,
         model: Model,
-        calibration: Sequence[float],
+        calibration: Sequence[float] | np.ndarray,
         threshold: float = 0.7,
     ) -> None:
         self.domain = domain
@@ -103,14 +104,12 @@ class Understander:
         try:
             # How sure to be is learned where it is hard: on phrases that a model has not seen.
             thinned = _thinned(phrases, random.Random(seed))
-            few = make_examples(domain, thinned, lexicon, sentences // 4, seed + 1)
+            few = make_examples(domain, thinned, lexicon, sentences // 2, seed + 1)
             learner = fit(domain, phrases, lexicon, few, seed=seed, steps=30, epochs=8)
             unseen = make_examples(domain, phrases, lexicon, max(sentences // 8, 200), seed + 2)
             calibration = _calibrate(cls(domain, phrases, learner, [0.0] * (_CUES + 1)), unseen)
             own = make_examples(domain, phrases, lexicon, sentences, seed + 3)
-            model = fit(
-                domain, phrases, lexicon, [*own, *labelled], seed=seed, steps=60, epochs=14
-            )
+            model = fit(domain, phrases, lexicon, [*own, *labelled], seed=seed, steps=60, epochs=14)
         finally:
             torch.set_num_threads(threads)
         return cls(domain, phrases, model, calibration, threshold)
@@ -130,7 +129,7 @@ class Understander:
         reading = self._model.read(words, question)
         frame, unclear, worst = assemble(words, reading, question, self.domain, self.lexicon)
         cues = self._cues(words, reading, unclear, worst)
-        return Understood(frame, float(_sigmoid(cues @ self._calibration)), unclear)
+        return Understood(frame, _sigmoid(float(cues @ self._calibration)), unclear)
 
     def asks(self, understood: Understood) -> bool:
         """Returns whether the system should ask again rather than act on it."""
@@ -162,14 +161,14 @@ class Understander:
             "threshold": self.threshold,
         }
         text = json.dumps(about, ensure_ascii=False).encode()
-        arrays = {
+        arrays: dict[str, Any] = {
             **model.net.arrays(),
             "about": np.frombuffer(text, dtype=np.uint8),
             "tagger": np.frombuffer(model.tagger.model, dtype=np.uint8),
             "calibration": self._calibration,
         }
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)
+        np.savez_compressed(buffer, allow_pickle=False, **arrays)
         Path(path).write_bytes(buffer.getvalue())
 
     @classmethod
@@ -196,7 +195,7 @@ class Understander:
         phrases = load_phrases(domain, folder)
         net = IntentNet(about["features"], domain.acts, domain.slots)
         net.load(arrays)
-        features = Features(Lexicon(domain, phrases), phrases, about["known"])
+        features = Features(Lexicon(domain, phrases), phrases, about["known"], domain.complete_slot)
         model = Model(features, Tagger(arrays["tagger"].tobytes()), net.eval())
         return cls(domain, phrases, model, arrays["calibration"], about["threshold"])
 
@@ -222,7 +221,7 @@ def _doubt(chances: torch.Tensor) -> float:
 
 
 def _sigmoid(logit: float) -> float:
-    return 1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0)))
+    return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
 
 
 def _thinned(phrases: Phrases, rng: random.Random) -> Phrases:
