@@ -113,9 +113,9 @@ def assemble(
     informs, unclear, fit = _values(words, reading, lexicon)
     if (short := _short_answer(words, question, lexicon)) is not None:
         return Frame("inform", short), (), 1.0
-    if question is not None and question.act == "confirm_question" and question.informs:
-        if not informs and words[0] in _YES and len(words) <= _SHORT:
-            return Frame("inform", dict(question.informs)), (), fit
+    checked = question.informs if question and question.act == "confirm_question" else {}
+    if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
+        return Frame("inform", dict(checked)), (), fit
     is_open = [slot for slot in domain.slots if slot not in informs]
     chances = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
     informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}

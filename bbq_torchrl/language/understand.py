@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import random
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +35,7 @@ __all__ = ["Understander"]
 
 _VERSION = 1
 _MOST_WORDS = 120
-_HELD_OUT = 0.15
+_CALM = 0.6  # sentences of the grammar are more crowded than those of people
 _CUES = 8
 
 
@@ -102,14 +100,13 @@ class Understander:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            # How sure to be is learned where it is hard: on phrases that a model has not seen.
-            thinned = _thinned(phrases, random.Random(seed))
-            few = make_examples(domain, thinned, lexicon, sentences // 2, seed + 1)
-            learner = fit(domain, phrases, lexicon, few, seed=seed, steps=30, epochs=8)
-            unseen = make_examples(domain, phrases, lexicon, max(sentences // 8, 200), seed + 2)
-            calibration = _calibrate(cls(domain, phrases, learner, [0.0] * (_CUES + 1)), unseen)
-            own = make_examples(domain, phrases, lexicon, sentences, seed + 3)
-            model = fit(domain, phrases, lexicon, [*own, *labelled], seed=seed, steps=60, epochs=14)
+            own = make_examples(domain, phrases, lexicon, sentences, seed)
+            examples = [*own, *labelled]
+            model = fit(domain, phrases, lexicon, examples, seed=seed, steps=60, epochs=14)
+            others = make_examples(
+                domain, phrases, lexicon, max(sentences // 8, 200), seed + 1, noise=_CALM
+            )
+            calibration = _calibrate(cls(domain, phrases, model, [0.0] * (_CUES + 1)), others)
         finally:
             torch.set_num_threads(threads)
         return cls(domain, phrases, model, calibration, threshold)
@@ -222,21 +219,6 @@ def _doubt(chances: torch.Tensor) -> float:
 
 def _sigmoid(logit: float) -> float:
     return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
-
-
-def _thinned(phrases: Phrases, rng: random.Random) -> Phrases:
-    """Returns phrases without a share of those that have others beside them."""
-
-    def some(texts: Sequence[Any]) -> tuple[Any, ...]:
-        kept = tuple(text for text in texts if rng.random() >= _HELD_OUT)
-        return kept if len(kept) * 2 >= len(texts) else tuple(texts)
-
-    slots = {
-        slot: replace(entry, phrases={use: some(t) for use, t in entry.phrases.items()})
-        for slot, entry in phrases.slots.items()
-    }
-    user = {use: some(texts) for use, texts in phrases.user.items()}
-    return replace(phrases, user=user, slots=slots)
 
 
 def _calibrate(understander: Understander, examples: Sequence[Example]) -> np.ndarray:
