@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.language.lexicon import Lexicon
+    from bbq_torchrl.language.lexicon import Lexicon, Link
     from bbq_torchrl.language.model import Reading
 
 __all__ = ["assemble", "chosen"]
@@ -55,6 +55,9 @@ _ORDER = {
     "two": 1,
 }
 _SHORT = 4
+_SURE = 0.95
+_FAIR = 0.85
+_LONGEST = 8
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
 
@@ -135,6 +138,14 @@ def assemble(
         and not requests
     ):
         act = "inform"
+    elif (
+        question is not None
+        and question.requests
+        and reading.unknown == 1.0
+        and not (requests or informs or unclear)
+    ):
+        # Words that nobody has heard of answer the question: a name that is not known.
+        act, unclear = "inform", (Unclear(question.requests[0], " ".join(words)),)
     elif requests and act not in ("request", "inform", "thanks", "deny", "closing"):
         act = "request"
     if requests and act == "inform" and (question is None or not (informs or unclear)):
@@ -154,9 +165,11 @@ def _short_answer(
         return None
     slot = question.requests[0]
     link = lexicon.link(slot, " ".join(words)) if slot in lexicon.slots else None
-    if link is None or len(link.values) != 1 or link.score < 0.95:
-        return None
-    return {slot: link.values[0]}
+    if link is not None and len(link.values) == 1 and link.score >= _SURE:
+        return {slot: link.values[0]}
+    # "The closest" is no theater, and what it is can be told without the question.
+    other = lexicon.only_slot(" ".join(words))
+    return None if other is None else {other: lexicon.link(other, " ".join(words)).values[0]}
 
 
 def _is_offer(question: Frame | None, domain: Domain) -> bool:
@@ -173,8 +186,11 @@ def _values(
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
+        parts = [(text, link)] if link.values else _within(slot, words[start:end], lexicon)
         before = set(words[max(0, start - 2) : start])
-        found.setdefault(slot, []).append((text, link.values, link.score, bool(before & _NOT)))
+        found.setdefault(slot, []).extend(
+            (part, link.values, link.score, bool(before & _NOT)) for part, link in parts
+        )
     corrects = bool(_CORRECTS & set(words))
     informs: dict[str, str] = {}
     unclear: list[Unclear] = []
@@ -197,6 +213,23 @@ def _values(
         else:
             unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
     return informs, tuple(unclear), worst
+
+
+def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str, Link]]:
+    """Returns names inside of words that are none as a whole, the longest from left to right."""
+    found = []
+    at = 0
+    while at < len(words):
+        for end in range(min(len(words), at + _LONGEST), at, -1):
+            text = " ".join(words[at:end])
+            link = lexicon.link(slot, text) if any(map(str.isalnum, text)) else None
+            if link is not None and len(link.values) == 1 and link.score >= _FAIR:
+                found.append((text, link))
+                at = end
+                break
+        else:
+            at += 1
+    return found or [(" ".join(words), lexicon.link(slot, " ".join(words)))]
 
 
 def _narrowed(

@@ -278,7 +278,7 @@ class _Frames:
 
     def _verdict(self, question: Frame, rng: random.Random) -> Frame:
         kind = rng.random()
-        if kind < 0.32:
+        if kind < 0.29:
             return Frame("thanks")
         if kind < 0.46:
             return Frame("thanks", {}, self._requests(rng, 1))
@@ -288,10 +288,10 @@ class _Frames:
             slots = [slot for slot in question.informs if slot in self._valued]
             slot = rng.choice(slots)
             return Frame("inform", {slot: self._value(slot, rng)})
-        if kind < 0.9:
+        if kind < 0.88:
             requests = self._requests(rng, 1)
             return Frame("request", self._values(rng, rng.choice((0, 1)), requests), requests)
-        return Frame("closing") if rng.random() < 0.8 else self._slotless_act(rng)
+        return Frame("closing") if rng.random() < 0.9 else self._slotless_act(rng)
 
     def _after_act(self, act: str, rng: random.Random) -> Frame:
         if act == "greeting" and rng.random() < 0.8:

@@ -60,7 +60,7 @@ class Features:
         for slot, entry in phrases.slots.items():
             for noun in entry.nouns:
                 self._nouns.setdefault(noun, []).append(slot)
-        self.known = frozenset(known)
+        self.known = frozenset(word.replace("'", "") for word in known)
         self._by_size: dict[int, list[str]] = {}
         vocabulary = {*self.known, *self._part}
         for word in sorted(vocabulary):
@@ -71,6 +71,7 @@ class Features:
 
     def _spelled(self, word: str) -> str:
         """Returns the word, or a known one that is a letter away, or :data:`UNKNOWN`."""
+        word = word.replace("'", "") or word
         if word in self._all or not word.isalpha():
             return word
         if len(word) < 4:

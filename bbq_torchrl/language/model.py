@@ -34,6 +34,7 @@ class Reading:
         acts: the log-probability of each act, ``[A]``.
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
+        unknown: the share of the words that no training sentence has.
     """
 
     tags: list[str]
@@ -41,6 +42,7 @@ class Reading:
     acts: torch.Tensor
     requests: torch.Tensor
     dont_care: torch.Tensor
+    unknown: float
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ class Model:
             acts.log_softmax(-1),
             _of_slots(requests, asked),
             _of_slots(dont_care, asked),
+            self.features.share_unknown(words),
         )
 
     def asked(self, question: Frame | None) -> int | None:

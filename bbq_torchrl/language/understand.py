@@ -78,7 +78,7 @@ class Understander:
         domain: Domain,
         folder: str | Path | None = None,
         *,
-        sentences: int = 8_000,
+        sentences: int = 6_000,
         seed: int = 0,
         labelled: Sequence[Example] = (),
         threshold: float = 0.7,
@@ -139,10 +139,19 @@ class Understander:
         acts = reading.acts.max().item()
         requests = _doubt(reading.requests)
         cares = _doubt(reading.dont_care)
-        unknown = self._model.features.share_unknown(words)
         tags = float(np.log(max(reading.tags_chance, 1e-6)))
         return np.array(
-            [tags, acts, requests, cares, worst - 1.0, unknown, bool(unclear), len(words) / 20, 1.0]
+            [
+                tags,
+                acts,
+                requests,
+                cares,
+                worst - 1.0,
+                reading.unknown,
+                bool(unclear),
+                len(words) / 20,
+                1.0,
+            ]
         )
 
     def save(self, path: str | Path) -> None:
