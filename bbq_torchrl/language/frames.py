@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import DONT_CARE, RESERVED_TEXT, fold
+from bbq_torchrl.domains import DONT_CARE, RESERVED_TEXT
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -142,8 +142,3 @@ def _check(act: str, slots: tuple[str, ...], domain: Domain) -> None:
     for slot in slots:
         if slot not in domain.slots:
             raise ValueError(f"a slot must be one of {', '.join(domain.slots)}, got {shown(slot)}")
-
-
-def same(left: str, right: str) -> bool:
-    """Returns whether two spellings are one value of the simulator."""
-    return fold(left) == fold(right)

@@ -55,7 +55,11 @@ def test_a_value_is_said_word_for_word(speak):
 def test_no_match_names_the_wishes_that_clash(speak):
     domain = movie_domain()
     record = domain.records[0]
-    other = next(r["city"] for r in domain.records if r.get("city") not in (None, record["city"]))
+    other = next(
+        r["city"]
+        for r in domain.records
+        if r.get("moviename") == record["moviename"] and r.get("city") not in (None, record["city"])
+    )
     wishes = {"moviename": record["moviename"], "theater": record["theater"], "city": other}
     assert set(speak.conflict(wishes)) == {"theater", "city"}
     text = speak.agent(Frame("inform", {"starttime": "no match"}), wishes).lower()
