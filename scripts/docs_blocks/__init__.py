@@ -12,6 +12,7 @@ from scripts.docs_blocks.domain import domain_blocks
 from scripts.docs_blocks.extending import extending_blocks
 from scripts.docs_blocks.floor import floor_blocks
 from scripts.docs_blocks.growth import draw_growth, growth_blocks
+from scripts.docs_blocks.language import language_blocks
 from scripts.docs_blocks.learning import learning_blocks
 from scripts.docs_blocks.policies import policies_blocks
 from scripts.docs_blocks.results import draw_figures as draw_learning_curves
@@ -30,6 +31,7 @@ BLOCKS = (
     extending_blocks,
     floor_blocks,
     growth_blocks,
+    language_blocks,
     learning_blocks,
     policies_blocks,
     results_blocks,

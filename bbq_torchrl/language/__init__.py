@@ -1,0 +1,29 @@
+"""Language in and out: what a person types becomes an act, and an act becomes a sentence."""
+
+from __future__ import annotations
+
+from bbq_torchrl.language.endpoint import Endpoint, EndpointGenerator, EndpointUnderstander
+from bbq_torchrl.language.frames import ANY, Frame, Unclear, Understood
+from bbq_torchrl.language.generate import Generator
+from bbq_torchrl.language.labelled import as_examples, read_lines
+from bbq_torchrl.language.phrases import PhrasesError, load_phrases
+from bbq_torchrl.language.understand import Understander
+from bbq_torchrl.language.words import MAX_CHARACTERS, TextError
+
+__all__ = [
+    "ANY",
+    "MAX_CHARACTERS",
+    "Endpoint",
+    "EndpointGenerator",
+    "EndpointUnderstander",
+    "Frame",
+    "Generator",
+    "PhrasesError",
+    "TextError",
+    "Unclear",
+    "Understander",
+    "Understood",
+    "as_examples",
+    "load_phrases",
+    "read_lines",
+]

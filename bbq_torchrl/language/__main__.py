@@ -1,0 +1,105 @@
+"""``python -m bbq_torchrl.language measure`` and ``train``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.domains import load_domain
+from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.language.generate import Generator
+from bbq_torchrl.language.labelled import as_examples, read_lines
+from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.measure import measure_lines, measure_round_trip
+from bbq_torchrl.language.phrases import load_phrases
+from bbq_torchrl.language.simulated import play
+from bbq_torchrl.language.understand import Understander
+from bbq_torchrl.text import sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.domains import Domain
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command; returns 0, or 2 after a line that says what is wrong."""
+    parser = argparse.ArgumentParser(prog="python -m bbq_torchrl.language")
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name, help_ in (
+        ("train", "train an understander and write its file"),
+        ("measure", "train an understander and measure it on labeled sentences"),
+    ):
+        command = commands.add_parser(name, help=help_)
+        command.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
+        command.add_argument("--sentences", type=int, default=6_000, help="to learn from")
+        command.add_argument("--seed", type=int, default=0)
+        command.add_argument("--labelled", type=Path, help="own labeled lines, learned as well")
+        command.add_argument("--file", type=Path, help="where the understander goes")
+        if name == "measure":
+            command.add_argument("--data", type=Path, default=Path("tests/data/language"))
+            command.add_argument("--dialogues", type=int, default=10_000, help="for the round trip")
+            command.add_argument("--out", type=Path, default=Path("results/language.json"))
+    given = parser.parse_args(arguments)
+    try:
+        domain = load_domain(given.domain)
+        understand, seconds = _trained(given, domain)
+        file = given.file or Path(f"{domain.name}.language.npz")
+        understand.save(file)
+        if given.command == "measure":
+            figures = {
+                "domain": domain.name,
+                "learned_from": given.sentences,
+                "seed": given.seed,
+                "training_seconds": round(seconds, 1),
+                "megabytes": round(file.stat().st_size / 1e6, 2),
+                **_measured(given, domain, understand),
+            }
+            text = json.dumps(_rounded(figures), indent=1) + "\n"
+            given.out.write_text(text, encoding="utf-8")
+            sys.stdout.write(text)
+            if given.file is None:
+                file.unlink()
+    except (OSError, ValueError, ModuleNotFoundError) as error:
+        sys.stderr.write(f"error: {sentence(error)}\n")
+        return 2
+    return 0
+
+
+def _trained(given: argparse.Namespace, domain: Domain) -> tuple[Understander, float]:
+    labelled = []
+    if given.labelled is not None:
+        lexicon = Lexicon(domain, load_phrases(domain, given.domain))
+        labelled = as_examples(read_lines(given.labelled, domain), lexicon)
+    started = time.process_time()
+    understand = Understander.train(
+        domain, given.domain, sentences=given.sentences, seed=given.seed, labelled=labelled
+    )
+    return understand, time.process_time() - started
+
+
+def _measured(
+    given: argparse.Namespace, domain: Domain, understand: Understander
+) -> dict[str, Any]:
+    generator = Generator.of(domain, given.domain)
+    found = play(domain, given.dialogues, seed=given.seed)
+    turns = [(agent, user) for agent, _, user in found.turns][:3_000]
+    return {
+        **measure_lines(understand, given.data),
+        **measure_round_trip(understand, generator, turns),
+        "patterns": len(found.patterns),
+    }
+
+
+def _rounded(figures: Any) -> Any:
+    if isinstance(figures, dict):
+        return {key: _rounded(value) for key, value in figures.items()}
+    return round(figures, 4) if isinstance(figures, float) else figures
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,244 @@
+"""From a reading to a frame: values linked, short answers and corrections understood."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.language.frames import ANY, Frame, Unclear
+from bbq_torchrl.language.tagger import spans_of
+from bbq_torchrl.language.words import compact
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.language.lexicon import Lexicon, Link
+    from bbq_torchrl.language.model import Reading
+
+__all__ = ["assemble", "chosen"]
+
+_CORRECTS = frozenset(
+    [
+        "no",
+        "not",
+        "nope",
+        "nah",
+        "actually",
+        "instead",
+        "rather",
+        "better",
+        "sorry",
+        "wait",
+        "meant",
+        "mean",
+        "wrong",
+    ]
+)
+_NOT = frozenset(("not", "isn't", "isnt", "except", "but"))
+_ORDER = {
+    "first": 0,
+    "former": 0,
+    "1st": 0,
+    "second": 1,
+    "2nd": 1,
+    "third": 2,
+    "3rd": 2,
+    "fourth": 3,
+    "last": -1,
+    "latter": -1,
+    "1": 0,
+    "2": 1,
+    "3": 2,
+    "4": 3,
+    "one": 0,
+    "two": 1,
+}
+_SHORT = 4
+_SURE = 0.95
+_FAIR = 0.85
+_LONGEST = 8
+_YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
+
+
+def chosen(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> str | None:
+    """Returns the offered value that a short answer takes: "the second", "the later one".
+
+    Args:
+        words: of the answer.
+        question: the agent's last act; its ``choices`` are what is offered.
+        lexicon: the domain's values.
+    """
+    if question is None or not question.choices:
+        return None
+    slot, choices = question.requests[0], question.choices
+    text = " ".join(words)
+    named = [v for v in choices if re.search(rf"(^|\W){re.escape(v.lower())}(\W|$)", text)]
+    if len(named) == 1:
+        return named[0]
+    keys = {lexicon.key(slot, value): value for value in choices}
+    if "later" in words or "latest" in words:
+        return keys[max(keys)]
+    if "earlier" in words or "earliest" in words:
+        return keys[min(keys)]
+    # Words that some choices have and others do not: "the downtown one".
+    own = {value: {compact(part) for part in value.split()} for value in choices}
+    hits = {value: len(parts & {compact(word) for word in words}) for value, parts in own.items()}
+    best = [value for value, count in hits.items() if count and count == max(hits.values())]
+    if len(best) == 1:
+        return best[0]
+    for word in words:
+        at = _ORDER.get(word)
+        if at is not None and at < len(choices) and (len(word) > 3 or len(words) <= 3):
+            return choices[at]
+    return None
+
+
+def assemble(
+    words: Sequence[str],
+    reading: Reading,
+    question: Frame | None,
+    domain: Domain,
+    lexicon: Lexicon,
+) -> tuple[Frame, tuple[Unclear, ...], float]:
+    """Returns the frame of a reading, what is unclear, and how well its worst value fits.
+
+    Args:
+        words: of the sentence.
+        reading: what the learned parts say.
+        question: the agent's last act.
+        domain: whose acts and slots.
+        lexicon: the domain's values.
+    """
+    offered = chosen(words, question, lexicon)
+    if offered is not None and question is not None:
+        return Frame("inform", {question.requests[0]: offered}), (), 1.0
+    informs, unclear, fit = _values(words, reading, lexicon)
+    if (short := _short_answer(words, question, lexicon)) is not None:
+        return Frame("inform", short), (), 1.0
+    checked = question.informs if question and question.act == "confirm_question" else {}
+    if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
+        return Frame("inform", dict(checked)), (), fit
+    is_open = [slot for slot in domain.slots if slot not in informs]
+    chances = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
+    informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
+    asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
+    requests = [slot for slot, chance in asked.items() if chance > 0.5 and slot not in informs]
+    by_chance = [domain.acts[index] for index in reading.acts.argsort(descending=True).tolist()]
+    act = by_chance[0]
+    if act == "request" and not requests:
+        likely = max(asked, key=lambda slot: asked[slot])
+        if likely not in informs and (asked[likely] > 0.1 or not (informs or unclear)):
+            requests = [likely]
+        elif informs or unclear:
+            act = "inform"
+    elif (
+        act not in ("inform", "request", "confirm_question")
+        and (informs or unclear)
+        and not requests
+    ):
+        act = "inform"
+    elif (
+        question is not None
+        and question.requests
+        and reading.unknown == 1.0
+        and not (requests or informs or unclear)
+    ):
+        # Words that nobody has heard of answer the question: a name that is not known.
+        act, unclear = "inform", (Unclear(question.requests[0], " ".join(words)),)
+    elif requests and act not in ("request", "inform", "thanks", "deny", "closing"):
+        act = "request"
+    if requests and act == "inform" and (question is None or not (informs or unclear)):
+        act = "request"
+    if act == "thanks" and requests and not _is_offer(question, domain):
+        act = "request"
+    if act == "thanks" and informs:
+        act = "request" if requests else "inform"
+    return Frame(act, informs, tuple(requests)), unclear, fit
+
+
+def _short_answer(
+    words: Sequence[str], question: Frame | None, lexicon: Lexicon
+) -> dict[str, str] | None:
+    """Returns the value of the slot asked for, if the words are just one of its names."""
+    if question is None or not question.requests or len(words) > _SHORT:
+        return None
+    slot = question.requests[0]
+    link = lexicon.link(slot, " ".join(words)) if slot in lexicon.slots else None
+    if link is not None and len(link.values) == 1 and link.score >= _SURE:
+        return {slot: link.values[0]}
+    # "The closest" is no theater, and what it is can be told without the question.
+    other = lexicon.only_slot(" ".join(words))
+    return None if other is None else {other: lexicon.link(other, " ".join(words)).values[0]}
+
+
+def _is_offer(question: Frame | None, domain: Domain) -> bool:
+    return question is not None and domain.complete_slot in question.informs
+
+
+def _values(
+    words: Sequence[str], reading: Reading, lexicon: Lexicon
+) -> tuple[dict[str, str], tuple[Unclear, ...], float]:
+    """Returns slot to value, what is unclear, and the score of the worst link."""
+    found: dict[str, list[tuple[str, tuple[str, ...], float, bool]]] = {}
+    for slot, start, end in spans_of(reading.tags):
+        text = " ".join(words[start:end])
+        link = lexicon.link(slot, text)
+        if not link.values and (other := lexicon.only_slot(text)) is not None:
+            slot, link = other, lexicon.link(other, text)
+        parts = [(text, link)] if link.values else _within(slot, words[start:end], lexicon)
+        before = set(words[max(0, start - 2) : start])
+        found.setdefault(slot, []).extend(
+            (part, link.values, link.score, bool(before & _NOT)) for part, link in parts
+        )
+    corrects = bool(_CORRECTS & set(words))
+    informs: dict[str, str] = {}
+    unclear: list[Unclear] = []
+    worst = 1.0
+    for slot, links in found.items():
+        if len(links) > 1 and corrects:
+            links = [link for link in links if not link[3]] or links
+            links = links[-1:]
+        known = [link for link in links if link[1]]
+        if not known:
+            unclear.append(Unclear(slot, links[-1][0]))
+            worst = min(worst, links[-1][2])
+            continue
+        keys = {lexicon.key(slot, value): value for link in known for value in link[1]}
+        worst = min(worst, min(link[2] for link in known))
+        if len(keys) > 1:
+            keys = _narrowed(slot, keys, known, lexicon)
+        if len(keys) == 1:
+            informs[slot] = known[-1][1][0] if len(known[-1][1]) == 1 else next(iter(keys.values()))
+        else:
+            unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
+    return informs, tuple(unclear), worst
+
+
+def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str, Link]]:
+    """Returns names inside of words that are none as a whole, the longest from left to right."""
+    found = []
+    at = 0
+    while at < len(words):
+        for end in range(min(len(words), at + _LONGEST), at, -1):
+            text = " ".join(words[at:end])
+            link = lexicon.link(slot, text) if any(map(str.isalnum, text)) else None
+            if link is not None and len(link.values) == 1 and link.score >= _FAIR:
+                found.append((text, link))
+                at = end
+                break
+        else:
+            at += 1
+    return found or [(" ".join(words), lexicon.link(slot, " ".join(words)))]
+
+
+def _narrowed(
+    slot: str,
+    keys: dict[str, str],
+    known: list[tuple[str, tuple[str, ...], float, bool]],
+    lexicon: Lexicon,
+) -> dict[str, str]:
+    """Returns the values that all mentions of the slot may mean, if there are any."""
+    sets = [{lexicon.key(slot, value) for value in link[1]} for link in known]
+    common = set.intersection(*sets)
+    return {key: keys[key] for key in common} if common else keys

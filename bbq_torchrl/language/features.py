@@ -1,0 +1,257 @@
+"""What the tagger and the net see of a sentence."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.language.quantities import (
+    DAY_WORDS,
+    MONTH_WORDS,
+    NUMBER_WORDS,
+    ORDINAL_WORDS,
+    PART_WORDS,
+    RELATION_WORDS,
+)
+from bbq_torchrl.language.tagger import OUTSIDE, spans_of
+from bbq_torchrl.language.words import compact
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from bbq_torchrl.language.frames import Frame
+    from bbq_torchrl.language.lexicon import Lexicon
+    from bbq_torchrl.language.phrases import Phrases
+
+__all__ = ["Features"]
+
+_LONGEST = 9
+UNKNOWN = "<unknown>"
+
+
+class Features:
+    """Names of features, as text, for words and for whole sentences.
+
+    Args:
+        lexicon: whose names are looked for, at every place the longest.
+        phrases: whose nouns of slots are looked for.
+        known: the words that training sentences have; others are corrected to the nearest of
+            them by one letter, or unknown.
+        offer: the slot whose inform offers a booking.
+    """
+
+    def __init__(
+        self, lexicon: Lexicon, phrases: Phrases, known: Iterable[str], offer: str = ""
+    ) -> None:
+        self._offer = offer
+        self._names: dict[str, dict[str, set[str]]] = {}
+        self._part: dict[str, set[str]] = {}
+        for slot, names in lexicon.names.items():
+            by_first: dict[str, set[str]] = {}
+            for name in names:
+                if name:
+                    by_first.setdefault(name[0], set()).add(" ".join(name))
+            self._names[slot] = by_first
+            if lexicon.kinds[slot] == "text":
+                for word in {word for name in names for word in name if len(word) > 2}:
+                    self._part.setdefault(word, set()).add(slot)
+        self._nouns: dict[str, list[str]] = {}
+        for slot, entry in phrases.slots.items():
+            for noun in entry.nouns:
+                self._nouns.setdefault(noun, []).append(slot)
+        self.known = frozenset(word.replace("'", "") for word in known)
+        self._by_size: dict[int, list[str]] = {}
+        vocabulary = {*self.known, *self._part}
+        for word in sorted(vocabulary):
+            if word.isalpha() and len(word) > 3:
+                self._by_size.setdefault(len(word), []).append(word)
+        self._all = vocabulary
+        self.spelled = lru_cache(maxsize=20_000)(self._spelled)
+
+    def _spelled(self, word: str) -> str:
+        """Returns the word, or a known one that is a letter away, or :data:`UNKNOWN`."""
+        word = word.replace("'", "") or word
+        if word in self._all or not word.isalpha():
+            return word
+        if len(word) < 4:
+            return UNKNOWN
+        close = [
+            other
+            for size in (len(word), len(word) + 1, len(word) - 1)
+            for other in self._by_size.get(size, ())
+            if (other[0] == word[0] or other[1:] == word[1:]) and _is_slip(word, other)
+        ]
+        return close[0] if close else UNKNOWN
+
+    def share_unknown(self, words: Sequence[str]) -> float:
+        """Returns which share of the words is not known, after correction."""
+        letters = [word for word in words if word[0].isalpha()]
+        return sum(self.spelled(word) == UNKNOWN for word in letters) / max(len(letters), 1)
+
+    def of_words(self, words: Sequence[str], question: Frame | None) -> list[list[str]]:
+        """Returns the features of each word."""
+        spelled = [self.spelled(word) for word in words]
+        classes = [_class(word) for word in spelled]
+        found = self._windows(spelled)
+        asked = _question(question)
+        own = []
+        for at, (word, kind) in enumerate(zip(spelled, classes, strict=True)):
+            raw = words[at]
+            row = [f"w={word}", f"c={kind}", f"s={raw[-3:]}", f"p={raw[:3]}", *found[at]]
+            row += [f"in:{slot}" for slot in self._part.get(word, ())]
+            row += [f"noun:{slot}" for slot in self._nouns.get(word, ())]
+            own.append(row)
+        rows = []
+        for at in range(len(words)):
+            row = ["bias", *own[at]]
+            for step in (-2, -1, 1, 2):
+                near = at + step
+                if not 0 <= near < len(words):
+                    row.append(f"{step}:edge")
+                    continue
+                row += [f"{step}:w={spelled[near]}", f"{step}:c={classes[near]}"]
+                if abs(step) == 1:
+                    row += [f"{step}:{name}" for name in found[near]]
+                    pair = (
+                        (spelled[near], spelled[at]) if step < 0 else (spelled[at], spelled[near])
+                    )
+                    row += [
+                        f"{step}:2={'_'.join(pair)}",
+                        f"{step}:cc={classes[near]}_{classes[at]}",
+                    ]
+            row += [f"q={item}" for item in asked]
+            if any(f"ask:{name.split(':')[1]}" in asked for name in found[at]):
+                row += ["asked", f"asked&n={min(len(words), 4)}"]
+            if len(words) < 3:
+                row += [f"short&{item}" for item in asked]
+            row += [
+                f"q={item}&{name}" for item in asked for name in (f"c={classes[at]}", *found[at])
+            ]
+            rows.append(row)
+        return rows
+
+    def _windows(self, words: Sequence[str]) -> list[list[str]]:
+        """Returns for each word of which slots it begins, or goes on, a name."""
+        found: list[list[str]] = [[] for _ in words]
+        for slot, by_first in self._names.items():
+            at = 0
+            while at < len(words):
+                names = by_first.get(words[at])
+                length = 0
+                if names:
+                    for size in range(min(_LONGEST, len(words) - at), 0, -1):
+                        if " ".join(words[at : at + size]) in names:
+                            length = size
+                            break
+                for index in range(length):
+                    extent = "1" if length == 1 else "2" if length == 2 else "n"
+                    found[at + index].append(f"g:{slot}:{'I' if index else 'B'}{extent}")
+                at += max(length, 1)
+        return found
+
+    def of_sentence(
+        self, words: Sequence[str], tags: Sequence[str], question: Frame | None
+    ) -> list[str]:
+        """Returns the features of the whole sentence, values written as their slots."""
+        line: list[str] = []
+        asked = _question(question)
+        act = question.act if question is not None else "none"
+        told = question.informs if question is not None else {}
+        act = "offer" if self._offer in told else act
+        slots = []
+        spans = {span.start: span.slot for span in spans_of(tags)}
+        for at, (word, tag) in enumerate(zip(words, tags, strict=True)):
+            if tag == OUTSIDE:
+                line.append(self.spelled(word))
+            elif at in spans:
+                line.append(f"<{tag}>")
+                slots.append(tag)
+        nouns = [self._nouns.get(word, [""])[0] for word in line]
+        line = ["^", *line, "$"]
+        abstract = [
+            "^",
+            *(f"N:{noun}" if noun else word for word, noun in zip(line[1:-1], nouns, strict=True)),
+            "$",
+        ]
+        items = [
+            "bias",
+            *(f"q={item}" for item in asked),
+            f"n={min(len(line) - 2, 8)}",
+            f"k={min(len(slots), 4)}",
+        ]
+        content = [word for word in line if word.isalnum() or word[0] in "<^$" or "'" in word]
+        for size in (1, 2, 3):
+            items += [
+                f"{size}={'_'.join(content[at : at + size])}"
+                for at in range(len(content) - size + 1)
+            ]
+        for size in (2, 3):
+            items += [
+                f"a{size}={'_'.join(abstract[at : at + size])}"
+                for at in range(len(abstract) - size + 1)
+            ]
+        items += [f"skip={a}_{b}" for a, b in zip(content, content[2:], strict=False)]
+        items += [f"stem={word[:4]}" for word in content if len(word) > 4 and word[0].isalpha()]
+        items += [f"N={slot}" for word in line for slot in self._nouns.get(word, ())]
+        items += [f"S={slot}" for slot in slots]
+        items += [f"q={act}&1={word}" for word in content]
+        items += [f"q={act}&2={a}_{b}" for a, b in pairwise(content)]
+        items += [f"q&S={slot in asked}{slot in told}" for slot in slots]
+        items += [
+            f"q&N={slot in asked}{slot in told}"
+            for word in line
+            for slot in self._nouns.get(word, ())
+        ]
+        items += [f"first={content[1]}", f"first={'_'.join(content[1:3])}", f"last={content[-2]}"]
+        items += [f"q={act}&first={content[1]}"]
+        if "?" in words:
+            items.append("question-mark")
+        return items
+
+
+def _question(question: Frame | None) -> list[str]:
+    if question is None:
+        return ["none"]
+    told = [f"inform:{slot}" for slot in question.informs]
+    return [f"{question.act}", *(f"ask:{slot}" for slot in question.requests), *told[:1]]
+
+
+def _class(word: str) -> str:
+    """Returns what sort of word it is: a number, a day, a clock, ..."""
+    if word == UNKNOWN:
+        return "unknown"
+    if word.isdecimal():
+        return f"d{len(word)}" if len(word) < 6 else "d+"
+    if word[0].isdigit():
+        return (
+            "clock" if any(mark in word for mark in ":.h") else "date" if "/" in word else "mixed"
+        )
+    for name, words in _CLASSES:
+        if word in words:
+            return name
+    return "mark" if not compact(word) else "word"
+
+
+_CLASSES = (
+    ("number", NUMBER_WORDS),
+    ("ordinal", ORDINAL_WORDS),
+    ("day", DAY_WORDS),
+    ("month", MONTH_WORDS),
+    ("part", PART_WORDS),
+    ("relation", RELATION_WORDS),
+    ("meridian", frozenset(("am", "pm", "a.m", "p.m", "a.m.", "p.m."))),
+    ("suffix", frozenset(("st", "nd", "rd", "th"))),
+)
+
+
+def _is_slip(left: str, right: str) -> bool:
+    """Returns whether two words differ by one letter left out, put in, changed or swapped."""
+    if len(left) > len(right):
+        left, right = right, left
+    at = next((i for i, (a, b) in enumerate(zip(left, right, strict=False)) if a != b), len(left))
+    if len(left) < len(right):
+        return left[at:] == right[at + 1 :]
+    return left[at + 1 :] == right[at + 1 :] or (
+        left[at + 2 :] == right[at + 2 :] and left[at : at + 2] == right[at : at + 2][::-1]
+    )

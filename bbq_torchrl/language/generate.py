@@ -1,0 +1,206 @@
+"""Sentences of both sides, from acts; equal sessions say equal things."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.domains import AVAILABLE, NO_MATCH, RESERVED_TEXT, fold
+from bbq_torchrl.language.compose import Composer
+from bbq_torchrl.language.frames import ANY, Frame
+from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.phrases import Phrases, load_phrases
+from bbq_torchrl.language.templates import Piece, expand, is_possible, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.language.templates import Template
+
+__all__ = ["Generator", "chance", "sentence"]
+
+_NO_MATCH, _AVAILABLE = RESERVED_TEXT[NO_MATCH], RESERVED_TEXT[AVAILABLE]
+_MOST_IN_CONFLICT = 4
+
+
+def chance(session: str | int, turn: int, side: str) -> random.Random:
+    """Returns what chooses the words of one turn: a hash of session, turn and side."""
+    digest = hashlib.blake2b(f"{session}/{turn}/{side}".encode(), digest_size=8).digest()
+    return random.Random(int.from_bytes(digest, "big"))
+
+
+def sentence(pieces: Sequence[Piece]) -> str:
+    """Returns pieces as a sentence that starts large and ends in a mark."""
+    text = plain(pieces)
+    text = text[:1].upper() + text[1:]
+    return text if text[-1:] in ".?!" else f"{text}."
+
+
+class Generator:
+    """Turns acts into sentences, by the phrases of a domain.
+
+    Args:
+        domain: what is spoken of.
+        phrases: how; ``None`` for the generic phrases.
+
+    Example:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> from bbq_torchrl.domains.folder import MOVIE_FOLDER
+        >>> speak = Generator.of(movie_domain(), MOVIE_FOLDER)
+        >>> speak.agent(Frame("inform", {"city": "reno"}), session=1, turn=2)
+        '...'
+    """
+
+    def __init__(self, domain: Domain, phrases: Phrases | None = None) -> None:
+        self._domain = domain
+        self._phrases = load_phrases(domain) if phrases is None else phrases
+        self._records = [
+            {slot: fold(value) for slot, value in record.items()} for record in domain.records
+        ]
+        self._composer = Composer(domain, self._phrases, Lexicon(domain, self._phrases).owners)
+
+    @classmethod
+    def of(cls, domain: Domain, folder: str | Path | None = None) -> Generator:
+        """Returns the generator by the ``language.yaml`` in ``folder``, where there is one."""
+        return cls(domain, load_phrases(domain, folder))
+
+    def user(
+        self, frame: Frame, question: Frame | None = None, *, session: str | int = 0, turn: int = 0
+    ) -> str:
+        """Returns what a user says who means ``frame``.
+
+        Args:
+            frame: the user's act.
+            question: the agent's last act; ``None`` at the opening.
+            session: with ``turn`` chooses the words.
+            turn: counts the turns of the session.
+        """
+        rng = chance(session, turn, "user")
+        pieces = self._composer.compose(frame, question, rng, _as_spelled, is_clear=True)
+        text = sentence(pieces)
+        return f"{text[:-1]}?" if frame.requests and text[-1] == "." else text
+
+    def agent(
+        self,
+        frame: Frame,
+        held: Mapping[str, str] | None = None,
+        *,
+        session: str | int = 0,
+        turn: int = 0,
+    ) -> str:
+        """Returns what an agent says.
+
+        Args:
+            frame: the agent's act, its values filled in.
+            held: the values that the tracker holds; where nothing matches, the answer names those
+                that do not go together. Values in ``frame`` count as held.
+            session: with ``turn`` chooses the words.
+            turn: counts the turns of the session.
+        """
+        rng = chance(session, turn, "agent")
+        told = {slot: value for slot, value in frame.informs.items() if value != ANY}
+        complete = self._domain.complete_slot
+        parts = []
+        if frame.choices:
+            parts.append(self._choose(frame, rng))
+        elif complete in told:
+            wishes = {slot: value for slot, value in told.items() if slot != complete}
+            parts.append(self._tell(complete, told[complete], {**(held or {}), **wishes}, rng))
+        else:
+            wishes = {**(held or {}), **told}
+            parts += [self._tell(slot, value, wishes, rng) for slot, value in told.items()]
+            parts += [
+                self._fill(self._phrases.slots[slot].phrases["care"], rng, slot)
+                for slot in frame.dont_care
+            ]
+            parts += [
+                self._fill(self._phrases.slots[slot].phrases["ask"], rng, slot)
+                for slot in frame.requests
+            ]
+        if not parts:
+            parts.append(self._fill(self._phrases.agent[frame.act], rng))
+        return " ".join(sentence(part) for part in parts)
+
+    def _choose(self, frame: Frame, rng: random.Random) -> list[Piece]:
+        *most, last = frame.choices
+        choices = f"{', '.join(most)} or {last}" if most else last
+        return self._fill(
+            self._phrases.agent["choose"], rng, frame.requests[0], {"choices": [Piece(choices)]}
+        )
+
+    def _tell(
+        self, slot: str, value: str, wishes: Mapping[str, str], rng: random.Random
+    ) -> list[Piece]:
+        phrases = self._phrases.slots[slot].phrases
+        if value == _NO_MATCH:
+            conflict = self._conflict(wishes, rng)
+            return self._fill(phrases["none"], rng, slot, {"conflict": conflict})
+        said = {"wishes": self._wishes(wishes, rng), slot: [Piece(value)]}
+        return self._fill(phrases["tell"], rng, slot, said)
+
+    def _conflict(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
+        """Returns the fewest wishes that no record meets, in words."""
+        clash = self.conflict(wishes)
+        if not clash:
+            return self._fill(self._phrases.agent["no_wishes"], rng)
+        said = {"wishes": self._wishes({slot: wishes[slot] for slot in clash}, rng)}
+        return self._fill(self._phrases.agent["conflict"], rng, None, said)
+
+    def conflict(self, wishes: Mapping[str, str]) -> tuple[str, ...]:
+        """Returns the fewest slots whose values no record has together; none if one has them all.
+
+        Args:
+            wishes: slot to value; slots that never constrain the records are left out.
+        """
+        ignored = (*self._domain.free_slots, *self._domain.special_slots)
+        wanted = {
+            slot: fold(value)
+            for slot, value in wishes.items()
+            if slot not in ignored and value not in (ANY, _NO_MATCH, _AVAILABLE)
+        }
+        matches = {
+            slot: {row for row, record in enumerate(self._records) if record.get(slot) == value}
+            for slot, value in wanted.items()
+        }
+        for size in range(1, _MOST_IN_CONFLICT + 1):
+            for some in combinations(matches, size):
+                if not set.intersection(*(matches[slot] for slot in some)):
+                    return some
+        every = set(range(len(self._records)))
+        return tuple(matches) if not every.intersection(*matches.values()) else ()
+
+    def _wishes(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
+        """Returns what is wished, in the order of the domain's slots."""
+        said: list[Piece] = []
+        for slot in self._domain.slots:
+            value = wishes.get(slot)
+            if value in (None, ANY, _NO_MATCH, _AVAILABLE):
+                continue
+            phrases = self._phrases.slots[slot].phrases["wish"]
+            said += [
+                *([Piece(", ")] if said else []),
+                *self._fill(phrases, rng, slot, {slot: [Piece(str(value))]}),
+            ]
+        return said or [Piece("as you wish")]
+
+    def _fill(
+        self,
+        options: Sequence[Template],
+        rng: random.Random,
+        slot: str | None = None,
+        values: Mapping[str, list[Piece]] | None = None,
+    ) -> list[Piece]:
+        known = dict(values or {})
+        if slot is not None:
+            known["name"] = [Piece(self._phrases.slots[slot].name)]
+        rules = self._phrases.rules
+        possible = [option for option in options if is_possible(option, known, rules)]
+        return expand(rng.choice(possible), known, rules, rng)
+
+
+def _as_spelled(slot: str, value: str, rng: random.Random) -> str:
+    return value

@@ -1,0 +1,138 @@
+"""The net that reads acts, questions and what does not matter."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+__all__ = ["IntentNet", "train_intents"]
+
+_WIDTH = 48
+_BATCH = 64
+
+
+class IntentNet(nn.Module):
+    """A bag of features, one hidden layer, three heads.
+
+    Args:
+        features: the features that are known; others are left out.
+        acts: the acts.
+        slots: the slots; each head over slots has one more place, for the slot asked for last.
+    """
+
+    def __init__(self, features: Sequence[str], acts: Sequence[str], slots: Sequence[str]) -> None:
+        super().__init__()
+        self.features, self.acts, self.slots = tuple(features), tuple(acts), tuple(slots)
+        self._index = {name: index for index, name in enumerate(self.features)}
+        self.bag = nn.EmbeddingBag(len(self.features), _WIDTH, mode="sum")
+        self.heads = nn.Linear(_WIDTH, len(self.acts) + 2 * (len(self.slots) + 1))
+        nn.init.normal_(self.bag.weight, std=0.05)
+
+    def encode(self, names: Sequence[str]) -> list[int]:
+        """Returns the ids of a sentence's features."""
+        return sorted({self._index[name] for name in names if name in self._index})
+
+    def forward(self, bags: Sequence[Sequence[int]]) -> tuple[torch.Tensor, ...]:
+        """Returns the logits of acts ``[B, A]``, requests and don't-cares ``[B, S + 1]``."""
+        flat = torch.tensor([index for bag in bags for index in bag], dtype=torch.long)
+        sizes = torch.tensor([0, *(len(bag) for bag in bags)][:-1]).cumsum(0)
+        count = torch.tensor([max(len(bag), 1) for bag in bags])
+        hidden = functional.relu(self.bag(flat, sizes) / count.sqrt()[:, None])
+        n_acts, n_slots = len(self.acts), len(self.slots) + 1
+        return self.heads(hidden).split([n_acts, n_slots, n_slots], -1)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Returns the weights in half precision."""
+        return {
+            "bag": self.bag.weight.detach().half().numpy(),
+            "heads": self.heads.weight.detach().numpy(),
+            "bias": self.heads.bias.detach().numpy(),
+        }
+
+    def load(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Takes the weights that :meth:`arrays` gave.
+
+        Raises:
+            ValueError: if they are of another shape, or not finite.
+        """
+        with torch.no_grad():
+            for name, weight in (
+                ("bag", self.bag.weight),
+                ("heads", self.heads.weight),
+                ("bias", self.heads.bias),
+            ):
+                given = torch.from_numpy(np.array(arrays[name], dtype=np.float32))
+                if given.shape != weight.shape or not bool(given.isfinite().all()):
+                    raise ValueError(
+                        f"the weights {name} must be finite, of shape {list(weight.shape)}, "
+                        f"got {list(given.shape)}"
+                    )
+                weight.copy_(given)
+
+
+def train_intents(
+    sentences: Sequence[Sequence[str]],
+    acts: Sequence[int],
+    requests: torch.Tensor,
+    dont_care: torch.Tensor,
+    names: tuple[Sequence[str], Sequence[str]],
+    *,
+    seed: int,
+    epochs: int,
+    most: int = 16_000,
+) -> IntentNet:
+    """Returns a net fitted to sentences.
+
+    Args:
+        sentences: the features of each.
+        acts: the act of each.
+        requests: float ``[N, S + 1]``.
+        dont_care: float ``[N, S + 1]``.
+        names: the acts and the slots.
+        seed: draws the first weights, the order and the features left out.
+        epochs: passes over the sentences.
+        most: how many features are kept, those that most sentences have.
+    """
+    count = Counter(name for names_ in sentences for name in set(names_))
+    ranked = sorted(
+        (item for item in count.items() if item[1] > 1), key=lambda item: (-item[1], item[0])
+    )
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        net = IntentNet([name for name, _ in ranked[:most]], *names)
+        bags = [net.encode(sentence) for sentence in sentences]
+        target = torch.tensor(acts)
+        optimizer = torch.optim.Adam(net.parameters(), lr=4e-3)
+        steps = epochs * (-(-len(bags) // _BATCH))
+        schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, steps)
+        for _ in range(epochs):
+            order = torch.randperm(len(bags))
+            for rows in order.split(_BATCH):
+                keep = [
+                    [
+                        i
+                        for i, u in zip(bags[r], torch.rand(len(bags[r])).tolist(), strict=True)
+                        if u > 0.15
+                    ]
+                    for r in rows.tolist()
+                ]
+                act, request, care = net(keep)
+                loss = (
+                    functional.cross_entropy(act, target[rows], label_smoothing=0.02)
+                    + 25 * functional.binary_cross_entropy_with_logits(request, requests[rows])
+                    + 15 * functional.binary_cross_entropy_with_logits(care, dont_care[rows])
+                )
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+                schedule.step()
+        net.bag.weight.data = net.bag.weight.data.half().float()
+    return net.eval()

@@ -1,0 +1,109 @@
+"""A user's own labeled lines: ``agent's last act | sentence | what it means``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from bbq_torchrl.language.corpus import Example
+from bbq_torchrl.language.frames import ANY, Frame
+from bbq_torchrl.language.tagger import OUTSIDE
+from bbq_torchrl.language.words import TextError, clean, compact, tokenize
+from bbq_torchrl.text import FaultsError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.language.lexicon import Lexicon
+
+__all__ = ["Line", "as_examples", "read_lines"]
+
+_LONGEST = 10
+
+
+class Line(NamedTuple):
+    """A labeled sentence.
+
+    Attributes:
+        question: the agent's last act; ``None`` at the opening.
+        text: what the user says.
+        frame: what it means.
+    """
+
+    question: Frame | None
+    text: str
+    frame: Frame
+
+
+def read_lines(path: str | Path, domain: Domain) -> list[Line]:
+    """Returns the labeled lines of a file; empty ones and those after ``#`` are left out.
+
+    Args:
+        path: a UTF-8 text file.
+        domain: whose acts and slots the labels may name.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if a line is written in another way: every fault with its line.
+    """
+    lines, faults = [], []
+    try:
+        content = Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FaultsError(str(path), [f"it must be UTF-8 text: {error}"]) from None
+    for number, line in enumerate(content.splitlines(), 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        parts = [part.strip() for part in line.split("|")]
+        if len(parts) != 3:
+            faults.append(
+                f"line {number} must be written 'agent act | sentence | meaning', got {line!r}"
+            )
+            continue
+        try:
+            clean(parts[1])
+            question = Frame.parse(parts[0], domain) if parts[0] else None
+            lines.append(Line(question, parts[1], Frame.parse(parts[2], domain)))
+        except (ValueError, TextError) as error:
+            faults.append(f"line {number}: {error}")
+    if faults:
+        raise FaultsError(str(path), faults)
+    return lines
+
+
+def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
+    """Returns labeled lines as sentences to learn from.
+
+    Where each value stands is found by what its words are read as. A line in which a value is not
+    found still teaches acts and questions by the rest of its words.
+    """
+    examples = []
+    for question, text, frame in lines:
+        words = tokenize(clean(text))
+        tags = [OUTSIDE] * len(words)
+        for slot, value in frame.informs.items():
+            if value != ANY and (place := _place(words, tags, slot, value, lexicon)) is not None:
+                tags[place.start : place.stop] = [slot] * len(place)
+        examples.append(Example(words, tags, frame, question))
+    return examples
+
+
+def _place(
+    words: list[str], tags: list[str], slot: str, value: str, lexicon: Lexicon
+) -> range | None:
+    """Returns the words that name the value best: of equal ones the fewest."""
+    best: tuple[float, int, range] | None = None
+    key = lexicon.key(slot, value)
+    for start in range(len(words)):
+        for end in range(start + 1, min(start + _LONGEST, len(words)) + 1):
+            if any(tag != OUTSIDE for tag in tags[start:end]):
+                break
+            text = " ".join(words[start:end])
+            link = lexicon.link(slot, text) if compact(text) else None
+            if link is None or len(link.values) != 1 or lexicon.key(slot, link.values[0]) != key:
+                continue
+            rank = (link.score, -(end - start), range(start, end))
+            if best is None or rank[:2] > best[:2]:
+                best = rank
+    return None if best is None else best[2]

@@ -1,0 +1,320 @@
+"""The values of a domain, and what people call them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
+from bbq_torchrl.language.extra import needed
+from bbq_torchrl.language.quantities import READERS, Kind, kind_of
+from bbq_torchrl.language.words import compact, tokenize
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.language.phrases import Phrases
+
+__all__ = ["Lexicon", "Link"]
+
+_SMALL = frozenset(
+    [
+        "the",
+        "a",
+        "an",
+        "of",
+        "in",
+        "at",
+        "on",
+        "and",
+        "or",
+        "to",
+        "for",
+        "&",
+        ":",
+        "-",
+        ",",
+        ".",
+        "'",
+        "/",
+        "!",
+        "?",
+        "(",
+        ")",
+    ]
+)
+_NEGATIVE = re.compile(r"-\s?\d")
+_CLOSE = 0.045
+_LEAST = 0.6
+_MOST_TIES = 6
+_SAME_WORD = dict(
+    pair.split(":")
+    for pair in (
+        "ii:2 iii:3 iv:4 vi:6 one:1 two:2 three:3 four:4 five:5 six:6 saint:st sq:square "
+        "ctr:center centre:center mt:mount ft:fort and:& vol:volume movies:movie"
+    ).split()
+)
+
+
+@dataclass(frozen=True)
+class Link:
+    """What a name was found to mean.
+
+    Args:
+        values: one value; several that fit equally well; none for an unknown name.
+        score: how well the first fits, from 0 to 1.
+    """
+
+    values: tuple[str, ...]
+    score: float
+
+
+class Lexicon:
+    """A domain's values by slot, with one canonical key for all spellings of a value.
+
+    Args:
+        domain: whose values.
+        phrases: for other names of values, and the kinds of slots.
+    """
+
+    def __init__(self, domain: Domain, phrases: Phrases | None = None) -> None:
+        self._values = {
+            slot: texts[FIRST_VALUE:]
+            for slot, texts in zip(domain.slots, build_vocabulary(domain), strict=True)
+            if slot not in domain.special_slots and len(texts) > FIRST_VALUE
+        }
+        self._frequency = Counter(
+            (slot, fold(value))
+            for record in (*domain.records, *(goal.constraints for goal in domain.goals))
+            for slot, value in record.items()
+        )
+        self.kinds: dict[str, Kind] = {}
+        self.aliases: dict[str, Mapping[str, tuple[str, ...]]] = {}
+        for slot, values in self._values.items():
+            entry = phrases.slots[slot] if phrases is not None else None
+            self.kinds[slot] = entry.kind if entry is not None and entry.kind else kind_of(values)  # type: ignore[assignment]
+            self.aliases[slot] = entry.aliases if entry is not None else {}
+        self._group = {slot: self._groups(slot) for slot in self._values}
+        self._by_key: dict[str, dict[str, list[str]]] = {}
+        self._names: dict[str, dict[str, str]] = {}
+        for slot, values in self._values.items():
+            keys: dict[str, list[str]] = defaultdict(list)
+            for value in values:
+                keys[self.key(slot, value)].append(value)
+            self._by_key[slot] = keys
+            names = {compact(value): self.key(slot, value) for value in values}
+            for group in self._group[slot].items():
+                names.setdefault(*group)
+            self._names[slot] = {name: key for name, key in names.items() if key in keys}
+
+    @property
+    def slots(self) -> tuple[str, ...]:
+        """The slots that have values."""
+        return tuple(self._values)
+
+    def values(self, slot: str) -> tuple[str, ...]:
+        """Returns the values of a slot, as the domain spells them."""
+        return self._values[slot]
+
+    def _groups(self, slot: str) -> dict[str, str]:
+        """Returns the key of every spelling that the phrases call equal to a value."""
+        groups = {}
+        for value, others in self.aliases[slot].items():
+            for text in (value, *others):
+                groups[compact(text)] = compact(value)
+        return groups
+
+    def key(self, slot: str, value: str) -> str:
+        """Returns the canonical key of a value: equal for all its spellings."""
+        kind = self.kinds.get(slot, "text")
+        if kind != "text" and (read := READERS[kind](value)) is not None:
+            return read.rstrip("?")
+        name = compact(value)
+        return self._group.get(slot, {}).get(name, name)
+
+    @cached_property
+    def owners(self) -> dict[str, str]:
+        """For values, in letters and digits, that several slots have: the slot that has it most."""
+        holders: dict[str, dict[str, int]] = {}
+        for slot, values in self._values.items():
+            for value in values:
+                count = holders.setdefault(compact(value), {})
+                count[slot] = count.get(slot, 0) + self._frequency[slot, fold(value)]
+        return {
+            name: max(count, key=lambda slot: count[slot])
+            for name, count in holders.items()
+            if len(count) > 1
+        }
+
+    @cached_property
+    def names(self) -> dict[str, set[tuple[str, ...]]]:
+        """All names of each slot's values, in words."""
+        return {
+            slot: {
+                tuple(tokenize(text))
+                for text in (*values, *(a for texts in self.aliases[slot].values() for a in texts))
+            }
+            for slot, values in self._values.items()
+        }
+
+    def spelling(self, slot: str, key: str) -> str:
+        """Returns the spelling of a key that most records have."""
+        spellings = self._by_key[slot][key]
+        return max(spellings, key=lambda value: self._frequency[slot, fold(value)])
+
+    def link(self, slot: str, text: str) -> Link:
+        """Returns the value, or the values, that ``text`` names."""
+        name = compact(text)
+        if not name:
+            return Link((), 0.0)
+        if self.kinds[slot] == "count" and _NEGATIVE.search(text):
+            return Link((), 0.0)
+        for value in self._values[slot]:
+            if compact(value) == name and fold(value) == fold(text):
+                return Link((value,), 1.0)
+        if name in self._names[slot]:
+            exact = [v for v in self._by_key[slot][self._names[slot][name]] if compact(v) == name]
+            key = self._names[slot][name]
+            return Link((exact[0] if exact else self.spelling(slot, key),), 1.0)
+        kind = self.kinds[slot]
+        if kind != "text":
+            if (found := self._quantity(slot, kind, text)) is not None:
+                return found
+            if READERS[kind](text) is not None or any(letter.isdigit() for letter in name):
+                return Link((), 0.0)
+        return self._nearest(slot, text)
+
+    def only_slot(self, text: str) -> str | None:
+        """Returns the slot that alone has a value of just this name."""
+        name = compact(text)
+        slots = [slot for slot, names in self._names.items() if name in names]
+        return slots[0] if len(slots) == 1 else None
+
+    def _quantity(self, slot: str, kind: Kind, text: str) -> Link | None:
+        read = READERS[kind](text)
+        if read is None:
+            return None
+        known = self._by_key[slot]
+        tries = [read.rstrip("?")]
+        if kind == "time":
+            relation, clock = tries[0].split()
+            hour, minute = clock.split(":")
+            if read.endswith("?"):
+                tries.append(f"{relation} {(int(hour) + 12) % 24:02}:{minute}")
+            if hour == "12" and read.endswith("?"):
+                tries.reverse()
+                tries.append(tries.pop(0))
+            if relation == "at":
+                pass
+            else:
+                tries += [f"at {t.split()[1]}" for t in tries] if relation == "around" else []
+        if kind == "date" and " " in tries[0]:
+            head, _, part = tries[0].rpartition(" ")
+            if part in ("morning", "afternoon", "evening", "night", "noon"):
+                other = {"evening": "night", "night": "evening"}.get(part)
+                tries += [f"{head} {other}"] if other else []
+                tries.append(head)
+        for score, key in zip((1.0, 0.9, 0.85, 0.8, 0.8), tries, strict=False):
+            if key in known:
+                return Link((self.spelling(slot, key),), score)
+        return None
+
+    def _nearest(self, slot: str, text: str) -> Link:
+        """Returns the names that share most of what is telling, typos allowed for."""
+        scored = _Names.of(self, slot).scores(text)
+        ranked = sorted(scored.items(), key=lambda item: -item[1])
+        if not ranked or ranked[0][1] < _LEAST:
+            return Link((), ranked[0][1] if ranked else 0.0)
+        best = ranked[0][1]
+        ties = [key for key, score in ranked[:_MOST_TIES] if score > best - _CLOSE]
+        return Link(tuple(self.spelling(slot, key) for key in ties), best)
+
+
+class _Names:
+    """The names of one slot's values, ready to be compared with what somebody typed."""
+
+    def __init__(self, lexicon: Lexicon, slot: str) -> None:
+        pairs = {value: lexicon.key(slot, value) for value in lexicon.values(slot)}
+        for value, texts in lexicon.aliases[slot].items():
+            pairs |= {text: lexicon.key(slot, value) for text in texts}
+        known = {lexicon.key(slot, value) for value in lexicon.values(slot)}
+        self._keys = [key for key in pairs.values() if key in known]
+        self._joined = [compact(name) for name, key in pairs.items() if key in known]
+        self._words = [frozenset(_telling(name)) for name, key in pairs.items() if key in known]
+        count = Counter(word for words in self._words for word in words)
+        total = 1 + len(self._words)
+        self._weight = {
+            word: (0.15 if word in _SMALL else 1.0) * math.log(1 + total / n)
+            for word, n in count.items()
+        }
+        self._unknown = 0.6 * math.log(1 + total)
+        self._named = [sum(self._weight[word] for word in words) for words in self._words]
+
+    @classmethod
+    def of(cls, lexicon: Lexicon, slot: str) -> _Names:
+        """Returns the names of a slot, made once."""
+        made: dict[str, _Names] = lexicon.__dict__.setdefault("_made", {})
+        if slot not in made:
+            made[slot] = cls(lexicon, slot)
+        return made[slot]
+
+    def scores(self, text: str) -> dict[str, float]:
+        """Returns how well each key fits, from 0 to 1; those that fit badly are left out."""
+        process, similarity = _rapidfuzz()
+        joined = compact(text)
+        scored: dict[str, float] = {}
+        for _, score, index in process.extract(
+            joined, self._joined, scorer=similarity, score_cutoff=0.66, limit=6
+        ):
+            scored[self._keys[index]] = max(score, scored.get(self._keys[index], 0.0))
+        for index, name in enumerate(self._joined):
+            if len(joined) >= 5 and name.startswith(joined):
+                scored[self._keys[index]] = max(0.85, scored.get(self._keys[index], 0.0))
+        likenesses = [(word, self._like(word)) for word in dict.fromkeys(_telling(text))]
+        total = sum(
+            max((self._weight[other] for other in like), default=0.0)
+            or (0.15 if word in _SMALL else 1.0) * self._unknown
+            for word, like in likenesses
+        )
+        if not total:
+            return scored
+        for key, words, named in zip(self._keys, self._words, self._named, strict=True):
+            shared = taken = 0.0
+            for _, like in likenesses:
+                # Python's loop over a slot's names: the few words of a span against sets.
+                if hits := [(share, other) for other, share in like.items() if other in words]:
+                    share, other = max(hits)
+                    shared += share * self._weight[other]
+                    taken += self._weight[other]
+            score = 0.88 * shared / total + 0.12 * taken / named if shared else 0.0
+            if score > scored.get(key, 0.3):
+                scored[key] = min(score, 1.0) * 0.98
+        return scored
+
+    def _like(self, word: str) -> dict[str, float]:
+        """Returns the words of names that ``word`` may be, and how likely."""
+        if word in self._weight:
+            return {word: 1.0}
+        if len(word) <= 3 or word.isdecimal():
+            return {}
+        process, similarity = _rapidfuzz()
+        near = process.extract(
+            word, list(self._weight), scorer=similarity, score_cutoff=0.72, limit=3
+        )
+        return {other: score for other, score, _ in near if len(other) > 2}
+
+
+def _telling(text: str) -> list[str]:
+    """Returns the words of a name, numbers as digits: ``"creed iii"`` and ``"Creed 3"`` agree."""
+    words = tokenize(text.replace("-", "") if not any(c.isdigit() for c in text) else text)
+    return [_SAME_WORD.get(word, word) for word in words if any(c.isalnum() for c in word)]
+
+
+def _rapidfuzz() -> tuple[Any, Any]:
+    fuzz = needed("rapidfuzz", "rapidfuzz.process")
+    return fuzz, needed("rapidfuzz", "rapidfuzz.distance").OSA.normalized_similarity

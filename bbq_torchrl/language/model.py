@@ -1,0 +1,140 @@
+"""The two learned parts of the understanding, and how they are fitted to sentences."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.language.features import Features
+from bbq_torchrl.language.intents import IntentNet, train_intents
+from bbq_torchrl.language.tagger import OUTSIDE, Tagger
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.language.corpus import Example
+    from bbq_torchrl.language.frames import Frame
+    from bbq_torchrl.language.lexicon import Lexicon
+    from bbq_torchrl.language.phrases import Phrases
+
+__all__ = ["Model", "Reading", "fit"]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the learned parts say of one sentence.
+
+    Attributes:
+        tags: the best tag of each word.
+        tags_chance: their probability.
+        acts: the log-probability of each act, ``[A]``.
+        requests: the probability that each slot is asked for, ``[S]``.
+        dont_care: the probability that each slot does not matter, ``[S]``.
+        unknown: the share of the words that no training sentence has.
+    """
+
+    tags: list[str]
+    tags_chance: float
+    acts: torch.Tensor
+    requests: torch.Tensor
+    dont_care: torch.Tensor
+    unknown: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """Tagger, net and what they see."""
+
+    features: Features
+    tagger: Tagger
+    net: IntentNet
+
+    @torch.no_grad()
+    def read(self, words: Sequence[str], question: Frame | None) -> Reading:
+        """Returns the reading of a sentence of one word or more."""
+        tags, chance = self.tagger(self.features.of_words(words, question))
+        names = self.features.of_sentence(words, tags, question)
+        acts, requests, dont_care = (part[0] for part in self.net([self.net.encode(names)]))
+        asked = self.asked(question)
+        return Reading(
+            tags,
+            chance,
+            acts.log_softmax(-1),
+            _of_slots(requests, asked),
+            _of_slots(dont_care, asked),
+            self.features.share_unknown(words),
+        )
+
+    def asked(self, question: Frame | None) -> int | None:
+        """Returns the index of the slot that the agent has just asked for."""
+        if question is None or not question.requests or question.requests[0] not in self.net.slots:
+            return None
+        return self.net.slots.index(question.requests[0])
+
+
+def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:
+    """Returns probabilities of slots ``[S]``: the last logit is that of the slot asked for."""
+    chances = logits.sigmoid()
+    slots = chances[:-1].clone()
+    if asked is not None:
+        slots[asked] = torch.maximum(slots[asked], chances[-1])
+    return slots
+
+
+def fit(
+    domain: Domain,
+    phrases: Phrases,
+    lexicon: Lexicon,
+    examples: Sequence[Example],
+    *,
+    seed: int,
+    steps: int,
+    epochs: int,
+) -> Model:
+    """Returns a model fitted to sentences; equal arguments give equal bits.
+
+    Args:
+        domain: whose acts and slots.
+        phrases: whose nouns help.
+        lexicon: whose names help.
+        examples: the sentences.
+        seed: of the net.
+        steps: of the tagger's optimizer.
+        epochs: of the net.
+    """
+    words = Counter(
+        w for e in examples for w, t in zip(e.words, e.tags, strict=True) if t == OUTSIDE
+    )
+    known = [word for word, count in words.items() if count > 1]
+    features = Features(lexicon, phrases, known, domain.complete_slot)
+    tagger = Tagger.train(
+        [features.of_words(e.words, e.question) for e in examples],
+        [e.tags for e in examples],
+        steps,
+    )
+    slots = domain.slots
+    requests = torch.zeros(len(examples), len(slots) + 1)
+    dont_care = torch.zeros(len(examples), len(slots) + 1)
+    for row, example in enumerate(examples):
+        asked = example.question.requests if example.question is not None else ()
+        for target, own in (
+            (requests, example.frame.requests),
+            (dont_care, example.frame.dont_care),
+        ):
+            for slot in own:
+                # "Any" means the slot asked for; "any city" means the city whatever was asked.
+                target[row, len(slots) if slot in asked[:1] else slots.index(slot)] = 1.0
+    net = train_intents(
+        [features.of_sentence(e.words, e.tags, e.question) for e in examples],
+        [domain.acts.index(e.frame.act) for e in examples],
+        requests,
+        dont_care,
+        (domain.acts, slots),
+        seed=seed,
+        epochs=epochs,
+    )
+    return Model(features, tagger, net)

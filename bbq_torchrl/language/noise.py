@@ -1,0 +1,128 @@
+"""What becomes of sentences when people type them: typos, slang, filler, missing words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.language.tagger import OUTSIDE
+
+if TYPE_CHECKING:
+    import random
+    from collections.abc import Sequence
+
+__all__ = ["as_second_language", "lowered", "slangy", "typo", "with_typos"]
+
+_KEYS = dict(
+    pair.split(":")
+    for pair in (
+        "a:sq b:vn c:xv d:sf e:wr f:dg g:fh h:gj i:uo j:hk k:jl l:ko m:n n:bm o:ip p:o q:w r:et "
+        "s:ad t:ry u:yi v:cb w:qe x:zc y:tu z:x"
+    ).split()
+)
+_SLANG = dict(
+    pair.split(":")
+    for pair in (
+        "you:u are:r please:plz for:4 to:2 tickets:tix want:wanna thanks:thx tomorrow:tmrw "
+        "tonight:2nite movie:flick going:gonna because:cuz people:ppl i:im what's:whats don't:dont "
+        "i'd:id we'd:wed the:da theater:theatre see:c great:gr8 okay:k and:n at:@ with:w/ time:tym "
+        "about:abt something:smth doesn't:doesnt i'm:im it's:its what:wat that:dat give:gimme "
+        "probably:prolly night:nite can't:cant where's:wheres let's:lets i'll:ill"
+    ).split()
+)
+_DROPPED = frozenset(
+    [
+        "the",
+        "a",
+        "an",
+        "to",
+        "is",
+        "are",
+        "do",
+        "does",
+        "of",
+        "on",
+        "at",
+        "in",
+        "it",
+        "i",
+        "me",
+        "we",
+        "would",
+        "can",
+        "for",
+        "there",
+    ]
+)
+_SWAPPED = {
+    word: tuple(others.split(","))
+    for word, others in (
+        pair.split(":")
+        for pair in (
+            "in:at,on,to on:in,at at:in,on to:for for:to what:which which:what movie:film "
+            "movies:films theater:cinema theaters:cinemas people:persons,peoples tickets:ticket "
+            "would:will is:are,be are:is does:do any:some like:want see:look start:begin,starts "
+            "much:many have:has showing:given,projected"
+        ).split()
+    )
+}
+
+
+def typo(word: str, rng: random.Random) -> str:
+    """Returns the word with one slip of the fingers; very short words as they are."""
+    if len(word) < 3 or not word.isalpha():
+        return word
+    at = rng.randrange(1, len(word))
+    kind = rng.randrange(4)
+    if kind == 0:
+        return word[:at] + word[at + 1 :]
+    if kind == 1:
+        return word[: at - 1] + word[at] + word[at - 1] + word[at + 1 :]
+    if kind == 2:
+        return word[:at] + word[at] + word[at:]
+    return word[:at] + rng.choice(_KEYS.get(word[at].lower(), word[at])) + word[at + 1 :]
+
+
+def with_typos(words: Sequence[str], share: float, rng: random.Random) -> list[str]:
+    """Returns the words, each with a slip by the chance ``share``."""
+    return [typo(word, rng) if rng.random() < share else word for word in words]
+
+
+def lowered(text: str) -> str:
+    """Returns a text in lower case without marks, but those inside of numbers and words."""
+    kept = [
+        letter
+        for at, letter in enumerate(text)
+        if letter.isalnum()
+        or letter.isspace()
+        or letter in "$%&@'"
+        or (0 < at < len(text) - 1 and text[at - 1].isalnum() and text[at + 1].isalnum())
+    ]
+    return " ".join("".join(kept).lower().split())
+
+
+def slangy(words: list[str], tags: list[str], rng: random.Random) -> tuple[list[str], list[str]]:
+    """Returns a sentence in which some words are written as in short messages."""
+    share = rng.choice((0.2, 0.5))
+    written = [
+        _SLANG.get(word, word) if tag == OUTSIDE and rng.random() < share else word
+        for word, tag in zip(words, tags, strict=True)
+    ]
+    return written, tags
+
+
+def as_second_language(
+    words: list[str], tags: list[str], rng: random.Random
+) -> tuple[list[str], list[str]]:
+    """Returns a sentence that lost small words, with others in their place."""
+    kept = []
+    for word, tag in zip(words, tags, strict=True):
+        if tag == OUTSIDE and word in _DROPPED and rng.random() < 0.3:
+            continue
+        if tag == OUTSIDE and word in _SWAPPED and rng.random() < 0.2:
+            word = rng.choice(_SWAPPED[word])
+        if tag == OUTSIDE and rng.random() < 0.02:
+            kept.append(("the", OUTSIDE))
+        kept.append((word, tag))
+    if not kept:
+        return words, tags
+    return [word for word, _ in kept], [tag for _, tag in kept]

@@ -1,0 +1,424 @@
+"""Times, dates, counts and prices: one canonical key for every way to say the same.
+
+The same reader makes the keys of a domain's values and of what people type, so the two meet. A key
+is text: ``"at 19:30"``, ``"friday night"``, ``"3/14"``, ``"2"``, ``"$10"``.
+"""
+
+from __future__ import annotations
+
+import calendar
+import re
+from typing import TYPE_CHECKING, Literal
+
+from bbq_torchrl.language.words import tokenize
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+__all__ = [
+    "KINDS",
+    "READERS",
+    "Kind",
+    "kind_of",
+    "read_count",
+    "read_date",
+    "read_price",
+    "read_time",
+]
+
+Kind = Literal["text", "time", "date", "count", "price"]
+KINDS: tuple[Kind, ...] = ("text", "time", "date", "count", "price")
+
+_UNITS = [
+    "zero",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+    "thirteen",
+    "fourteen",
+    "fifteen",
+    "sixteen",
+    "seventeen",
+    "eighteen",
+    "nineteen",
+]
+_TENS = {"twenty": 20, "thirty": 30, "forty": 40, "fifty": 50}
+_NUMBERS = {word: number for number, word in enumerate(_UNITS)} | _TENS
+_ORDINALS = {
+    word: number
+    for number, word in enumerate(
+        [
+            "first",
+            "second",
+            "third",
+            "fourth",
+            "fifth",
+            "sixth",
+            "seventh",
+            "eighth",
+            "ninth",
+            "tenth",
+            "eleventh",
+            "twelfth",
+            "thirteenth",
+            "fourteenth",
+            "fifteenth",
+            "sixteenth",
+            "seventeenth",
+            "eighteenth",
+            "nineteenth",
+            "twentieth",
+        ],
+        1,
+    )
+} | {"thirtieth": 30}
+_DAYS = tuple(day.lower() for day in calendar.day_name)
+_DAY = {day[:length]: day for day in _DAYS for length in (3, len(day))} | {
+    "tues": "tuesday",
+    "weds": "wednesday",
+    "thur": "thursday",
+    "thurs": "thursday",
+}
+_MONTH = {
+    name.lower(): number
+    for names in (calendar.month_name, calendar.month_abbr)
+    for number, name in enumerate(names)
+    if number
+} | {"sept": 9}
+_PART = dict(
+    pair.split(":")
+    for pair in (
+        "morning:morning afternoon:afternoon evening:evening eve:evening night:night nite:night "
+        "noon:noon"
+    ).split()
+)
+_TOMORROW = {"tomorrow", "tmrw", "tmw", "tomorow", "tommorow", "tommorrow", "tmrow", "2morrow"}
+_DATE_FILLERS = frozenset(("on the of in for at day st nd rd th , . ' s by a").split())
+_RELATIONS = (
+    ("not before", "after"),
+    ("not earlier than", "after"),
+    ("not after", "before"),
+    ("no later than", "before"),
+    ("after", "after"),
+    ("from", "after"),
+    ("past", "after"),
+    ("later than", "after"),
+    ("before", "before"),
+    ("earlier than", "before"),
+    ("until", "before"),
+    ("by", "before"),
+    ("around", "around"),
+    ("about", "around"),
+    ("near", "around"),
+    ("approximately", "around"),
+    ("circa", "around"),
+    ("ish", "around"),
+)
+_TIME_FILLERS = frozenset(
+    (
+        "at the in o clock o'clock oclock sharp somewhere of on for hours hour hrs , . and it is"
+    ).split()
+)
+NUMBER_WORDS = frozenset(_NUMBERS)
+ORDINAL_WORDS = frozenset(_ORDINALS)
+DAY_WORDS = frozenset({*_DAY, *_TOMORROW, "today", "tonight", "weekend", "week"})
+MONTH_WORDS = frozenset(_MONTH)
+PART_WORDS = frozenset({*_PART, "midnight", "matinee", "midday"})
+RELATION_WORDS = frozenset(
+    ("after", "before", "around", "about", "past", "quarter", "half", "until")
+)
+
+_ALONE = {"alone", "myself", "single", "solo"}
+_COMPANIONS = frozenset(
+    (
+        "wife husband girlfriend boyfriend partner friend brother sister mother father mom dad son "
+        "daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
+        "grandmother neighbor"
+    ).split()
+)
+_COMPANIES = frozenset(
+    ("friends buddies colleagues pals mates kids children sons daughters others more").split()
+)
+_CLOCK = re.compile(r"(\d{1,2})[:.h](\d\d)")
+
+
+def number_of(word: str) -> int | None:
+    """Returns the number that a word or at most four digits name, else ``None``."""
+    if word.isdecimal() and word.isascii():
+        return int(word) if len(word) <= 4 else None
+    return _NUMBERS.get(word)
+
+
+def read_time(text: str) -> str | None:
+    """Returns the key of a time of day, else ``None``.
+
+    An hour without am or pm is marked by ``?`` and means the afternoon or evening where both
+    exist.
+
+    Example:
+        >>> [read_time(t) for t in ("7:30 pm", "half past seven", "1930", "after 6pm", "25:99")]
+        ['at 19:30', 'at 19:30?', 'at 19:30', 'after 18:00', None]
+    """
+    words = tokenize(text)
+    joined = " ".join(words)
+    relation = "at"
+    for phrase, name in _RELATIONS:
+        if re.search(
+            rf"(^|\b(at|in|somewhere|something|anything|only|a bit|is) ){phrase}\b", joined
+        ):
+            relation, joined = name, joined.replace(phrase, " ", 1)
+            break
+    words = [word for word in joined.split() if word not in _TIME_FILLERS]
+    if relation == "after" and words[-1:] == ["on"]:
+        words.pop()
+    if words[-2:] == ["or", "later"]:
+        relation, words = "after", words[:-2]
+    meridian = None
+    kept = []
+    for word in words:
+        if word.rstrip(".") in ("am", "a.m") or word in ("morning",):
+            meridian = 0
+        elif word.rstrip(".") in ("pm", "p.m") or word in (
+            "evening",
+            "night",
+            "afternoon",
+            "tonight",
+        ):
+            meridian = 12
+        else:
+            kept.append(word)
+    if kept in (["noon"], ["midday"]):
+        return f"{relation} 12:00"
+    if kept == ["midnight"]:
+        return f"{relation} 00:00"
+    clock = _clock(kept)
+    if clock is None:
+        return None
+    hour, minute, has_24 = clock
+    if not (0 <= hour <= 23 and 0 <= minute <= 59) or (
+        meridian is not None and hour > 12 and meridian == 0
+    ):
+        return None
+    if meridian is not None and hour <= 12:
+        return f"{relation} {hour % 12 + meridian:02}:{minute:02}"
+    if hour > 12 or has_24 or hour == 0:
+        return f"{relation} {hour:02}:{minute:02}"
+    return f"{relation} {hour % 12 + 12:02}:{minute:02}?"
+
+
+def _clock(words: list[str]) -> tuple[int, int, bool] | None:
+    """Returns hour, minute and whether the clock has 24 hours beyond doubt."""
+    if len(words) == 1:
+        word = words[0]
+        if match := _CLOCK.fullmatch(word):
+            return int(match[1]), int(match[2]), len(match[1]) == 2 and match[1][0] == "0"
+        if word.isdecimal() and word.isascii() and len(word) in (3, 4):
+            return int(word[:-2]), int(word[-2:]), len(word) == 4
+        number = number_of(word)
+        return None if number is None or number > 24 else (number % 24, 0, False)
+    joined = " ".join(words)
+    match = re.fullmatch(
+        r"(half|quarter|a quarter|\w+)(?: minutes)? (past|after|to|till|before) (\w+)", joined
+    )
+    if match:
+        minutes = {"half": 30, "quarter": 15, "a quarter": 15}.get(match[1]) or number_of(match[1])
+        hour = number_of(match[3])
+        if minutes is None or hour is None or not 0 < minutes < 60:
+            return None
+        return (
+            (hour, minutes, False)
+            if match[2] in ("past", "after")
+            else ((hour - 1) % 12 or 12, 60 - minutes, False)
+        )
+    if match := re.fullmatch(r"(half) (\w+)", joined):
+        hour = number_of(match[2])
+        return None if hour is None else (hour, 30, False)
+    hour = number_of(words[0]) if words else None
+    if hour is None or not 1 <= hour <= 23:
+        return None
+    if len(words) == 2 and (minute := number_of(words[1])) is not None:
+        return (hour, minute, False) if minute >= 10 else None
+    if len(words) == 2 and words[1].count("-") == 1:
+        return None
+    if (
+        len(words) == 3
+        and words[1] in _TENS
+        and (unit := number_of(words[2])) is not None
+        and unit < 10
+    ):
+        return hour, _TENS[words[1]] + unit, False
+    if (
+        len(words) == 3
+        and words[1] in ("oh", "o")
+        and (unit := number_of(words[2])) is not None
+        and unit < 10
+    ):
+        return hour, unit, False
+    return None
+
+
+def read_date(text: str) -> str | None:
+    """Returns the key of a day, else ``None``.
+
+    Example:
+        >>> [read_date(t) for t in ("this Friday night", "15 of march", "3/15", "the 9th")]
+        ['friday night', '3/15', '3/15', 'day 9']
+        >>> read_date("february 30"), read_date("barbie")
+        (None, None)
+    """
+    words = [word for word in tokenize(text) if word not in _DATE_FILLERS]
+    joined = " ".join(words)
+    if joined in ("after tomorrow",) or re.fullmatch(r"after (tomorrow|tmrw)", joined):
+        return "after tomorrow"
+    joined = re.sub(r"\bweek end\b", "weekend", joined)
+    words = joined.split()
+    part = ""
+    if len(words) > 1 and words[-1] in _PART:
+        part = " " + _PART[words.pop()]
+    if words in (["tonight"], ["tonite"], ["2nite"], ["2night"]):
+        return "today night"
+    if words == ["this"] and part:
+        return f"today{' night' if part == ' evening' else part}"
+    if words in (["today"], ["later", "today"], ["this", "day"]):
+        return f"{words[0]} {words[-1]}".replace("today today", "today") + part
+    if len(words) == 1 and words[0] in _TOMORROW:
+        return f"tomorrow{part}"
+    prefix = words[0] if words and words[0] in ("this", "next", "coming", "following") else ""
+    rest = words[1:] if prefix else words
+    is_next = "next " if prefix in ("next", "following") else ""
+    if len(rest) == 1 and (rest[0].rstrip("s") in _DAY or rest[0] in _DAY):
+        return f"{is_next}{_DAY.get(rest[0]) or _DAY[rest[0].rstrip('s')]}{part}"
+    if rest in (["weekend"], ["weekends"]):
+        return f"{is_next}weekend"
+    if rest in (["week"], ["month"]) and is_next:
+        return f"{is_next}{rest[0]}"
+    return None if prefix or part else _calendar_day(words)
+
+
+def _calendar_day(words: list[str]) -> str | None:
+    months = [_MONTH[word] for word in words if word in _MONTH]
+    others = [word for word in words if word not in _MONTH]
+    if len(words) == 1 and (match := re.fullmatch(r"(\d{1,2})[/.](\d{1,2})", words[0])):
+        return _valid(int(match[1]), int(match[2]))
+    day = _day_number(others)
+    if day is None or not 1 <= day <= 31:
+        return None
+    if months:
+        return _valid(months[0], day) if len(months) == 1 else None
+    return f"day {day}"
+
+
+def _valid(month: int, day: int) -> str | None:
+    if not 1 <= month <= 12 or not 1 <= day <= calendar.monthrange(2024, month)[1]:
+        return None
+    return f"{month}/{day}"
+
+
+def _day_number(words: list[str]) -> int | None:
+    words = [part for word in words for part in word.split("-") if part]
+    if len(words) == 1:
+        return _ORDINALS.get(words[0], number_of(words[0]))
+    if len(words) == 2 and words[0] in _TENS and words[1] in _ORDINALS and _ORDINALS[words[1]] < 10:
+        return _TENS[words[0]] + _ORDINALS[words[1]]
+    return None
+
+
+def read_count(text: str) -> str | None:
+    """Returns the key of a number of people, else ``None``.
+
+    Example:
+        >>> [read_count(t) for t in ("two", "me and my wife", "3 of my friends and me", "-3")]
+        ['2', '2', '4', None]
+    """
+    words = tokenize(text.replace("-", " ") if not re.search(r"-\s*\d", text) else text)
+    numbers = [number for word in words if (number := number_of(word)) is not None]
+    if any(
+        re.fullmatch(r"-\d+", word) or (word.isdecimal() and number_of(word) is None)
+        for word in words
+    ):
+        return None
+    has_me = any(word in ("me", "i", "my", "myself") for word in words)
+    if "dozen" in words:
+        return "6" if "half" in words else "12"
+    if len(numbers) > 1:
+        return None
+    if numbers:
+        is_plus = (
+            bool(_COMPANIES & set(words)) and (has_me or "with" in words) and "us" not in words
+        )
+        total = numbers[0] + is_plus
+        return str(total) if 0 < total <= 99 else None
+    if {"couple", "pair", "both"} & set(words):
+        return "2"
+    companions = sum(word in _COMPANIONS for word in words)
+    if companions and (has_me or "with" in words or words[:1] == ["a"]):
+        return str(1 + companions)
+    if _ALONE & set(words) or " ".join(words) in (
+        "me",
+        "just me",
+        "only me",
+        "for me",
+        "just for me",
+        "only for me",
+        "one",
+        "it's just for me",
+        "it's just me",
+    ):
+        return "1"
+    return None
+
+
+def read_price(text: str) -> str | None:
+    """Returns the key of a price, else ``None``.
+
+    Example:
+        >>> read_price("$10"), read_price("not more than 20 dollars")
+        ('$10', 'under $20')
+    """
+    words = tokenize(text)
+    is_money = bool({"$", "dollars", "dollar", "bucks", "usd"} & set(words))
+    is_under = bool({"under", "below", "less", "max", "maximum", "most"} & set(words)) or (
+        "more" in words and ("than" in words)
+    )
+    numbers = [number for word in words if (number := number_of(word)) is not None]
+    if len(numbers) != 1 or not (is_money or is_under):
+        return None
+    return f"{'under ' if is_under else ''}${numbers[0]}"
+
+
+READERS: dict[Kind, Callable[[str], str | None]] = {
+    "time": read_time,
+    "date": read_date,
+    "count": read_count,
+    "price": read_price,
+}
+"""How the values of each kind but ``text`` are read."""
+
+
+def kind_of(values: Iterable[str]) -> Kind:
+    """Returns the kind of quantity that most values of a slot are, else ``"text"``.
+
+    Example:
+        >>> kind_of(["7pm", "8:15 pm", "after work"]), kind_of(["98101", "10036"])
+        ('time', 'text')
+    """
+    values = tuple(values)
+    orders: tuple[Kind, ...] = ("price", "count", "date", "time")
+    for kind in orders:
+        # "amc 8" has a number and is no count.
+        longest = 1 if kind == "count" else 5
+        read = sum(
+            READERS[kind](value) is not None and len(tokenize(value)) <= longest for value in values
+        )
+        if values and read > len(values) / 2:
+            return kind
+    return "text"

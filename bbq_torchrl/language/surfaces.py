@@ -1,0 +1,344 @@
+"""How people write values: other clocks, other dates, short names, words for numbers."""
+
+from __future__ import annotations
+
+import calendar
+import re
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.language.words import compact
+
+if TYPE_CHECKING:
+    import random
+    from collections.abc import Callable, Collection
+
+    from bbq_torchrl.language.lexicon import Lexicon
+
+__all__ = ["Surfaces"]
+
+_WORDS = [
+    "zero",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+    "thirteen",
+    "fourteen",
+    "fifteen",
+    "sixteen",
+    "seventeen",
+    "eighteen",
+    "nineteen",
+]
+_TENS = {2: "twenty", 3: "thirty", 4: "forty", 5: "fifty"}
+_ORDINALS = [
+    "first",
+    "second",
+    "third",
+    "fourth",
+    "fifth",
+    "sixth",
+    "seventh",
+    "eighth",
+    "ninth",
+    "tenth",
+    "eleventh",
+    "twelfth",
+    "thirteenth",
+    "fourteenth",
+    "fifteenth",
+    "sixteenth",
+    "seventeenth",
+    "eighteenth",
+    "nineteenth",
+    "twentieth",
+]
+_MATES = (
+    "wife",
+    "husband",
+    "girlfriend",
+    "boyfriend",
+    "friend",
+    "brother",
+    "mother",
+    "son",
+    "partner",
+)
+_RELATIONS = {
+    "after": ("after", "from", "not before", "later than", "any time after", "after the"),
+    "before": ("before", "not after", "by", "earlier than", "until"),
+    "around": ("around", "about", "somewhere around", "approximately", "near"),
+}
+
+
+class Surfaces:
+    """Writes values as people do.
+
+    Args:
+        lexicon: the values; a way to write one is used only where it is read as the same.
+        people: the slots that count people, so that "me and my wife" is a value.
+    """
+
+    def __init__(self, lexicon: Lexicon, people: Collection[str] = ()) -> None:
+        self._lexicon = lexicon
+        self._people = people
+        self._is_read: dict[tuple[str, str, str], bool] = {}
+
+    def __call__(self, slot: str, value: str, rng: random.Random) -> str:
+        """Returns one way to write the value."""
+        if rng.random() < 0.45:
+            return value
+        kind = self._lexicon.kinds.get(slot, "text")
+        written = self._makers.get(kind, self._name)(slot, value, rng)
+        return written if written and self._reads(slot, value, written) else value
+
+    @cached_property
+    def _makers(self) -> dict[str, Callable[[str, str, random.Random], str]]:
+        return {
+            "time": self._time,
+            "date": self._date,
+            "count": self._count,
+            "price": self._price,
+            "text": self._name,
+        }
+
+    def _reads(self, slot: str, value: str, written: str) -> bool:
+        key = (slot, value, written)
+        if key not in self._is_read:
+            found = self._lexicon.link(slot, written).values
+            self._is_read[key] = (
+                len(found) == 1
+                and self._lexicon.key(slot, found[0]) == self._lexicon.key(slot, value)
+                and self._lexicon.only_slot(written) in (None, slot)
+            )
+        return self._is_read[key]
+
+    def _alias(self, slot: str, value: str, rng: random.Random) -> str:
+        for main, others in self._lexicon.aliases[slot].items():
+            if compact(value) in (compact(main), *map(compact, others)):
+                return rng.choice((main, *others))
+        return ""
+
+    def _name(self, slot: str, value: str, rng: random.Random) -> str:
+        if rng.random() < 0.4 and (alias := self._alias(slot, value, rng)):
+            return alias
+        words = value.split()
+        choice = rng.random()
+        if ":" in value and choice < 0.4:
+            return value.split(":")[0]
+        if choice < 0.55 and len(words) > 1:
+            return " ".join(words[: rng.randint(1, len(words) - 1)]).rstrip(":-&")
+        if choice < 0.65 and len(words) > 2:
+            out = rng.randrange(len(words))
+            return " ".join(word for index, word in enumerate(words) if index != out)
+        if choice < 0.75 and words[0] in ("the", "a"):
+            return " ".join(words[1:])
+        if choice < 0.85 and len(words) > 2 and words[-1].isdecimal():
+            return f"{words[0]} {rng.choice(('of', 'in', 'at'))} {' '.join(words[1:-1])}"
+        return re.sub(r"[^\w\s$&%]", rng.choice(("", " ")), value)
+
+    def _time(self, slot: str, value: str, rng: random.Random) -> str:
+        relation, _, clock = self._lexicon.key(slot, value).partition(" ")
+        if not re.fullmatch(r"\d\d:\d\d", clock):
+            return self._alias(slot, value, rng)
+        hour, minute = int(clock[:2]), int(clock[3:])
+        short = hour % 12 or 12
+        meridian = rng.choice(
+            ("am", " am", " a.m.", "AM") if hour < 12 else ("pm", " pm", " p.m.", "PM")
+        )
+        part = rng.choice(
+            (
+                "",
+                "",
+                "in the morning"
+                if hour < 12
+                else "in the evening"
+                if hour > 16
+                else "in the afternoon",
+            )
+        )
+        spelled = _spell(minute)
+        options = [
+            f"{short}{rng.choice(':::.')}{minute:02}{meridian}",
+            f"{short}:{minute:02}",
+            f"{hour:02}:{minute:02}",
+            f"{hour}{rng.choice('.h:')}{minute:02}",
+            f"{short}:{minute:02} {part}",
+            f"{hour:02}{minute:02}",
+        ]
+        if not minute:
+            options += [
+                f"{short}{meridian}",
+                f"{short} o'clock",
+                f"{_WORDS[short]}",
+                f"{_WORDS[short]} o'clock {part}",
+                str(short),
+                f"{short} {part}",
+                f"{_WORDS[short]} {meridian.strip()}",
+                f"{short} o clock {part}",
+            ]
+        else:
+            options += [
+                f"{_WORDS[short]} {spelled}",
+                f"{_WORDS[short]} {spelled} {part}",
+                f"{_WORDS[short]} {spelled} {meridian.strip()}",
+            ]
+            if minute in (15, 30, 45):
+                name = {15: "quarter past", 30: "half past", 45: "quarter to"}[minute]
+                named = short if minute < 45 else short % 12 + 1
+                options += [f"{name} {rng.choice((str(named), _WORDS[named]))} {part}"] * 4
+            if minute in (5, 10, 20, 25):
+                options.append(f"{spelled} past {_WORDS[short]}")
+            if minute in (35, 40, 50, 55):
+                options.append(f"{_spell(60 - minute)} to {_WORDS[short % 12 + 1]}")
+        written = rng.choice(options).strip()
+        if relation in _RELATIONS:
+            written = f"{rng.choice(_RELATIONS[relation])} {written}"
+        return written
+
+    def _date(self, slot: str, value: str, rng: random.Random) -> str:
+        key = self._lexicon.key(slot, value)
+        if rng.random() < 0.3 and (alias := self._alias(slot, value, rng)):
+            return alias
+        if match := re.fullmatch(r"(\d+)/(\d+)", key):
+            month, day = int(match[1]), int(match[2])
+            names = (calendar.month_name[month], calendar.month_abbr[month])
+            name = rng.choice(names).lower()
+            nth = rng.choice((str(day), f"{day}{_suffix(day)}", _ordinal(day)))
+            return rng.choice(
+                (
+                    f"{name} {nth}",
+                    f"{nth} of {name}",
+                    f"the {nth} of {name}",
+                    f"{nth} {name}",
+                    f"{month}/{day}",
+                    f"the {day} {name}",
+                    f"{name} the {nth}",
+                )
+            )
+        if match := re.fullmatch(r"day (\d+)", key):
+            day = int(match[1])
+            return rng.choice(
+                (
+                    f"the {day}{_suffix(day)}",
+                    f"{day}{_suffix(day)}",
+                    f"the {_ordinal(day)}",
+                    f"the day {day}",
+                    f"the {day}",
+                )
+            )
+        words = key.split()
+        for index, word in enumerate(words):
+            if word.capitalize() in calendar.day_name and rng.random() < 0.4:
+                words[index] = rng.choice((word[:3], word[:4].rstrip("n"), word))
+            elif word == "tomorrow":
+                words[index] = rng.choice(("tomorrow", "tmrw", "tomorow", "tommorrow", "tmw"))
+        if key == "today night":
+            return rng.choice(
+                (
+                    "tonight",
+                    "tonite",
+                    "today night",
+                    "today in the night",
+                    "today at night",
+                    "this night",
+                )
+            )
+        if key.startswith("today "):
+            return rng.choice((f"today {words[1]}", f"this {words[1]}", f"today in the {words[1]}"))
+        written = " ".join(words)
+        if len(words) == 2 and words[1] in ("night", "evening", "afternoon", "morning"):
+            written = rng.choice(
+                (written, f"{words[0]} in the {words[1]}", f"the {written}", written)
+            )
+        if len(words) == 1 and rng.random() < 0.4:
+            written = rng.choice(
+                (f"this {written}", f"the {written}", f"{written}s", f"this coming {written}")
+            )
+        if key == "weekend":
+            return rng.choice(
+                ("the weekend", "this weekend", "weekend", "the week end", "this week end")
+            )
+        return written
+
+    def _count(self, slot: str, value: str, rng: random.Random) -> str:
+        key = self._lexicon.key(slot, value)
+        if not key.isdecimal() or int(key) > 19:
+            return self._alias(slot, value, rng)
+        number = int(key)
+        mate = rng.choice(_MATES)
+        options = [str(number), _WORDS[number], f"{number} ", _WORDS[number]]
+        if slot not in self._people:
+            return rng.choice(options).strip()
+        if number == 1:
+            options += [
+                "just me",
+                "only me",
+                "just one",
+                "alone",
+                "myself",
+                "me",
+                "just myself",
+                "single",
+                "me alone",
+            ]
+        if number == 2:
+            options += [
+                f"me and my {mate}",
+                f"my {mate} and me",
+                f"my {mate} and i",
+                "a couple",
+                f"i and my {mate}",
+                "a couple of",
+                "a pair of",
+                f"with my {mate}",
+                f"a {mate} and me",
+                f"me and a {mate}",
+            ]
+        if number > 2:
+            some = rng.choice((str(number - 1), _WORDS[number - 1]))
+            options += [
+                f"me and {some} friends",
+                f"{some} friends and me",
+                f"with {some} friends",
+                f"{some} of my friends and me",
+                f"with {some} friend",
+            ]
+        return rng.choice(options).strip()
+
+    def _price(self, slot: str, value: str, rng: random.Random) -> str:
+        key = self._lexicon.key(slot, value)
+        match = re.fullmatch(r"(under )?\$(\d+)", key)
+        if match is None:
+            return self._alias(slot, value, rng)
+        money = rng.choice((f"${match[2]}", f"{match[2]} dollars", f"{match[2]} bucks"))
+        if match[1]:
+            most = ("under", "less than", "below", "at most", "max", "not more than", "up to")
+            return f"{rng.choice(most)} {money}"
+        return money
+
+
+def _spell(number: int) -> str:
+    if number < 20:
+        return f"oh {_WORDS[number]}" if number < 10 and number != 5 else _WORDS[number]
+    tens, unit = divmod(number, 10)
+    return f"{_TENS[tens]} {_WORDS[unit]}" if unit else _TENS[tens]
+
+
+def _suffix(day: int) -> str:
+    return "th" if 10 < day < 20 else {1: "st", 2: "nd", 3: "rd"}.get(day % 10, "th")
+
+
+def _ordinal(day: int) -> str:
+    if day <= 20:
+        return _ORDINALS[day - 1]
+    return "thirtieth" if day == 30 else f"{_TENS[day // 10]}-{_ORDINALS[day % 10 - 1]}"

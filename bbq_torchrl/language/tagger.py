@@ -1,0 +1,90 @@
+"""The tagger of slots: a linear-chain conditional random field (python-crfsuite)."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from bbq_torchrl.language.extra import needed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["OUTSIDE", "Span", "Tagger", "spans_of"]
+
+
+OUTSIDE = "-"
+"""The tag of a word that is part of no value."""
+
+
+class Span(NamedTuple):
+    """Words that name a value.
+
+    Attributes:
+        slot: of which slot.
+        start: the first word.
+        end: the word after the last.
+    """
+
+    slot: str
+    start: int
+    end: int
+
+
+class Tagger:
+    """Tags words by their features.
+
+    Args:
+        model: the field as crfsuite writes it.
+    """
+
+    def __init__(self, model: bytes) -> None:
+        self.model = model
+        self._tagger = needed("python-crfsuite", "pycrfsuite").Tagger()
+        self._tagger.open_inmemory(model)
+
+    @classmethod
+    def train(
+        cls, rows: Sequence[Sequence[Sequence[str]]], tags: Sequence[Sequence[str]], steps: int
+    ) -> Tagger:
+        """Returns a tagger fitted to sentences.
+
+        Args:
+            rows: the features of each word of each sentence.
+            tags: the tags of the same.
+            steps: of L-BFGS, at most.
+        """
+        trainer = needed("python-crfsuite", "pycrfsuite").Trainer(verbose=False)
+        for row, own in zip(rows, tags, strict=True):
+            trainer.append(row, own)
+        trainer.set_params({"c1": 0.05, "c2": 0.02, "max_iterations": steps, "feature.minfreq": 2})
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "tagger.crf"
+            trainer.train(str(path))
+            return cls(path.read_bytes())
+
+    def __call__(self, rows: Sequence[Sequence[str]]) -> tuple[list[str], float]:
+        """Returns the best tags of one sentence, and their probability."""
+        if not rows:
+            return [], 1.0
+        tags = self._tagger.tag(rows)
+        return tags, self._tagger.probability(tags)
+
+
+def spans_of(tags: Sequence[str]) -> list[Span]:
+    """Returns the spans that tags mark.
+
+    Example:
+        >>> spans_of([OUTSIDE, "city", "city", "date"])
+        [Span(slot='city', start=1, end=3), Span(slot='date', start=3, end=4)]
+    """
+    spans: list[Span] = []
+    for at, tag in enumerate(tags):
+        if tag == OUTSIDE:
+            continue
+        if spans and spans[-1].end == at and spans[-1].slot == tag:
+            spans[-1] = spans[-1]._replace(end=at + 1)
+        else:
+            spans.append(Span(tag, at, at + 1))
+    return spans

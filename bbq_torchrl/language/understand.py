@@ -1,0 +1,270 @@
+"""From what a user types to a frame with values of the domain."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from bbq_torchrl.language.assemble import assemble
+from bbq_torchrl.language.corpus import make_examples
+from bbq_torchrl.language.features import Features
+from bbq_torchrl.language.frames import Understood
+from bbq_torchrl.language.intents import IntentNet
+from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.model import Model, fit
+from bbq_torchrl.language.phrases import load_phrases
+from bbq_torchrl.language.tagger import Tagger
+from bbq_torchrl.language.words import clean, tokenize
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.language.corpus import Example
+    from bbq_torchrl.language.frames import Frame, Unclear
+    from bbq_torchrl.language.model import Reading
+    from bbq_torchrl.language.phrases import Phrases
+
+__all__ = ["Understander"]
+
+_VERSION = 1
+_MOST_WORDS = 120
+_CALM = 0.6  # sentences of the grammar are more crowded than those of people
+_CUES = 8
+
+
+class Understander:
+    """Understands users of a domain.
+
+    Args:
+        domain: what is spoken of.
+        phrases: how.
+        model: the learned parts.
+        calibration: weights ``[9]`` from cues to the log-odds that a frame is right.
+        threshold: the confidence below which the caller should ask again.
+
+    Example:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> from bbq_torchrl.domains.folder import MOVIE_FOLDER
+        >>> understand = Understander.train(movie_domain(), MOVIE_FOLDER)  # doctest: +SKIP
+        >>> str(understand("two tickets for wonka please").frame)  # doctest: +SKIP
+        'request(ticket) inform(numberofpeople=2, moviename=wonka)'
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        phrases: Phrases,
+        model: Model,
+        calibration: Sequence[float] | np.ndarray,
+        threshold: float = 0.7,
+    ) -> None:
+        self.domain = domain
+        self.phrases = phrases
+        self.lexicon = Lexicon(domain, phrases)
+        self.threshold = threshold
+        self._model = model
+        self._calibration = np.array(calibration, dtype=np.float64)
+
+    @classmethod
+    def train(
+        cls,
+        domain: Domain,
+        folder: str | Path | None = None,
+        *,
+        sentences: int = 6_000,
+        seed: int = 0,
+        labelled: Sequence[Example] = (),
+        threshold: float = 0.7,
+    ) -> Understander:
+        """Returns an understander that has learned from sentences of the domain's own grammar.
+
+        Equal arguments give equal bits. Torch runs on one thread meanwhile.
+
+        Args:
+            domain: what is spoken of.
+            folder: where the domain's ``language.yaml`` is, if it has one.
+            sentences: how many to learn from.
+            seed: chooses them, and the net's first weights.
+            labelled: sentences of people, learned beside the own ones.
+            threshold: the confidence below which the caller should ask again.
+        """
+        phrases = load_phrases(domain, folder)
+        lexicon = Lexicon(domain, phrases)
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            own = make_examples(domain, phrases, lexicon, sentences, seed)
+            examples = [*own, *labelled]
+            model = fit(domain, phrases, lexicon, examples, seed=seed, steps=60, epochs=14)
+            others = make_examples(
+                domain, phrases, lexicon, max(sentences // 8, 200), seed + 1, noise=_CALM
+            )
+            calibration = _calibrate(cls(domain, phrases, model, [0.0] * (_CUES + 1)), others)
+        finally:
+            torch.set_num_threads(threads)
+        return cls(domain, phrases, model, calibration, threshold)
+
+    def __call__(self, text: str, question: Frame | None = None) -> Understood:
+        """Returns what ``text`` means.
+
+        Args:
+            text: what the user typed.
+            question: the agent's last act; ``None`` at the opening.
+
+        Raises:
+            TextError: a ``ValueError`` fit to be shown, if nothing of the text can be read or it
+                is too long.
+        """
+        words = tokenize(clean(text))[:_MOST_WORDS]
+        reading = self._model.read(words, question)
+        frame, unclear, worst = assemble(words, reading, question, self.domain, self.lexicon)
+        cues = self._cues(words, reading, unclear, worst)
+        return Understood(frame, _sigmoid(float(cues @ self._calibration)), unclear)
+
+    def asks(self, understood: Understood) -> bool:
+        """Returns whether the system should ask again rather than act on it."""
+        return understood.confidence < self.threshold or bool(understood.unclear)
+
+    def _cues(
+        self, words: Sequence[str], reading: Reading, unclear: Sequence[Unclear], worst: float
+    ) -> np.ndarray:
+        """Returns what tells whether a frame is right, ``[9]``, the last one 1."""
+        acts = reading.acts.max().item()
+        requests = _doubt(reading.requests)
+        cares = _doubt(reading.dont_care)
+        tags = float(np.log(max(reading.tags_chance, 1e-6)))
+        return np.array(
+            [
+                tags,
+                acts,
+                requests,
+                cares,
+                worst - 1.0,
+                reading.unknown,
+                bool(unclear),
+                len(words) / 20,
+                1.0,
+            ]
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Writes the learned parts into one file, in numpy's format without pickles."""
+        model = self._model
+        about = {
+            "version": _VERSION,
+            "domain": self.domain.name,
+            "acts": self.domain.acts,
+            "slots": self.domain.slots,
+            "features": model.net.features,
+            "known": sorted(model.features.known),
+            "threshold": self.threshold,
+        }
+        text = json.dumps(about, ensure_ascii=False).encode()
+        arrays: dict[str, Any] = {
+            **model.net.arrays(),
+            "about": np.frombuffer(text, dtype=np.uint8),
+            "tagger": np.frombuffer(model.tagger.model, dtype=np.uint8),
+            "calibration": self._calibration,
+        }
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **arrays)
+        Path(path).write_bytes(buffer.getvalue())
+
+    @classmethod
+    def load(
+        cls, path: str | Path, domain: Domain, folder: str | Path | None = None
+    ) -> Understander:
+        """Returns the understander that :meth:`save` wrote.
+
+        Args:
+            path: the file.
+            domain: what is spoken of; its acts and slots must be those it was trained for.
+            folder: where the domain's ``language.yaml`` is, if it has one.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            ValueError: if it is damaged, or of another version or domain.
+        """
+        about, arrays = _read(Path(path))
+        if (about["acts"], about["slots"]) != (list(domain.acts), list(domain.slots)):
+            raise ValueError(
+                f"{path} understands the domain {about['domain']!r}, whose acts and slots differ "
+                f"from those of {domain.name!r}"
+            )
+        phrases = load_phrases(domain, folder)
+        net = IntentNet(about["features"], domain.acts, domain.slots)
+        net.load(arrays)
+        features = Features(Lexicon(domain, phrases), phrases, about["known"], domain.complete_slot)
+        model = Model(features, Tagger(arrays["tagger"].tobytes()), net.eval())
+        return cls(domain, phrases, model, arrays["calibration"], about["threshold"])
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        about = json.loads(arrays["about"].tobytes())
+        version = about["version"]
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{path} is no file of an understander, or damaged: {error}") from None
+    if version != _VERSION:
+        raise ValueError(f"{path} must be of version {_VERSION}, got {version!r}: train it anew")
+    return about, arrays
+
+
+def _doubt(chances: torch.Tensor) -> float:
+    """Returns the log-probability that every decision of a row is right."""
+    return float(torch.maximum(chances, 1 - chances).clamp(min=1e-6).log().sum())
+
+
+def _sigmoid(logit: float) -> float:
+    return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
+
+
+def _calibrate(understander: Understander, examples: Sequence[Example]) -> np.ndarray:
+    """Returns the weights of a logistic regression from cues to whether the frame is right."""
+    rows, right = [], []
+    for example in examples:
+        reading = understander._model.read(example.words, example.question)
+        frame, unclear, worst = assemble(
+            example.words, reading, example.question, understander.domain, understander.lexicon
+        )
+        rows.append(understander._cues(example.words, reading, unclear, worst))
+        right.append(same_frame(frame, example.frame, understander.lexicon))
+    cues = torch.tensor(np.array(rows))
+    target = torch.tensor(right, dtype=torch.float64)
+    weights = torch.zeros(cues.shape[1], dtype=torch.float64, requires_grad=True)
+    optimizer = torch.optim.LBFGS([weights], max_iter=200, line_search_fn="strong_wolfe")
+
+    def loss() -> torch.Tensor:
+        optimizer.zero_grad()
+        value = torch.nn.functional.binary_cross_entropy_with_logits(cues @ weights, target)
+        value = value + 1e-3 * weights[:-1].square().sum()
+        value.backward()
+        return value
+
+    optimizer.step(loss)
+    return weights.detach().numpy()
+
+
+def same_frame(left: Frame, right: Frame, lexicon: Lexicon) -> bool:
+    """Returns whether two frames are equal, values by their canonical keys."""
+    return (
+        left.act == right.act
+        and set(left.requests) == set(right.requests)
+        and keys_of(left, lexicon) == keys_of(right, lexicon)
+    )
+
+
+def keys_of(frame: Frame, lexicon: Lexicon) -> dict[str, str]:
+    """Returns the canonical key of each value of a frame."""
+    return {slot: lexicon.key(slot, value) for slot, value in frame.informs.items()}

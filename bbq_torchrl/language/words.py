@@ -1,0 +1,85 @@
+"""Text as the understanding reads it: cleaned, folded, in words."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+__all__ = ["MAX_CHARACTERS", "TextError", "clean", "compact", "normalize", "tokenize"]
+
+MAX_CHARACTERS = 1_000
+"""The longest text that is read; nobody types more to a ticket agent."""
+
+_TOKEN = re.compile(
+    r"\d{1,2}(?:[:.h]\d\d)?(?=\s?[ap]\.?m\b)"  # 7 of "7pm", 8.30 of "8.30 pm"
+    r"|\d+(?:[:.,/]\d+)+"  # 7:30, 3/14, 4.5/5
+    r"|\d+(?=(?:st|nd|rd|th)\b)"  # 14 of "14th"
+    r"|[ap]\.m\b\.?"
+    r"|-?\d+(?![\w])"
+    r"|[^\W_]+(?:['’][^\W_]+)*"
+    r"|[^\w\s]"
+)
+_APOSTROPHES = str.maketrans({"’": "'", "‘": "'", "`": "'", "´": "'", "“": '"', "”": '"', "–": "-"})
+
+
+class TextError(ValueError):
+    """Text that cannot be read as a sentence; the message is fit to be shown to its author."""
+
+
+def clean(text: str) -> str:
+    r"""Returns ``text`` in one line without controls, marks of direction and broken characters.
+
+    Raises:
+        TextError: if the text is longer than :data:`MAX_CHARACTERS`, or nothing is left of it.
+
+    Example:
+        >>> clean("  two\x00 tickets\n please ")
+        'two tickets please'
+    """
+    if len(text) > MAX_CHARACTERS:
+        raise TextError(
+            f"a sentence may have at most {MAX_CHARACTERS:,} characters, got {len(text):,}"
+        )
+    composed = unicodedata.normalize("NFKC", text.translate(_APOSTROPHES))
+    kept = "".join(
+        " " if letter.isspace() else letter
+        for letter in composed
+        if letter.isspace() or unicodedata.category(letter)[0] != "C"
+    )
+    line = " ".join(kept.split())
+    if not line:
+        raise TextError("a sentence must have at least one character that can be read, got none")
+    return line
+
+
+def normalize(text: str) -> str:
+    """Returns ``text`` without case and accents.
+
+    Example:
+        >>> normalize("Timothée Chalamet")
+        'timothee chalamet'
+    """
+    if text.isascii():
+        return text.lower()
+    parts = unicodedata.normalize("NFKD", text.casefold())
+    return "".join(letter for letter in parts if not unicodedata.combining(letter))
+
+
+def tokenize(text: str) -> list[str]:
+    """Returns the words, numbers and marks of a text, without case and accents.
+
+    Example:
+        >>> tokenize("Barbie at 7:30pm, the 14th!")
+        ['barbie', 'at', '7:30', 'pm', ',', 'the', '14', 'th', '!']
+    """
+    return _TOKEN.findall(normalize(text))
+
+
+def compact(text: str) -> str:
+    """Returns the letters and digits of a text: what two spellings of a name share.
+
+    Example:
+        >>> compact("PG-13") == compact("pg13")
+        True
+    """
+    return "".join(letter for letter in normalize(text) if letter.isalnum() or letter in "$&%")

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.language import ANY, Frame, Generator, PhrasesError, load_phrases
+from bbq_torchrl.language.simulated import play
+
+SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskcomplete|mc_list")
+
+
+@pytest.fixture(scope="module")
+def speak():
+    return Generator.of(movie_domain(), MOVIE_FOLDER)
+
+
+def _check(patterns, speak, variants):
+    for agent, held, user in patterns:
+        said = {speak.user(user, agent, session=session) for session in range(variants)}
+        assert len(said) >= 8, (user, said)
+        if agent is not None:
+            told = {speak.agent(agent, held, session=session) for session in range(variants)}
+            assert len(told) >= 4, (agent, told)
+            said |= told
+        for sentence in said:
+            assert sentence.strip(" .?!"), user
+            assert not SPOILT.search(sentence), sentence
+
+
+def test_what_is_said_in_dialogues_has_enough_sentences_without_placeholders(speak):
+    _check(list(play(movie_domain(), 20).patterns.values())[::9][:25], speak, 40)
+
+
+@pytest.mark.slow
+def test_every_act_of_ten_thousand_dialogues_has_a_sentence(speak):
+    _check(play(movie_domain(), 10_000).patterns.values(), speak, 60)
+
+
+def test_equal_sessions_say_equal_things_and_others_differ(speak):
+    frame = Frame("request", {"city": "reno"}, ("theater",))
+    first = [speak.user(frame, session=s, turn=t) for s in range(5) for t in (0, 2)]
+    assert first == [speak.user(frame, session=s, turn=t) for s in range(5) for t in (0, 2)]
+    assert len(set(first)) > 5
+
+
+def test_a_value_is_said_word_for_word(speak):
+    for session in range(20):
+        text = speak.user(Frame("inform", {"theater": "amc san jose 10"}), session=session)
+        assert "amc san jose 10" in text.lower()
+
+
+def test_no_match_names_the_wishes_that_clash(speak):
+    domain = movie_domain()
+    record = domain.records[0]
+    other = next(
+        r["city"]
+        for r in domain.records
+        if r.get("moviename") == record["moviename"] and r.get("city") not in (None, record["city"])
+    )
+    wishes = {"moviename": record["moviename"], "theater": record["theater"], "city": other}
+    assert set(speak.conflict(wishes)) == {"theater", "city"}
+    text = speak.agent(Frame("inform", {"starttime": "no match"}), wishes).lower()
+    assert record["theater"] in text
+    assert other in text
+    assert record["moviename"] not in text
+
+
+def test_wishes_that_go_together_do_not_clash(speak):
+    record = dict(movie_domain().records[0])
+    assert speak.conflict(record | {"numberofpeople": "9", "state": ANY}) == ()
+
+
+def test_a_domain_without_phrases_speaks_by_generic_ones(restaurant):
+    speak = Generator(restaurant)
+    assert "party size" in speak.agent(Frame("request", {}, ("party_size",)))
+    for slot in ("cuisine", "area"):
+        value = restaurant.records[0][slot]
+        said = {speak.user(Frame("inform", {slot: value}), session=s) for s in range(20)}
+        assert len(said) >= 8
+        assert all(value.lower() in text.lower() for text in said)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("slots: {moviname: {}}", "unknown key 'moviname'"),
+        ('slots: {city: {say: ["in {town}"]}}', "unknown slot 'town'"),
+        ('user: {open: ["<wnat> it"]}', "unknown rule 'wnat'"),
+        ('slots: {city: {say: ["in [{}"]}}', "close what it opens"),
+        ("slots: {city: {say: 7}}", "must be a list of texts"),
+        ("slots: {city: {kind: number}}", "must be one of text, time"),
+        ("slots: [a]", "must be a mapping"),
+        ("a: [", "must be YAML"),
+        ("\x00", "must be YAML"),
+    ],
+)
+def test_phrases_that_do_not_fit_are_refused_by_their_key(tmp_path, content, says):
+    (tmp_path / "language.yaml").write_text(content)
+    with pytest.raises(PhrasesError, match=re.escape(says)):
+        load_phrases(movie_domain(), tmp_path)

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.language import Frame, as_examples, load_phrases, read_lines
+from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.measure import VOICES
+
+DATA = Path(__file__).parents[1] / "data" / "language"
+
+
+@pytest.fixture(scope="module")
+def lexicon():
+    return Lexicon(movie_domain(), load_phrases(movie_domain(), MOVIE_FOLDER))
+
+
+def test_the_sentences_that_measure_are_labeled_with_values_of_the_domain(lexicon):
+    for voice in VOICES:
+        lines = read_lines(DATA / f"{voice}.txt", movie_domain())
+        assert len(lines) == 100
+        for _, _, frame in lines:
+            for slot, value in frame.informs.items():
+                assert value == "I do not care" or value in lexicon.values(slot)
+
+
+def test_own_lines_become_examples_with_the_place_of_each_value(lexicon, tmp_path):
+    path = tmp_path / "own.txt"
+    path.write_text("# mine\n | two for top gun, half past seven | inform(numberofpeople=2, "
+                    "moviename=top gun: maverick, starttime=7:30 pm)\n")  # fmt: skip
+    (example,) = as_examples(read_lines(path, movie_domain()), lexicon)
+    placed: dict[str, list[str]] = {}
+    for word, tag in zip(example.words, example.tags, strict=True):
+        placed.setdefault(tag, []).append(word)
+    assert placed["numberofpeople"] == ["two"]
+    assert placed["moviename"] == ["top", "gun"]
+    assert placed["starttime"] == ["half", "past", "seven"]
+
+
+def test_lines_that_cannot_be_read_are_all_named(tmp_path):
+    path = tmp_path / "own.txt"
+    path.write_text("hello\n | hi | greets\n | hi | inform(town=reno)\n |  | greeting\n")
+    with pytest.raises(ValueError, match="4 faults") as caught:
+        read_lines(path, movie_domain())
+    text = str(caught.value)
+    assert "line 1 must be written" in text
+    assert "line 2: the act must be one of" in text
+    assert "line 3: a slot must be one of" in text
+    assert "line 4: a sentence must have" in text
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["thanks", "inform(city=reno) request(date)", "thanks request(theater, date)",
+     "inform(moviename=mission: impossible - dead reckoning, city=st louis)",
+     "multiple_choice(date=saturday, date=sunday)"],
+)  # fmt: skip
+def test_a_frame_is_written_as_it_is_read(text):
+    assert str(Frame.parse(text, movie_domain())) in (text, "request(date) inform(city=reno)")
+
+
+@pytest.mark.parametrize("text", ["", "(", "inform(city)", "request(city=reno)", "inform(a=1", "!"])
+def test_a_frame_that_is_written_otherwise_is_refused(text):
+    with pytest.raises(ValueError, match="a frame"):
+        Frame.parse(text)

@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.language import load_phrases
+from bbq_torchrl.language.extra import needed
+from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.quantities import read_count, read_date, read_price, read_time
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("7:30pm", "at 19:30"),
+        ("19.30", "at 19:30"),
+        ("half past seven", "at 19:30?"),
+        ("quarter to 9", "at 20:45?"),
+        ("noon", "at 12:00"),
+        ("12:15 am", "at 00:15"),
+        ("six o'clock", "at 18:00?"),
+        ("before 9", "before 21:00?"),
+        ("not before the 21:00", "after 21:00"),
+        ("25:99", None),
+        ("barbie", None),
+        ("13 am", None),
+        ("", None),
+        ("7" * 400, None),
+    ],
+)
+def test_times_have_one_key(text, key):
+    assert read_time(text) == key
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("this Friday night", "friday night"),
+        ("fri", "friday"),
+        ("next sat", "next saturday"),
+        ("the 9th", "day 9"),
+        ("the ninth", "day 9"),
+        ("twenty-first", "day 21"),
+        ("15 of march", "3/15"),
+        ("3/15", "3/15"),
+        ("march the fifteenth", "3/15"),
+        ("tonight", "today night"),
+        ("today in the night", "today night"),
+        ("day after tomorrow", "after tomorrow"),
+        ("february 30", None),
+        ("2/30", None),
+        ("13/13", None),
+        ("the 32nd", None),
+        ("wonka", None),
+    ],
+)
+def test_dates_have_one_key(text, key):
+    assert read_date(text) == key
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("two", "2"),
+        ("2 adults", "2"),
+        ("just me", "1"),
+        ("a couple", "2"),
+        ("me and my wife", "2"),
+        ("three of my buddies and me", "4"),
+        ("a dozen", "12"),
+        ("-3 people", None),
+        ("0", None),
+        ("9" * 400, None),
+        ("two or three", None),
+        ("wonka", None),
+    ],
+)
+def test_counts_have_one_key(text, key):
+    assert read_count(text) == key
+
+
+def test_prices_have_one_key():
+    assert read_price("20 dollars") == "$20"
+    assert read_price("not more than $20") == "under $20"
+    assert read_price("20") is None
+
+
+@pytest.fixture(scope="module")
+def lexicon():
+    return Lexicon(movie_domain(), load_phrases(movie_domain(), MOVIE_FOLDER))
+
+
+@pytest.mark.parametrize(
+    ("slot", "text", "values"),
+    [
+        ("moviename", "top gun", ("top gun: maverick",)),
+        ("moviename", "openheimer", ("oppenheimer",)),
+        ("moviename", "creed 3", ("creed iii",)),
+        ("moviename", "casablanca", ()),
+        ("city", "springfield", ()),
+        ("state", "tx", ("tx",)),
+        ("starttime", "1930", ("7:30 pm",)),
+        ("starttime", "25:99", ()),
+        ("date", "february 30", ()),
+        ("numberofpeople", "-3", ()),
+    ],
+)
+def test_a_name_is_linked_to_the_value_it_means(lexicon, slot, text, values):
+    assert lexicon.link(slot, text).values == values
+
+
+def test_every_value_means_itself(lexicon):
+    for slot in lexicon.slots:
+        for value in lexicon.values(slot)[::7]:
+            assert lexicon.link(slot, value).values == (value,)
+
+
+def test_a_missing_library_names_the_command():
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'bbq-torchrl\[language\]'"):
+        needed("no-such", "no_such_library_at_all")
+
+
+def test_the_package_and_its_language_import_without_the_extra():
+    code = (
+        "import sys; sys.modules.update(dict.fromkeys(('pycrfsuite', 'rapidfuzz', 'httpx')))\n"
+        "import bbq_torchrl, bbq_torchrl.language"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
