@@ -15,6 +15,7 @@ COMMANDS = {
     "search": ("bbq_torchrl.search.__main__", "search for hyper-parameters"),
     "report": ("bbq_torchrl.evaluation.report", "compare finished runs over their seeds"),
     "domains": ("bbq_torchrl.calibrate", "calibrate a domain"),
+    "language": ("bbq_torchrl.language.__main__", "understand and speak sentences, and measure it"),
     "study": ("bbq_torchrl.study.__main__", "have people talk with agents and rate them"),
 }
 """name -> the module whose ``main`` it is, and what it does."""
