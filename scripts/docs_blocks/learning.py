@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 from statistics import fmean, median
 from typing import TYPE_CHECKING
@@ -27,7 +28,8 @@ def learning_blocks() -> dict[str, Callable[[], str]]:
         "learning.plateau": _plateau,
         "learning.quick": _quick,
         "learning.search": _search,
-        "learning.tried": _tried,
+        "learning.tried": partial(_tried, "tried.csv", "success_rate", "final"),
+        "learning.targets": partial(_tried, "tried_targets.csv", "late_success", "rounds 26 to 30"),
     }
 
 
@@ -93,16 +95,22 @@ def _short(value: str) -> str:
         return value
 
 
-def _tried() -> str:
-    """Returns each variant's difference from the first one, by pairs of seeds."""
+def _tried(file: str, end: str, name: str) -> str:
+    """Returns each variant's difference from the first one, by pairs of seeds.
+
+    Args:
+        file: a row for each variant and seed.
+        end: the column that says how the training ended.
+        name: of that column in the table.
+    """
     runs: dict[str, list[dict[str, str]]] = defaultdict(list)
-    for line in _read("tried.csv"):
+    for line in _read(file):
         runs[line["variant"]].append(line)
     base, *_ = runs
     rows = []
     for variant, lines in runs.items():
         row = [variant, str(len(lines))]
-        for key in ("cumulative_success", "success_rate"):
+        for key in ("cumulative_success", end):
             own = [float(line[key]) for line in lines]
             row.append(f"{fmean(own):.3f}")
             if variant != base:
@@ -111,7 +119,7 @@ def _tried() -> str:
             else:
                 row.append("–")
         rows.append(row)
-    head = ("variant", "seeds", "cumulative", "paired difference", "final", "paired difference")
+    head = ("variant", "seeds", "cumulative", "paired difference", name, "paired difference")
     return table(head, rows, numbers=5)
 
 
