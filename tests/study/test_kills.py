@@ -43,7 +43,7 @@ while True:
 def test_a_writer_killed_at_any_moment_has_stored_what_it_said(study, clock):
     generator = random.Random()
     acknowledged = 0
-    for _ in range(3):
+    for _ in range(2):
         command = [sys.executable, "-c", WRITER, str(study.data), study.terms.text()]
         process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         token = process.stdout.readline().split()[1]

@@ -13,7 +13,7 @@ import pytest
 
 from bbq_torchrl.study.__main__ import main
 from bbq_torchrl.study.comparisons import compare_pairs
-from bbq_torchrl.study.export import defused, without_names
+from bbq_torchrl.study.export import defused, export, without_names
 from bbq_torchrl.study.outcome import Verdict
 from bbq_torchrl.study.report import report_text, write_report
 from bbq_torchrl.study.results import read_results
@@ -77,8 +77,8 @@ def test_every_number_of_a_small_study(fill):
 def test_a_simulated_study_says_so_wherever_it_is_shown(fill, tmp_path):
     results = fill([(5, 1), (4, 2)], simulated=True)
     assert "**The people of this study are simulated users.**" in report_text(results)
-    write_report(tmp_path / "out", results)
-    lines = (tmp_path / "out" / "sessions.jsonl").read_text().splitlines()
+    export(tmp_path, results)
+    lines = (tmp_path / "sessions.jsonl").read_text().splitlines()
     assert all(json.loads(line)["simulated"] for line in lines)
 
 
@@ -105,11 +105,9 @@ def test_a_report_of_one_agent_tests_nothing(fill, study, tmp_path):
 
 
 @pytest.mark.parametrize("rating", [1, 5])
-def test_a_report_in_which_all_are_equal_has_no_difference(fill, tmp_path, rating):
+def test_a_report_in_which_all_are_equal_has_no_difference(fill, rating):
     results = fill([(rating, rating)] * 3)
-    write_report(tmp_path / "out", results)
-    text = (tmp_path / "out" / "report.md").read_text()
-    assert "κ is undefined" in text
+    assert "κ is undefined" in report_text(results)
     [pair] = compare_pairs(results)
     assert {pair.p, pair.fisher, pair.boschloo, pair.rating_p, pair.mann_whitney} == {1.0}
 

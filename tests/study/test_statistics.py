@@ -27,6 +27,7 @@ def test_a_proportion_of_single_sessions_has_wilsons_interval(won, count):
     found = proportion([[True]] * won + [[False]] * (count - won))
     expected = stats.binomtest(won, count).proportion_ci(method="wilson")
     assert (found.value, found.count) == (won / count, count)
+    assert found.low <= found.value <= found.high  # a figure draws the distances
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
