@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.frames import ANY, Frame, Unclear
+from bbq_torchrl.language.quantities import MONTH_WORDS
 from bbq_torchrl.language.tagger import spans_of
 from bbq_torchrl.language.words import compact
 
@@ -58,6 +59,7 @@ _SHORT = 4
 _SURE = 0.95
 _FAIR = 0.85
 _LONGEST = 8
+_ANY = frozenset(("any", "anything", "whatever", "either"))
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
 
@@ -164,6 +166,8 @@ def _short_answer(
     if question is None or not question.requests or len(words) > _SHORT:
         return None
     slot = question.requests[0]
+    if slot in lexicon.slots and words[0] in _ANY and len(words) == 1:
+        return {slot: ANY}
     link = lexicon.link(slot, " ".join(words)) if slot in lexicon.slots else None
     if link is not None and len(link.values) == 1 and link.score >= _SURE:
         return {slot: link.values[0]}
@@ -219,9 +223,13 @@ def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str
     """Returns names inside of words that are none as a whole, the longest from left to right."""
     found = []
     at = 0
+    has_month = not MONTH_WORDS.isdisjoint(words)
     while at < len(words):
         for end in range(min(len(words), at + _LONGEST), at, -1):
             text = " ".join(words[at:end])
+            # A day that its month does not have is no day of another month.
+            if has_month and re.search(r"\d", text) and MONTH_WORDS.isdisjoint(words[at:end]):
+                continue
             link = lexicon.link(slot, text) if any(map(str.isalnum, text)) else None
             if link is not None and len(link.values) == 1 and link.score >= _FAIR:
                 found.append((text, link))

@@ -54,11 +54,13 @@ def test_a_value_is_said_word_for_word(speak):
 
 def test_no_match_names_the_wishes_that_clash(speak):
     domain = movie_domain()
-    record = domain.records[0]
-    other = next(
-        r["city"]
-        for r in domain.records
-        if r.get("moviename") == record["moviename"] and r.get("city") not in (None, record["city"])
+    record, other = next(
+        (one, two["city"])
+        for one in domain.records
+        for two in domain.records
+        if one.get("moviename") == two.get("moviename") is not None
+        and {"theater", "city"} <= one.keys() & two.keys()
+        and one["city"] != two["city"]
     )
     wishes = {"moviename": record["moviename"], "theater": record["theater"], "city": other}
     assert set(speak.conflict(wishes)) == {"theater", "city"}
@@ -77,7 +79,7 @@ def test_a_domain_without_phrases_speaks_by_generic_ones(restaurant):
     speak = Generator(restaurant)
     assert "party size" in speak.agent(Frame("request", {}, ("party_size",)))
     for slot in ("cuisine", "area"):
-        value = restaurant.records[0][slot]
+        value = next(record[slot] for record in restaurant.records if slot in record)
         said = {speak.user(Frame("inform", {slot: value}), session=s) for s in range(20)}
         assert len(said) >= 8
         assert all(value.lower() in text.lower() for text in said)
