@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import doctest
+import importlib
 import json
 import os
 import re
@@ -184,6 +186,15 @@ def test_its_search_space_is_found_in_a_folder_of_options(monkeypatch):
 # ---------------------------------------------------------------------------------------- parts
 
 
+@pytest.mark.parametrize("part", ["ucb_policy", "langevin_adam", "visit_reward", "chain_env"])
+def test_the_example_in_a_docstring_is_true(part):
+    module = importlib.import_module(f"bbq_extending.{part}")
+    torch.manual_seed(0)
+    result = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
+    assert result.attempted > 2
+    assert result.failed == 0
+
+
 def test_the_chain_keeps_torchrls_conventions():
     from bbq_extending.chain_env import ChainEnv
 
@@ -250,6 +261,17 @@ def test_langevin_noise_has_the_temperature_and_leaves_inactive_replicas_alone()
     assert everyone.std(1).tolist() == pytest.approx([0.02**0.5, 0.02**0.5, 0.0002**0.5], rel=0.03)
     assert not some[1].any()
     assert torch.equal(some[[0, 2]], everyone[[0, 2]])
+
+
+def test_langevin_noise_is_for_the_agent_and_not_for_the_model_of_an_intrinsic_reward(tmp_path):
+    trainer, agent = build_trainer(
+        compose(["agent=langevin", *SHRUNKEN, "intrinsic=vime"]), tmp_path
+    )
+    optimizer = trainer.optimiser
+    pairs = zip(optimizer.parameters, optimizer.is_noisy, strict=True)
+    noisy = {id(parameter) for parameter, is_noisy in pairs if is_noisy}
+    assert noisy == {id(parameter) for parameter in agent.actor.parameters()}
+    assert len(optimizer.parameters) > len(noisy)
 
 
 def test_a_state_is_worth_less_each_time_that_it_is_stored():
