@@ -45,9 +45,14 @@ def check(config: Config) -> None:
     domain = make_domain(config)
     spike, policies = config.spike, config.env.policies(domain)
     if spike.dialogues and spike.policy not in policies:
-        names = ", ".join(policies)
-        allowed = f"be one of {names}" if names else "not be needed (spike=none): there is none"
-        raise ConfigError(f"spike.policy must {allowed}, got {shown(spike.policy)}")
+        if not policies:
+            raise ConfigError(
+                f"spike must be none with env={config.env.name}, where there are no scripted "
+                f"policies, got {spike.name!r}"
+            )
+        raise ConfigError(
+            f"spike.policy must be one of {', '.join(policies)}, got {shown(spike.policy)}"
+        )
     check_memory(training_needs(config, domain), config.device)
     config.env.check_domain(domain)
     _check_spike(config, domain)

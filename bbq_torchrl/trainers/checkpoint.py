@@ -25,6 +25,7 @@ import shutil
 import tempfile
 import uuid
 import zipfile
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -188,11 +189,10 @@ class CheckpointFolder:
         try:
             self._checkpoint.load(path, map_location="cpu")
         except CheckpointError as error:
-            # The cause shows whole networks: what fits is said by who compares configurations.
-            reason = " ".join(str(error).split()).partition(": ")[0]
+            # The cause may show whole networks; its beginning tells.
+            reason = shorten(str(error), 200, placeholder=" ...")
             raise CheckpointMismatchError(
-                f"the checkpoint {path} is of another configuration: {reason[:100]}, whose tensors "
-                "have other names or shapes here"
+                f"the checkpoint {path} is of another configuration: {reason}"
             ) from error
 
     def keep_only(self, *names: str) -> None:

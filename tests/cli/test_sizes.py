@@ -35,7 +35,10 @@ def check(*overrides):
             "agent.evaluate=average agent.evaluate_draws=100000000",
             "agent.evaluate_draws=100000000",
         ),
-        ("intrinsic=vime intrinsic.hidden=[900000000]", "of the dynamics .*intrinsic.hidden"),
+        (
+            "intrinsic=vime intrinsic.hidden=[900000000]",
+            "of the intrinsic reward .*intrinsic.hidden",
+        ),
     ],
 )
 def test_what_no_machine_can_hold_is_refused(overrides, message):
