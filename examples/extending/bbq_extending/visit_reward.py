@@ -31,7 +31,8 @@ class VisitReward(Transform):
 
     Example:
         >>> from tensordict import TensorDict
-        >>> rows = TensorDict({"next": {"observation": torch.eye(2)[[[0, 0, 1, 0]]]}}, [1, 4])
+        >>> states = torch.eye(2)[torch.tensor([[0, 0, 1, 0]])]
+        >>> rows = TensorDict({"next": {"observation": states}}, [1, 4])
         >>> rows["next", "reward"] = torch.zeros(1, 4, 1)
         >>> transform = VisitReward(2, eta=1.0)
         >>> transform(transform.inv(rows))["next", "reward"].flatten()
