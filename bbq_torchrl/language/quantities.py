@@ -10,6 +10,7 @@ import calendar
 import re
 from typing import TYPE_CHECKING, Literal
 
+from bbq_torchrl.language.number_words import ORDINALS, TENS, UNITS
 from bbq_torchrl.language.words import tokenize
 
 if TYPE_CHECKING:
@@ -29,58 +30,9 @@ __all__ = [
 Kind = Literal["text", "time", "date", "count", "price"]
 KINDS: tuple[Kind, ...] = ("text", "time", "date", "count", "price")
 
-_UNITS = [
-    "zero",
-    "one",
-    "two",
-    "three",
-    "four",
-    "five",
-    "six",
-    "seven",
-    "eight",
-    "nine",
-    "ten",
-    "eleven",
-    "twelve",
-    "thirteen",
-    "fourteen",
-    "fifteen",
-    "sixteen",
-    "seventeen",
-    "eighteen",
-    "nineteen",
-]
-_TENS = {"twenty": 20, "thirty": 30, "forty": 40, "fifty": 50}
-_NUMBERS = {word: number for number, word in enumerate(_UNITS)} | _TENS
-_ORDINALS = {
-    word: number
-    for number, word in enumerate(
-        [
-            "first",
-            "second",
-            "third",
-            "fourth",
-            "fifth",
-            "sixth",
-            "seventh",
-            "eighth",
-            "ninth",
-            "tenth",
-            "eleventh",
-            "twelfth",
-            "thirteenth",
-            "fourteenth",
-            "fifteenth",
-            "sixteenth",
-            "seventeenth",
-            "eighteenth",
-            "nineteenth",
-            "twentieth",
-        ],
-        1,
-    )
-} | {"thirtieth": 30}
+_TENS = {word: ten for ten, word in TENS.items()}
+_NUMBERS = {word: number for number, word in enumerate(UNITS)} | _TENS
+_ORDINALS = {word: number for number, word in enumerate(ORDINALS, 1)} | {"thirtieth": 30}
 _DAYS = tuple(day.lower() for day in calendar.day_name)
 _DAY = {day[:length]: day for day in _DAYS for length in (3, len(day))} | {
     "tues": "tuesday",

@@ -7,6 +7,7 @@ import re
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.language.number_words import ORDINALS, TENS, UNITS
 from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
@@ -17,51 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Surfaces"]
 
-_WORDS = [
-    "zero",
-    "one",
-    "two",
-    "three",
-    "four",
-    "five",
-    "six",
-    "seven",
-    "eight",
-    "nine",
-    "ten",
-    "eleven",
-    "twelve",
-    "thirteen",
-    "fourteen",
-    "fifteen",
-    "sixteen",
-    "seventeen",
-    "eighteen",
-    "nineteen",
-]
-_TENS = {2: "twenty", 3: "thirty", 4: "forty", 5: "fifty"}
-_ORDINALS = [
-    "first",
-    "second",
-    "third",
-    "fourth",
-    "fifth",
-    "sixth",
-    "seventh",
-    "eighth",
-    "ninth",
-    "tenth",
-    "eleventh",
-    "twelfth",
-    "thirteenth",
-    "fourteenth",
-    "fifteenth",
-    "sixteenth",
-    "seventeenth",
-    "eighteenth",
-    "nineteenth",
-    "twentieth",
-]
 _MATES = (
     "wife",
     "husband",
@@ -179,27 +135,27 @@ class Surfaces:
             options += [
                 f"{short}{meridian}",
                 f"{short} o'clock",
-                f"{_WORDS[short]}",
-                f"{_WORDS[short]} o'clock {part}",
+                f"{UNITS[short]}",
+                f"{UNITS[short]} o'clock {part}",
                 str(short),
                 f"{short} {part}",
-                f"{_WORDS[short]} {meridian.strip()}",
+                f"{UNITS[short]} {meridian.strip()}",
                 f"{short} o clock {part}",
             ]
         else:
             options += [
-                f"{_WORDS[short]} {spelled}",
-                f"{_WORDS[short]} {spelled} {part}",
-                f"{_WORDS[short]} {spelled} {meridian.strip()}",
+                f"{UNITS[short]} {spelled}",
+                f"{UNITS[short]} {spelled} {part}",
+                f"{UNITS[short]} {spelled} {meridian.strip()}",
             ]
             if minute in (15, 30, 45):
                 name = {15: "quarter past", 30: "half past", 45: "quarter to"}[minute]
                 named = short if minute < 45 else short % 12 + 1
-                options += [f"{name} {rng.choice((str(named), _WORDS[named]))} {part}"] * 4
+                options += [f"{name} {rng.choice((str(named), UNITS[named]))} {part}"] * 4
             if minute in (5, 10, 20, 25):
-                options.append(f"{spelled} past {_WORDS[short]}")
+                options.append(f"{spelled} past {UNITS[short]}")
             if minute in (35, 40, 50, 55):
-                options.append(f"{_spell(60 - minute)} to {_WORDS[short % 12 + 1]}")
+                options.append(f"{_spell(60 - minute)} to {UNITS[short % 12 + 1]}")
         written = rng.choice(options).strip()
         if relation in _RELATIONS:
             written = f"{rng.choice(_RELATIONS[relation])} {written}"
@@ -276,7 +232,7 @@ class Surfaces:
             return self._alias(slot, value, rng)
         number = int(key)
         mate = rng.choice(_MATES)
-        options = [str(number), _WORDS[number], f"{number} ", _WORDS[number]]
+        options = [str(number), UNITS[number], f"{number} ", UNITS[number]]
         if slot not in self._people:
             return rng.choice(options).strip()
         if number == 1:
@@ -305,7 +261,7 @@ class Surfaces:
                 f"me and a {mate}",
             ]
         if number > 2:
-            some = rng.choice((str(number - 1), _WORDS[number - 1]))
+            some = rng.choice((str(number - 1), UNITS[number - 1]))
             options += [
                 f"me and {some} friends",
                 f"{some} friends and me",
@@ -329,9 +285,9 @@ class Surfaces:
 
 def _spell(number: int) -> str:
     if number < 20:
-        return f"oh {_WORDS[number]}" if number < 10 and number != 5 else _WORDS[number]
+        return f"oh {UNITS[number]}" if number < 10 and number != 5 else UNITS[number]
     tens, unit = divmod(number, 10)
-    return f"{_TENS[tens]} {_WORDS[unit]}" if unit else _TENS[tens]
+    return f"{TENS[10 * tens]} {UNITS[unit]}" if unit else TENS[10 * tens]
 
 
 def _suffix(day: int) -> str:
@@ -340,5 +296,5 @@ def _suffix(day: int) -> str:
 
 def _ordinal(day: int) -> str:
     if day <= 20:
-        return _ORDINALS[day - 1]
-    return "thirtieth" if day == 30 else f"{_TENS[day // 10]}-{_ORDINALS[day % 10 - 1]}"
+        return ORDINALS[day - 1]
+    return "thirtieth" if day == 30 else f"{TENS[day // 10 * 10]}-{ORDINALS[day % 10 - 1]}"
