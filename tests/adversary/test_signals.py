@@ -130,7 +130,13 @@ def _catches(pid):
 
 @pytest.mark.parametrize("number", NUMBERS)
 def test_the_jobs_of_a_sweep_end_in_good_order(commands, tmp_path, number):
-    keys = (*TINY, "agent.hidden=[8]", "spike.dialogues=3", "protocol.rounds=400")
+    keys = (
+        *TINY,
+        "agent.hidden=[8]",
+        "spike.dialogues=3",
+        "protocol.rounds=400",
+        "protocol.eval_every=0",
+    )
     sweep = ("--multirun", "agent=dqn,bbqn", "seed=0,1", "hydra.launcher.n_jobs=2")
     started = process(*sweep, *keys, "hydra.sweep.dir=sweep", cwd=tmp_path)
     waiting_until = time.monotonic() + 400
