@@ -80,6 +80,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     from bbq_torchrl.cli.checks import check_device
     from bbq_torchrl.cli.loading import trained_policy
     from bbq_torchrl.cli.memory import check_memory, evaluation_needs
+    from bbq_torchrl.envs.policies import RANDOM_POLICY
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
     from bbq_torchrl.trainers import keep_freed_memory
@@ -96,7 +97,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         config.domain = config.domain if "domain" in given else run.domain
     domain = make_domain(config)
     if run is None:
-        names = config.env.policies(domain, with_random=True)
+        names = (*config.env.policies(domain), RANDOM_POLICY)
         if config.policy not in names:
             raise ConfigError(
                 f"policy must be a run folder or one of {', '.join(names)}, "

@@ -20,6 +20,7 @@ from bbq_torchrl.cli.resume import CURVE, RUN_CONFIG
 from bbq_torchrl.cli.run_lock import run_lock
 from bbq_torchrl.cli.store import save_config
 from bbq_torchrl.cli.training import build_trainer, evaluation_places
+from bbq_torchrl.envs.policies import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import Curves, draw_run
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.play import evaluate
@@ -241,7 +242,7 @@ def _scripted(config: Config, env: EnvBase, domain: Domain | None) -> dict[str, 
     """Returns success rates of the scripted policies with the users of the final evaluation."""
     dialogues = min(config.protocol.eval_dialogues, -(-SCRIPTED_DIALOGUES // config.replicas))
     rates = {}
-    for name in config.env.policies(domain, with_random=True):
+    for name in (*config.env.policies(domain), RANDOM_POLICY):
         policy = config.env.make_policy(name, env)
         played = evaluate(env, policy, dialogues, seed=config.seed, max_steps=config.env.steps())
         rates[name] = played.success.double().mean().item()

@@ -30,9 +30,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl import interruption
+from bbq_torchrl.cli.folders import quoted, refuse_other_folder, run_folder, sweep_folder
 from bbq_torchrl.cli.launchers import LAUNCHER, check_launcher
 from bbq_torchrl.cli.messages import explain, too_large, train_command
 from bbq_torchrl.cli.resume import (
@@ -200,7 +200,7 @@ def _how_to_go_on(folder: Path) -> str:
     if not (folder / RUN_CONFIG).is_file():
         return "the same command begins again"
     plain = re.fullmatch(r"[\w./~@%+:-]+", os.fspath(folder)) is not None
-    override = f"resume={folder if plain else _quoted(folder)}"
+    override = f"resume={folder if plain else quoted(folder)}"
     return f"{shlex.join([*train_command(), override])} goes on"
 
 
@@ -242,16 +242,16 @@ def _prepare(
         mode = None if parsed.multirun else hydra_session.get_mode("config", parsed.overrides)
         if not parsed.multirun and mode is not RunMode.MULTIRUN:
             composed = compose_raw(parsed.overrides, with_hydra=True)
-            _refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
+            refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
             folder = _resumed_folder(composed.resume)
             if folder is not None:
                 held.enter_context(run_lock(folder))
             config = _job_config(_without_hydra(composed), parsed.overrides)
             check(config)
-            extra = _run_folder(composed, folder, held)
+            extra = run_folder(composed, folder, held)
         else:
             composed, jobs = _sweep(hydra_session, parsed.overrides)
-            _refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
+            refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
             check_launcher(composed.hydra.runtime.choices[LAUNCHER])
             for overrides in jobs:
                 job = compose_raw(overrides)
@@ -259,8 +259,8 @@ def _prepare(
                     raise ConfigError("resume cannot be combined with --multirun")
                 check(to_config(job, Config))
             launcher = composed.hydra.runtime.choices[LAUNCHER]
-            sweep = _Sweep(_sweep_folder(composed, parsed.overrides), len(jobs), launcher)
-            extra = [f"hydra.sweep.dir={_quoted(sweep.folder)}"]
+            sweep = _Sweep(sweep_folder(composed, parsed.overrides), len(jobs), launcher)
+            extra = [f"hydra.sweep.dir={quoted(sweep.folder)}"]
     return [*arguments, *extra], sweep
 
 
@@ -270,19 +270,10 @@ def _refuse_flag(message: str) -> NoReturn:
 
 
 def _refuse_unread(parsed: Namespace) -> None:
-    for flag in ("config_path", "config_name", "config_dir", "experimental_rerun"):
+    for flag in ("config_path", "config_name", "experimental_rerun"):
         if getattr(parsed, flag, None) is not None:
             name = "--" + flag.replace("_", "-")
             raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
-
-
-def _refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
-    """Refuses the folder of a sweep for a single run, and the other way round."""
-    for override in overrides:
-        if re.match(rf"[+]*hydra\.{other}\.\w+=", override):
-            raise ConfigError(
-                f"{sentence(override)} is for {its}: here it is hydra.{own}.dir=<folder>"
-            )
 
 
 def _without_hydra(composed: DictConfig) -> DictConfig:
@@ -337,72 +328,6 @@ def _resumed_folder(resume: str | None) -> Path | None:
         return None
     folder = Path(resume).expanduser().resolve()
     return folder if (folder / RUN_CONFIG).is_file() else None
-
-
-def _run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> list[str]:
-    """The overrides that name the run folder, which is locked."""
-    if resumed is not None:
-        # Hydra's own record stays as the first process wrote it.
-        return [f"hydra.run.dir={_quoted(resumed)}", "hydra.output_subdir=null"]
-    chosen = _named_folder(composed, "run")
-    if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
-        held.enter_context(run_lock(chosen))
-        if (chosen / RUN_CONFIG).exists():
-            raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")
-        return []
-    folder = _reserve(chosen)
-    held.enter_context(run_lock(folder))
-    return [f"hydra.run.dir={_quoted(folder)}"]
-
-
-def _named_folder(composed: DictConfig, kind: str) -> Path:
-    """What ``hydra.run.dir`` or ``hydra.sweep.dir`` names."""
-    key = f"hydra.{kind}.dir"
-    try:
-        name = str(composed.hydra[kind].dir)
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"{key} cannot be resolved: {str(error).splitlines()[0]}") from error
-    if not name.strip():
-        raise ConfigError(f"{key} must be the name of a folder, got {name!r}")
-    return Path(name)
-
-
-def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
-    """The folder of a sweep: the one given, which must not be there yet, or one of a free name."""
-    folder = _named_folder(composed, "sweep")
-    if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
-        return _reserve(folder)
-    try:
-        folder.mkdir(parents=True)
-    except FileExistsError:
-        raise ConfigError(
-            f"hydra.sweep.dir must be a folder that is not there yet, got {folder}, which is: "
-            "choose another name, or remove it"
-        ) from None
-    except OSError as error:
-        raise ConfigError(
-            f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"
-        ) from error
-    return folder
-
-
-def _reserve(folder: Path) -> Path:
-    """Makes a folder that nobody else has: the given one, or the first free ``<folder>_<n>``."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    candidate, number = folder, 1
-    while True:
-        try:
-            candidate.mkdir()
-        except FileExistsError:
-            number += 1
-            candidate = folder.with_name(f"{folder.name}_{number}")
-        else:
-            return candidate
-
-
-def _quoted(path: Path) -> str:
-    text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{text}'"
 
 
 def _refuse(error: Exception) -> NoReturn:

@@ -305,9 +305,9 @@ class EnvOption(Option):
         """Returns how many features an observation has, and how many actions there are."""
         raise NotImplementedError
 
-    def policies(self, domain: Domain | None, *, with_random: bool = False) -> tuple[str, ...]:
-        """Returns the names of the scripted policies, and last ``random`` if it is asked for."""
-        return ("random",) if with_random else ()
+    def policies(self, domain: Domain | None) -> tuple[str, ...]:
+        """Returns the names of the scripted policies; there is also ``random``."""
+        return ()
 
     def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
         """Makes a scripted policy, or the random one."""

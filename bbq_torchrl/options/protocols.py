@@ -15,6 +15,7 @@ from bbq_torchrl.options.settings import (
     ConfigError,
     one_of,
     option,
+    other_default,
     setting,
 )
 
@@ -76,13 +77,11 @@ class QuickProtocol(ProtocolOption):
     """A minute on one core: fewer rounds, larger batches, a smaller buffer; it learns to book."""
 
     name: str = option("quick")
-    rounds: int = setting(40, COUNT, "rounds of training")
-    batch_size: int = setting(128, COUNT, "transitions of an update")
-    lr: float = setting(2e-3, STEP_SIZE, "step size of Adam, for batches of this size")
-    epochs: int = setting(3, COUNT, "passes over the buffer after each freeze")
-    capacity: int = setting(5_000, COUNT, "transitions a replica's buffer holds")
-    eval_dialogues: int = setting(2_000, COUNT, "dialogues of the final evaluation of a replica")
-    eval_batch: int = setting(2_000, COUNT, "evaluation dialogues of all replicas side by side")
-    eval_every_dialogues: int = setting(
-        200, COUNT, "dialogues of an evaluation while training, of a replica"
-    )
+    rounds: int = other_default(ProtocolOption, "rounds", 40)
+    batch_size: int = other_default(ProtocolOption, "batch_size", 128)
+    lr: float = other_default(ProtocolOption, "lr", 2e-3)
+    epochs: int = other_default(ProtocolOption, "epochs", 3)
+    capacity: int = other_default(ProtocolOption, "capacity", 5_000)
+    eval_dialogues: int = other_default(ProtocolOption, "eval_dialogues", 2_000)
+    eval_batch: int = other_default(ProtocolOption, "eval_batch", 2_000)
+    eval_every_dialogues: int = other_default(ProtocolOption, "eval_every_dialogues", 200)

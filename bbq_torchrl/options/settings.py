@@ -52,6 +52,7 @@ __all__ = [
     "option",
     "optional",
     "or_text",
+    "other_default",
     "per_replica",
     "setting",
     "walk",
@@ -191,6 +192,11 @@ def setting(default: Any, allowed: Allowed, meaning: str) -> Any:
     if isinstance(default, list):
         return field(default_factory=lambda: copy.copy(default), metadata=metadata)
     return field(default=default, metadata=metadata)
+
+
+def other_default(base: type, key: str, default: Any) -> Any:
+    """The field of a base class with another default: what it allows and means stays."""
+    return field(default=default, metadata=base.__dataclass_fields__[key].metadata)  # type: ignore[attr-defined]
 
 
 def option(name: str) -> Any:

@@ -14,6 +14,7 @@ from typing import ClassVar
 import pytest
 
 from bbq_torchrl.cli import store
+from bbq_torchrl.cli.command import prepare
 from bbq_torchrl.cli.messages import take_config_dir, train_command
 from bbq_torchrl.cli.resume import run_config
 from bbq_torchrl.cli.store import compose, options, save_config
@@ -194,6 +195,17 @@ def test_the_folder_is_part_of_the_commands_that_are_told(tmp_path):
     folder = folder_with(tmp_path / "own folder")
     load(folder)
     assert train_command() == ["python", "train.py", "--config-dir", str(folder)]
+
+
+@pytest.mark.parametrize("more", [[], ["--multirun", "seed=1,2"]])
+def test_train_takes_the_folder(more, tmp_path):
+    folder = folder_with(tmp_path / "own", narrow_train=STRATEGY)
+    kind = "sweep" if more else "run"
+    given = ["--config-dir", str(folder), *more, "explore=narrow"]
+    given.append(f"hydra.{kind}.dir={tmp_path / 'made'}")
+    checked = []
+    prepare(given, lambda config: checked.append(config.explore.name))
+    assert checked == ["narrow"] * (2 if more else 1)
 
 
 @pytest.mark.parametrize("given", [["--config-dir"], ["--config-dir", "nowhere"]])

@@ -17,6 +17,7 @@ from bbq_torchrl.options.settings import (
     one_of,
     option,
     optional,
+    other_default,
     setting,
 )
 
@@ -73,12 +74,10 @@ class DialogueOption(EnvOption):
         assert domain is not None
         return FeatureLayout(tensorise(domain)).size, len(domain.actions)
 
-    def policies(self, domain: Domain | None, *, with_random: bool = False) -> tuple[str, ...]:
-        """Those of the domain, and last the random one."""
-        from bbq_torchrl.envs.policies import RANDOM_POLICY
-
+    def policies(self, domain: Domain | None) -> tuple[str, ...]:
+        """Those of the domain."""
         assert domain is not None
-        return (*domain.policies, *([RANDOM_POLICY] if with_random else []))
+        return tuple(domain.policies)
 
     def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
         """A policy of the domain, or ``random``."""
@@ -139,7 +138,7 @@ class DomainExtension(DialogueOption):
     name: str = option("domain_ext")
     start: int = setting(40, NON_NEGATIVE_INTEGER, "round in which the first new slot appears")
     every: int = setting(10, COUNT, "rounds between two new slots")
-    paper_rounds: int = setting(200, COUNT, "rounds of training in the paper")
+    paper_rounds: int = other_default(DialogueOption, "paper_rounds", 200)
 
     extends: ClassVar[bool] = True
 

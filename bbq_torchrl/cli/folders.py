@@ -1,0 +1,99 @@
+"""The folders of runs and sweeps: named, made, and nobody else's."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf.errors import OmegaConfBaseException
+
+from bbq_torchrl.cli.resume import RUN_CONFIG
+from bbq_torchrl.cli.run_lock import run_lock
+from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.text import sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from contextlib import ExitStack
+
+    from omegaconf import DictConfig
+
+__all__ = ["quoted", "refuse_other_folder", "run_folder", "sweep_folder"]
+
+
+def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
+    """Refuses the folder of a sweep for a single run, and the other way round."""
+    for override in overrides:
+        if re.match(rf"[+]*hydra\.{other}\.\w+=", override):
+            raise ConfigError(
+                f"{sentence(override)} is for {its}: here it is hydra.{own}.dir=<folder>"
+            )
+
+
+def run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> list[str]:
+    """The overrides that name the run folder, which is locked."""
+    if resumed is not None:
+        # Hydra's own record stays as the first process wrote it.
+        return [f"hydra.run.dir={quoted(resumed)}", "hydra.output_subdir=null"]
+    chosen = _named_folder(composed, "run")
+    if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
+        held.enter_context(run_lock(chosen))
+        if (chosen / RUN_CONFIG).exists():
+            raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")
+        return []
+    folder = _reserve(chosen)
+    held.enter_context(run_lock(folder))
+    return [f"hydra.run.dir={quoted(folder)}"]
+
+
+def _named_folder(composed: DictConfig, kind: str) -> Path:
+    """What ``hydra.run.dir`` or ``hydra.sweep.dir`` names."""
+    key = f"hydra.{kind}.dir"
+    try:
+        name = str(composed.hydra[kind].dir)
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{key} cannot be resolved: {str(error).splitlines()[0]}") from error
+    if not name.strip():
+        raise ConfigError(f"{key} must be the name of a folder, got {name!r}")
+    return Path(name)
+
+
+def sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
+    """The folder of a sweep: the one given, which must not be there yet, or one of a free name."""
+    folder = _named_folder(composed, "sweep")
+    if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
+        return _reserve(folder)
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise ConfigError(
+            f"hydra.sweep.dir must be a folder that is not there yet, got {folder}, which is: "
+            "choose another name, or remove it"
+        ) from None
+    except OSError as error:
+        raise ConfigError(
+            f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"
+        ) from error
+    return folder
+
+
+def _reserve(folder: Path) -> Path:
+    """Makes a folder that nobody else has: the given one, or the first free ``<folder>_<n>``."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    candidate, number = folder, 1
+    while True:
+        try:
+            candidate.mkdir()
+        except FileExistsError:
+            number += 1
+            candidate = folder.with_name(f"{folder.name}_{number}")
+        else:
+            return candidate
+
+
+def quoted(path: Path) -> str:
+    """Returns a path as a value that Hydra reads as it is."""
+    text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{text}'"
