@@ -49,8 +49,9 @@ class _State:
 def listen() -> None:
     """Has Ctrl-C and SIGTERM end this process by a line, where nobody else handles them."""
     # Python's process that clears away semaphores would add a warning to the line.
-    quiet = [os.environ.get("PYTHONWARNINGS", ""), "ignore:resource_tracker:UserWarning"]
-    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, quiet))
+    quiet, others = "ignore:resource_tracker:UserWarning", os.environ.get("PYTHONWARNINGS", "")
+    if quiet not in others:
+        os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [others, quiet]))
     for number in _SIGNALS:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, _handle)
