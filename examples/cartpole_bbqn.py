@@ -24,14 +24,9 @@ from torchrl.envs import GymEnv, ObservationNorm, TransformedEnv
 from torchrl.modules import EGreedyModule
 from torchrl.objectives import SoftUpdate
 
-from bbq_torchrl.modules import (
-    MLP,
-    BayesMLP,
-    EvaluationPolicy,
-    Greedy,
-    ThompsonSampling,
-    q_network,
-)
+from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.exploration import EvaluationPolicy, Greedy, ThompsonSampling
+from bbq_torchrl.networks import MLP, q_network
 from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
 
 Agent = Literal["bbqn", "dqn"]

@@ -22,9 +22,10 @@ from torchrl.envs import GymEnv, RewardSum, TransformedEnv
 from torchrl.modules import EGreedyModule
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.data import VIMEReward
-from bbq_torchrl.modules import MLP, DynamicsModel, Greedy, q_network
-from bbq_torchrl.objectives import DropoutDQNLoss, DynamicsLoss, VIMELoss
+from bbq_torchrl.exploration import Greedy
+from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.objectives import DropoutDQNLoss
+from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss, VIMEReward
 
 
 def recent(returns: list[float]) -> float:

@@ -3,8 +3,8 @@
     python examples/regression.py                     # half a minute, writes the figure in docs/
     python examples/regression.py --steps 200 --out quick.png
 
-A curve is learned from noisy points in [0, 0.5] by :class:`~bbq_torchrl.modules.BayesMLP`, trained
-on the evidence bound with :class:`~bbq_torchrl.modules.collect_kl`, and by a plain network of the
+A curve is learned from noisy points in [0, 0.5] by :class:`~bbq_torchrl.bayes.BayesMLP`, trained
+on the evidence bound with :class:`~bbq_torchrl.bayes.collect_kl`, and by a plain network of the
 same size. Where there are no points the plain network extrapolates one curve as if it were sure of
 it; the weight draws of the Bayesian one fan out. This is what Thompson sampling explores by.
 Nothing of reinforcement learning or of dialogue is needed.
@@ -20,7 +20,8 @@ import matplotlib as mpl
 import torch
 from torch import Tensor
 
-from bbq_torchrl.modules import MLP, BayesMLP, collect_kl
+from bbq_torchrl.bayes import BayesMLP, collect_kl
+from bbq_torchrl.networks import MLP
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bbq_torchrl.data.bootstrap_mask import BootstrapMask
-from bbq_torchrl.data.intrinsic_reward import VIMEReward
 from bbq_torchrl.data.replay import TRANSITION_KEYS, Batch, ReplicaReplay
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
@@ -14,6 +13,5 @@ __all__ = [
     "BootstrapMask",
     "ProtectedRoundRobinWriter",
     "ReplicaReplay",
-    "VIMEReward",
     "validate_transitions",
 ]

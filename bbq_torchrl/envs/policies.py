@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
+from bbq_torchrl.envs.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType
 
-from bbq_torchrl.modules.exploration import bayesian_layers
-from bbq_torchrl.modules.held_std import held_std
-from bbq_torchrl.modules.kl import collect_kl
-from bbq_torchrl.modules.shared_noise import shared_noise
-from bbq_torchrl.modules.stack_values import stack_values
-from bbq_torchrl.modules.weight_draw import KLKind, check_kl_kind
+from bbq_torchrl.bayes.held_std import held_std
+from bbq_torchrl.bayes.kl import collect_kl
+from bbq_torchrl.bayes.shared_noise import shared_noise
+from bbq_torchrl.bayes.stack_values import stack_values
+from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
+from bbq_torchrl.exploration.thompson import bayesian_layers
 from bbq_torchrl.objectives.held import Holds
 from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.modules import GaussianPosterior
+    from bbq_torchrl.bayes import GaussianPosterior
 
 __all__ = ["BBQNLoss", "Target", "TargetNoise"]
 
@@ -77,7 +77,7 @@ class BBQNLoss(NumData, Holds, OneStepQLoss):
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
         hold: whether what is much the same from batch to batch is made at the first batch after
             :meth:`begin_epoch` only, and held until the next call: the pool that the weight
-            noise of all batches is taken from (:class:`~bbq_torchrl.modules.noise_pool`), the
+            noise of all batches is taken from (:class:`~bbq_torchrl.bayes.noise_pool`), the
             frozen posterior's σ for an "mc" target, and the value of the closed KL, which is
             reported in ``kl`` and in the losses until then (its gradient is every batch's own).
             That saves a quarter of an update on a CPU, and needs the call at least after each
@@ -93,7 +93,8 @@ class BBQNLoss(NumData, Holds, OneStepQLoss):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from torchrl.objectives import HardUpdate
-        >>> from bbq_torchrl.modules import BayesMLP, q_network
+        >>> from bbq_torchrl.bayes import BayesMLP
+        >>> from bbq_torchrl.networks import q_network
         >>> from bbq_torchrl.objectives import BBQNLoss
         >>> actor = q_network(BayesMLP(3, 4, stack=(5,)), Categorical(4))
         >>> loss = BBQNLoss(actor, num_data=1000)

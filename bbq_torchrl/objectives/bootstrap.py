@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
 
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
-from bbq_torchrl.objectives.td_error import td_loss
+from bbq_torchrl.objectives.td_loss import td_loss
 
 if TYPE_CHECKING:
     from tensordict.utils import NestedKey
@@ -25,7 +25,7 @@ class BootstrapDQNLoss(OneStepQLoss):
     Each head learns r + γ max Q(s', ·) of its own frozen copy, or with ``double_dqn`` the value
     that its frozen copy gives the action of its own choice. A head's loss is the mean over the
     rows that it learns from, and the heads' losses add up: a head learns as it would alone.
-    (:class:`~bbq_torchrl.modules.BootstrapMLP` divides the gradient of a shared trunk by K, so
+    (:class:`~bbq_torchrl.networks.BootstrapMLP` divides the gradient of a shared trunk by K, so
     that the trunk follows the mean of the heads' losses.)
 
     Reads what :class:`OneStepQLoss` does and, where the input has it, ``bootstrap_mask`` (bool
@@ -34,7 +34,7 @@ class BootstrapDQNLoss(OneStepQLoss):
     head learns from may hold anything, NaN too.
 
     Args:
-        value_network: an actor as :func:`~bbq_torchrl.modules.bootstrap_actor` makes it, or a
+        value_network: an actor as :func:`~bbq_torchrl.networks.bootstrap_actor` makes it, or a
             network that maps the observation to values [*stack, *batch, K, N].
 
     Keyword Args:
@@ -54,7 +54,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from torchrl.objectives import HardUpdate
-        >>> from bbq_torchrl.modules import BootstrapMLP, bootstrap_actor
+        >>> from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
         >>> from bbq_torchrl.objectives import BootstrapDQNLoss
         >>> actor = bootstrap_actor(BootstrapMLP(3, 4, heads=10, stack=(5,)), Categorical(4))
         >>> loss = BootstrapDQNLoss(actor)

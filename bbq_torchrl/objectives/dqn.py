@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.objectives.td_error import Distance
+    from bbq_torchrl.objectives.td_loss import Distance
 
 __all__ = ["DropoutDQNLoss"]
 
@@ -37,7 +37,7 @@ class DropoutDQNLoss(Holds, OneStepQLoss):
         loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
         hold: whether a batch's dropout is taken from a pool that is made at the first batch after
             :meth:`begin_epoch` and held until the next call
-            (:class:`~bbq_torchrl.modules.noise_pool`), which saves a twentieth of an update on a
+            (:class:`~bbq_torchrl.bayes.noise_pool`), which saves a twentieth of an update on a
             CPU; elsewhere nothing is held. Defaults to False.
 
     Example:
@@ -45,7 +45,7 @@ class DropoutDQNLoss(Holds, OneStepQLoss):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from torchrl.objectives import HardUpdate
-        >>> from bbq_torchrl.modules import MLP, q_network
+        >>> from bbq_torchrl.networks import MLP, q_network
         >>> from bbq_torchrl.objectives import DropoutDQNLoss
         >>> actor = q_network(MLP(3, 4, stack=(5,), dropout=0.5), Categorical(4))
         >>> loss = DropoutDQNLoss(actor)

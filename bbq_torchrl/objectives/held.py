@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Tensor, nn
 
-from bbq_torchrl.modules.noise_pool import noise_pool
+from bbq_torchrl.bayes.noise_pool import noise_pool
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

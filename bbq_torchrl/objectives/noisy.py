@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.modules.noisy import noisy_layers
+from bbq_torchrl.networks.noisy_mlp import noisy_layers
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.objectives.td_error import Distance
+    from bbq_torchrl.objectives.td_loss import Distance
 
 __all__ = ["NoisyDQNLoss"]
 
@@ -34,7 +34,7 @@ class NoisyDQNLoss(OneStepQLoss):
 
     Args:
         value_network: an actor, or a network that maps the observation to values, with noisy
-            layers (:class:`~bbq_torchrl.modules.NoisyMLP`).
+            layers (:class:`~bbq_torchrl.networks.NoisyMLP`).
 
     Keyword Args:
         gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
@@ -52,7 +52,7 @@ class NoisyDQNLoss(OneStepQLoss):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from torchrl.objectives import HardUpdate
-        >>> from bbq_torchrl.modules import NoisyMLP, q_network
+        >>> from bbq_torchrl.networks import NoisyMLP, q_network
         >>> from bbq_torchrl.objectives import NoisyDQNLoss
         >>> actor = q_network(NoisyMLP(3, 4, stack=(5,)), Categorical(4))
         >>> loss = NoisyDQNLoss(actor, double_dqn=True)

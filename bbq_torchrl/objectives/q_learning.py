@@ -11,8 +11,8 @@ from tensordict.nn import dispatch
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
-from bbq_torchrl.modules.stack_values import stack_values
-from bbq_torchrl.objectives.td_error import DISTANCES, Distance, td_loss
+from bbq_torchrl.bayes.stack_values import stack_values
+from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
 if TYPE_CHECKING:

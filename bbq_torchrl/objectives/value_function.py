@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch.nn.modules.dropout import _DropoutNd
 
-from bbq_torchrl.modules.weight_mode import set_weight_mode
+from bbq_torchrl.bayes.weight_mode import set_weight_mode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.modules.weight_mode import WeightMode
+    from bbq_torchrl.bayes.weight_mode import WeightMode
 
 __all__ = ["ValueFunction"]
 

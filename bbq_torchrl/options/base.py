@@ -89,9 +89,9 @@ class Task:
     def reset_inactive_(self, network: Any) -> None:
         """Starts weights of what is not active yet as if it were added only later.
 
-        See :func:`~bbq_torchrl.modules.reset_inactive_`.
+        See :func:`~bbq_torchrl.networks.reset_inactive_`.
         """
-        from bbq_torchrl.modules import reset_inactive_
+        from bbq_torchrl.networks import reset_inactive_
 
         if self.inactive_inputs is not None or self.inactive_actions is not None:
             reset_inactive_(network, inputs=self.inactive_inputs, outputs=self.inactive_actions)
@@ -181,7 +181,7 @@ class AgentOption(Option):
 
     def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
         """Makes the policy that acts without exploration."""
-        from bbq_torchrl.modules import Greedy
+        from bbq_torchrl.exploration import Greedy
 
         return Greedy(actor)
 
@@ -313,7 +313,7 @@ class EnvOption(Option):
         """Makes a scripted policy, or the random one."""
         from torchrl.envs.utils import RandomPolicy
 
-        from bbq_torchrl.modules import RandomPolicy as RandomLegalPolicy
+        from bbq_torchrl.envs import RandomPolicy as RandomLegalPolicy
 
         return RandomLegalPolicy() if action_mask_key(env) else RandomPolicy(env.action_spec)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.simulator.errors import ErrorModel, SlotErrorMode
+from bbq_torchrl.simulator.error_model import ErrorModel, SlotErrorMode
 from bbq_torchrl.simulator.features import FeatureLayout
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.simulator import Rewards, Simulator

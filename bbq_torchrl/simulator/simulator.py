@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains.values import NO_MATCH, NONE
-from bbq_torchrl.simulator.errors import ErrorModel
+from bbq_torchrl.simulator.error_model import ErrorModel
 from bbq_torchrl.simulator.features import Features
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.tracker import Tracker

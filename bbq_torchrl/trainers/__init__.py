@@ -13,7 +13,7 @@ from bbq_torchrl.trainers.errors import NonFiniteLossError, SpikeError
 from bbq_torchrl.trainers.loggers import LoggerName, check_logger, make_loggers
 from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
-from bbq_torchrl.trainers.optimiser import ReplicaAdam, ReplicaOptimizer
+from bbq_torchrl.trainers.optimizer import ReplicaAdam, ReplicaOptimizer
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.round_trainer import Evaluator, RoundTrainer
 from bbq_torchrl.trainers.seeding import derive_seed

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.data import Batch
-    from bbq_torchrl.trainers.optimiser import ReplicaOptimizer
+    from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
 
 __all__ = ["LossSums", "Update", "learn_epoch"]
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.trainers.best_weights import BestWeights
-    from bbq_torchrl.trainers.optimiser import ReplicaOptimizer
+    from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
 
 __all__ = ["Evaluator", "RoundCallback", "RoundTrainer"]
 

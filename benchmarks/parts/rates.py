@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.modules.noise import fill_normal_
+from bbq_torchrl.bayes.noise import fill_normal_
 from benchmarks.parts.work import BATCH, LAYERS, PARAMETERS
 
 if TYPE_CHECKING:

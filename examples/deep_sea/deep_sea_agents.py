@@ -10,18 +10,10 @@ from torch import nn
 from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule
 
+from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.data import BootstrapMask
-from bbq_torchrl.modules import (
-    MLP,
-    BayesMLP,
-    BootstrapMLP,
-    BootstrapSampling,
-    Greedy,
-    MajorityVote,
-    ThompsonSampling,
-    bootstrap_actor,
-    q_network,
-)
+from bbq_torchrl.exploration import BootstrapSampling, Greedy, MajorityVote, ThompsonSampling
+from bbq_torchrl.networks import MLP, BootstrapMLP, bootstrap_actor, q_network
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, OneStepQLoss
 
 if TYPE_CHECKING:
@@ -30,7 +22,7 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.envs.transforms import Transform
 
-    from bbq_torchrl.modules import MeanInit
+    from bbq_torchrl.bayes.bayes_mlp import MeanInit
 
 __all__ = ["AGENTS", "Agent", "AgentName", "Settings", "default_settings", "make_agent"]
 

@@ -8,7 +8,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from bbq_torchrl.envs import DialogueEnv
-from bbq_torchrl.modules import MLP
+from bbq_torchrl.networks import MLP
 from benchmarks.floor import KINDS, least_seconds
 from benchmarks.parts.work import PARAMETERS, UPDATES, Work, turn, valid_share
 from benchmarks.parts.yardstick import ACTIONS, BATCH, FEATURES, HIDDEN, bare_update

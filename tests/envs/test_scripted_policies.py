@@ -8,7 +8,7 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import Goal, ScriptedPolicySpec
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.modules.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
+from bbq_torchrl.envs.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
 
 
 def played(env, policy):

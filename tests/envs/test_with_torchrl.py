@@ -22,7 +22,7 @@ from torchrl.envs import (
 from torchrl.modules import EGreedyModule, QValueActor
 
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.modules.scripted import RandomPolicy
+from bbq_torchrl.envs.scripted import RandomPolicy
 
 
 def test_transforms_count_and_add_up(movie):

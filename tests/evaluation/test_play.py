@@ -8,7 +8,8 @@ import torch
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.evaluation.transcripts import transcripts
-from bbq_torchrl.modules import MLP, Greedy, q_network
+from bbq_torchrl.exploration import Greedy
+from bbq_torchrl.networks import MLP, q_network
 
 PLACES = 6
 

@@ -22,6 +22,7 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, check_env_specs, set_exploration_type
 
 from bbq_torchrl import evaluate
+from bbq_torchrl.bayes import BayesMLP, set_weight_mode
 from bbq_torchrl.cli import store
 from bbq_torchrl.cli.checks import check
 from bbq_torchrl.cli.searches import compose_search
@@ -29,7 +30,7 @@ from bbq_torchrl.cli.store import compose, explorations_table
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import report
 from bbq_torchrl.evaluation.results import read_metrics
-from bbq_torchrl.modules import BayesMLP, q_network, set_weight_mode
+from bbq_torchrl.networks import q_network
 from bbq_torchrl.options import ConfigError, EvaluateConfig, registry
 from bbq_torchrl.run import run
 

@@ -8,7 +8,8 @@ from q_transitions import flat, transitions
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.modules import BayesMLP, q_network
+from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.networks import q_network
 from bbq_torchrl.objectives import BBQNLoss
 
 

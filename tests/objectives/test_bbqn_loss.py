@@ -21,7 +21,8 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.modules import MLP, BayesLinear, GaussianPosterior, q_network
+from bbq_torchrl.bayes import BayesLinear, GaussianPosterior
+from bbq_torchrl.networks import MLP, q_network
 from bbq_torchrl.objectives import BBQNLoss
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from q_transitions import bayes_loss, transitions
 
-from bbq_torchrl.modules import BayesMLP
+from bbq_torchrl.bayes import BayesMLP
 
 
 @pytest.mark.parametrize("rho", [-20.0, -10.0, -3.0, 0.0, 3.0, 10.0, 20.0])

@@ -20,7 +20,7 @@ from torchrl.data import Categorical, LazyTensorStorage, OneHot, TensorDictRepla
 from torchrl.objectives import HardUpdate, SoftUpdate
 
 from bbq_torchrl.data import BootstrapMask
-from bbq_torchrl.modules import MLP, BootstrapMLP, bootstrap_actor, q_network
+from bbq_torchrl.networks import MLP, BootstrapMLP, bootstrap_actor, q_network
 from bbq_torchrl.objectives import BootstrapDQNLoss, DropoutDQNLoss
 
 DISTANCES = {"l2": nn.MSELoss, "l1": nn.L1Loss, "smooth_l1": nn.SmoothL1Loss}

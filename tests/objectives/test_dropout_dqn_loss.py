@@ -21,7 +21,7 @@ from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from bbq_torchrl.modules import MLP, q_network
+from bbq_torchrl.networks import MLP, q_network
 from bbq_torchrl.objectives import DropoutDQNLoss
 
 

@@ -15,7 +15,9 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.modules import BayesLinear, Greedy, ThompsonSampling, q_network
+from bbq_torchrl.bayes import BayesLinear
+from bbq_torchrl.exploration import Greedy, ThompsonSampling
+from bbq_torchrl.networks import q_network
 from bbq_torchrl.objectives import BBQNLoss
 
 REPLICAS, ACTIONS, EPISODES = 100, 4, 80

@@ -19,9 +19,8 @@ from q_transitions import (
 )
 from torch.nn.functional import softplus
 
-from bbq_torchrl.modules import DynamicsModel
-from bbq_torchrl.modules.weight_draw import draw_with_kl
-from bbq_torchrl.objectives import DynamicsLoss, VIMELoss
+from bbq_torchrl.bayes.weight_draw import draw_with_kl
+from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss
 
 FIXED = {"dqn": plain_loss, "bbqn": bayes_loss, "bootstrap": heads_loss}
 
@@ -234,7 +233,7 @@ def test_softplus_of_the_frozen_posterior_is_computed_once(monkeypatch):
     loss, _ = bayes_loss(hold=True, target="mc")
     calls = []
     monkeypatch.setattr(
-        "bbq_torchrl.modules.posterior.F.softplus", lambda x: calls.append(1) or softplus(x)
+        "bbq_torchrl.bayes.posterior.F.softplus", lambda x: calls.append(1) or softplus(x)
     )
     loss.begin_epoch()
     loss(transitions())

@@ -10,7 +10,8 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.modules import MLP, NoisyMLP, NoisySampling, StackedNoisyLinear, q_network
+from bbq_torchrl.exploration import NoisySampling
+from bbq_torchrl.networks import MLP, NoisyMLP, StackedNoisyLinear, q_network
 from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
 from bbq_torchrl.trainers import ReplicaAdam
 

@@ -12,7 +12,8 @@ from torch import nn
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.modules import BayesLinear, q_network
+from bbq_torchrl.bayes import BayesLinear
+from bbq_torchrl.networks import q_network
 from bbq_torchrl.objectives import BBQNLoss
 
 

@@ -267,7 +267,7 @@ def test_a_failing_network_leaves_its_parameters_in_place(case):
 def test_the_observation_may_have_another_name():
     from torchrl.data import Categorical
 
-    from bbq_torchrl.modules import MLP, q_network
+    from bbq_torchrl.networks import MLP, q_network
     from bbq_torchrl.objectives import DropoutDQNLoss
 
     actor = q_network(

@@ -6,7 +6,7 @@ import pytest
 import torch
 from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss, transitions
 
-from bbq_torchrl.objectives.td_error import td_loss
+from bbq_torchrl.objectives.td_loss import td_loss
 
 STACK = (3,)
 SETTINGS = {

@@ -10,9 +10,11 @@ from tensordict.nn import TensorDictSequential
 from torchrl.modules import EGreedyModule
 from torchrl.objectives import HardUpdate
 
+from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.modules import MLP, BayesMLP, Boltzmann, Greedy, ThompsonSampling, q_network
+from bbq_torchrl.exploration import Boltzmann, Greedy, ThompsonSampling
+from bbq_torchrl.networks import MLP, q_network
 from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
 from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer, SpikeSettings
 

@@ -11,7 +11,8 @@ from torchrl.objectives import HardUpdate
 from trainer_parts import ACTIONS, FEATURES, GuessEnv
 
 from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.modules import MLP, Boltzmann, Greedy, q_network
+from bbq_torchrl.exploration import Boltzmann, Greedy
+from bbq_torchrl.networks import MLP, q_network
 from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.trainers import CheckpointFolder, ReplicaAdam, RoundSettings, RoundTrainer
 

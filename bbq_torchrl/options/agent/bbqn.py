@@ -97,7 +97,8 @@ class BBQN(AgentOption):
 
     def make_actor(self, task: Task) -> QValueActor:
         """A Gaussian posterior over all weights of a ReLU network."""
-        from bbq_torchrl.modules import BayesMLP, q_network
+        from bbq_torchrl.bayes import BayesMLP
+        from bbq_torchrl.networks import q_network
 
         prior_std, std_init = self.prior_std, self.std_init
         network = BayesMLP(
@@ -132,7 +133,7 @@ class BBQN(AgentOption):
         self, actor: QValueActor, mode: str | None = None
     ) -> tuple[str, TensorDictModuleBase]:
         """The mode and its policy, one of :data:`EVALUATION_MODES`."""
-        from bbq_torchrl.modules import EvaluationPolicy
+        from bbq_torchrl.exploration import EvaluationPolicy
 
         name = self.evaluate if mode is None else mode
         return name, EvaluationPolicy(actor, mode=name, num_draws=self.evaluate_draws)  # type: ignore[arg-type]

@@ -66,7 +66,7 @@ class Bootstrap(AgentOption):
 
     def make_actor(self, task: Task) -> QValueActor:
         """A shared trunk and its heads."""
-        from bbq_torchrl.modules import BootstrapMLP, bootstrap_actor
+        from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
 
         network = BootstrapMLP(
             task.inputs,
@@ -90,7 +90,7 @@ class Bootstrap(AgentOption):
 
     def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
         """What most heads vote for."""
-        from bbq_torchrl.modules import MajorityVote
+        from bbq_torchrl.exploration import MajorityVote
 
         return MajorityVote(actor)
 

@@ -52,7 +52,7 @@ class DQN(AgentOption):
 
     def make_actor(self, task: Task) -> QValueActor:
         """A ReLU network, its layers noisy if asked for."""
-        from bbq_torchrl.modules import MLP, NoisyMLP, q_network
+        from bbq_torchrl.networks import MLP, NoisyMLP, q_network
 
         sizes = (task.inputs, task.actions, self.hidden)
         stack = (task.replicas,)

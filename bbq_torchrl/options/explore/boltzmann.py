@@ -59,7 +59,7 @@ class BoltzmannActing(ExploreOption):
         """The policy, which writes the values, and after it what draws an action by them."""
         from tensordict.nn import TensorDictSequential
 
-        from bbq_torchrl.modules import Boltzmann
+        from bbq_torchrl.exploration import Boltzmann
 
         boltzmann = Boltzmann(
             beside_dialogues(self.temperature_init, task),

@@ -32,6 +32,6 @@ class BootstrapActing(ExploreOption):
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws."""
-        from bbq_torchrl.modules import BootstrapSampling
+        from bbq_torchrl.exploration import BootstrapSampling
 
         return BootstrapSampling(actor, per=self.per), {}  # type: ignore[arg-type]

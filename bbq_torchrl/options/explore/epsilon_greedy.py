@@ -45,7 +45,7 @@ class EpsilonGreedy(ExploreOption):
         from torch import Tensor
         from torchrl.modules import EGreedyModule
 
-        from bbq_torchrl.modules import BatchedEGreedy
+        from bbq_torchrl.exploration import BatchedEGreedy
 
         start, end = (beside_dialogues(value, task) for value in (self.eps_init, self.eps_end))
         has_several = isinstance(start, Tensor) or isinstance(end, Tensor)

@@ -30,6 +30,6 @@ class NoisyActing(ExploreOption):
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws."""
-        from bbq_torchrl.modules import NoisySampling
+        from bbq_torchrl.exploration import NoisySampling
 
         return NoisySampling(actor, shared=self.shared), {}

@@ -33,6 +33,6 @@ class Thompson(ExploreOption):
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws."""
-        from bbq_torchrl.modules import ThompsonSampling
+        from bbq_torchrl.exploration import ThompsonSampling
 
         return ThompsonSampling(actor, per=self.per, shared=self.shared), {}  # type: ignore[arg-type]

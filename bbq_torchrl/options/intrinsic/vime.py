@@ -59,9 +59,8 @@ class VIME(IntrinsicOption):
         """Adds the loss of the dynamics, and the transform that adds the bonus to the rewards."""
         import torch
 
-        from bbq_torchrl.data import VIMEReward
-        from bbq_torchrl.modules import DynamicsModel, reset_inactive_
-        from bbq_torchrl.objectives import DynamicsLoss, VIMELoss
+        from bbq_torchrl.networks import reset_inactive_
+        from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss, VIMEReward
 
         dynamics = DynamicsModel(
             task.inputs,

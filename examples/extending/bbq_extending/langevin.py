@@ -50,7 +50,7 @@ class Langevin(AgentOption):
 
     def make_actor(self, task: Task) -> QValueActor:
         """A ReLU network."""
-        from bbq_torchrl.modules import MLP, q_network
+        from bbq_torchrl.networks import MLP, q_network
 
         network = MLP(
             task.inputs, task.actions, self.hidden, stack=(task.replicas,), device=task.device

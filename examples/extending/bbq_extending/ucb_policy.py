@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from bbq_torchrl.modules import set_weight_mode
+from bbq_torchrl.bayes import set_weight_mode
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -33,7 +33,8 @@ class UpperConfidence(TensorDictModuleBase):
     Example:
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
-        >>> from bbq_torchrl.modules import BayesMLP, q_network
+        >>> from bbq_torchrl.bayes import BayesMLP
+        >>> from bbq_torchrl.networks import q_network
         >>> actor = q_network(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
         >>> policy = UpperConfidence(actor, coefficient=2.0)
         >>> policy(TensorDict(observation=torch.ones(5, 3), batch_size=[5]))["action"].shape

@@ -1,0 +1,242 @@
+"""Multi-layer perceptrons on one flat weight vector, with hand-written gradients.
+
+A network's weights are one vector [*stack, P] = (W₁, b₁, W₂, b₂, …), W_l of shape
+[inputs, outputs]. One vector means one draw, one KL, one optimiser entry and one gradient
+buffer for the whole network; the layers are views of it. The gradient of all layers is written
+into one vector by matrix products with ``out=``: autograd's own way (a slice per layer) would
+fill a vector of zeros for each layer and add them up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import prod, sqrt
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from bbq_torchrl.bayes.noise import fill_kept_
+from bbq_torchrl.bayes.noise_pool import noise_pool
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from torch import Tensor
+
+__all__ = ["FlatLayout", "as_rows", "init_linear_", "mlp", "mlp_local"]
+
+_relu_backward = torch.ops.aten.threshold_backward.grad_input
+
+
+@dataclass(frozen=True)
+class FlatLayout:
+    """Where the weights and biases of an MLP lie in its flat vector.
+
+    Args:
+        sizes: features of the input, of each hidden layer, and of the output.
+
+    Raises:
+        ValueError: if there are fewer than two sizes or one is not positive.
+
+    Example:
+        >>> layout = FlatLayout((3, 4, 2))
+        >>> layout.numel, layout.layer_sizes
+        (26, (16, 10))
+    """
+
+    sizes: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.sizes) < 2 or any(n < 1 for n in self.sizes):
+            raise ValueError(f"sizes must be at least two positive integers, got {self.sizes}")
+
+    @cached_property
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """Shape [inputs, outputs] of each layer's matrix."""
+        return tuple(zip(self.sizes[:-1], self.sizes[1:], strict=True))
+
+    @cached_property
+    def layer_sizes(self) -> tuple[int, ...]:
+        """Number of weights and biases in each layer."""
+        return tuple((i + 1) * o for i, o in self.shapes)
+
+    @cached_property
+    def numel(self) -> int:
+        """P, the length of the flat vector."""
+        return sum(self.layer_sizes)
+
+    @cached_property
+    def _split_sizes(self) -> list[int]:
+        return [n for i, o in self.shapes for n in (i * o, o)]
+
+    def unflatten(self, flat: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Returns each layer's matrix [*lead, inputs, outputs] and bias [*lead, outputs], views.
+
+        Args:
+            flat: shape [*lead, P].
+        """
+        parts = torch.split_with_sizes(flat, self._split_sizes, -1)
+        lead = flat.shape[:-1]
+        return [
+            (matrix.view(*lead, *shape), bias)
+            for matrix, bias, shape in zip(parts[::2], parts[1::2], self.shapes, strict=True)
+        ]
+
+
+def init_linear_(flat: Tensor, layout: FlatLayout) -> None:
+    """Fills ``flat`` [*stack, P] like ``nn.Linear``: uniform in ±1/√inputs, biases too."""
+    with torch.no_grad():
+        for (matrix, bias), (inputs, _) in zip(layout.unflatten(flat), layout.shapes, strict=True):
+            bound = 1 / sqrt(inputs)
+            matrix.uniform_(-bound, bound)
+            bias.uniform_(-bound, bound)
+
+
+class _FlatMLP(torch.autograd.Function):
+    """x [M, in] with flat [P], or x [L, M, in] with flat [L, P], to [M, out] or [L, M, out]."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float) -> Tensor:
+        out, inputs, matrices = _run(x, flat, layout, dropout)
+        # of the first layer only if the input wants a gradient
+        needed = matrices if ctx.needs_input_grad[0] else matrices[1:]
+        ctx.save_for_backward(*inputs, *needed)
+        ctx.layout, ctx.dropout, ctx.shape = layout, dropout, flat.shape
+        return out
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+        depth = len(ctx.layout.shapes)
+        inputs, matrices = ctx.saved_tensors[:depth], ctx.saved_tensors[depth:]
+        grad_flat = grad.new_empty(ctx.shape)
+        grads = ctx.layout.unflatten(grad_flat)
+        product = torch.mm if grad.ndim == 2 else torch.bmm
+        for k in range(depth - 1, -1, -1):
+            torch.sum(grad, -2, out=grads[k][1])
+            if k > 0 and ctx.dropout > 0:
+                grad = grad * _dropout_scale(ctx.dropout)
+            product(inputs[k].mT, grad, out=grads[k][0])
+            if k > 0:
+                # a unit that is 0 after ReLU and dropout passes nothing back
+                below = product(grad, matrices[k - depth].mT)
+                grad = _relu_backward(below, inputs[k], 0, grad_input=below)
+        grad_x = product(grad, matrices[0].mT) if ctx.needs_input_grad[0] else None
+        return grad_x, grad_flat, None, None
+
+
+def _run(
+    x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float
+) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+    """Returns the outputs, the input of each layer (units dropped), and the matrices."""
+    layers = layout.unflatten(flat)
+    widths = layout.sizes[1:-1]
+    kept: Sequence[Tensor] = ()
+    if dropout > 0 and widths:
+        kept = _kept_units(x, sum(widths), dropout).split(widths, -1)
+    inputs = [x]
+    for k, (matrix, bias) in enumerate(layers[:-1]):
+        scale = _dropout_scale(dropout) if k > 0 else 1.0
+        hidden = _affine(inputs[-1], matrix, bias, scale).relu_()
+        inputs.append(hidden.mul_(kept[k]) if kept else hidden)
+    scale = _dropout_scale(dropout) if widths else 1.0
+    out = _affine(inputs[-1], *layers[-1], scale)
+    return out, inputs, [matrix for matrix, _ in layers]
+
+
+def _kept_units(x: Tensor, units: int, dropout: float) -> Tensor:
+    """Returns 1 with probability 1 - dropout, else 0, for all hidden units: [*rows, units]."""
+    pool = noise_pool.active()
+    kept = None if pool is None else pool.kept_units(x, units, dropout)
+    return fill_kept_(x.new_empty((*x.shape[:-1], units)), dropout) if kept is None else kept
+
+
+def _dropout_scale(dropout: float) -> float:
+    """Returns what the units that are left are multiplied by, to keep their sum's mean."""
+    return 1 / (1 - dropout)
+
+
+def _affine(x: Tensor, matrix: Tensor, bias: Tensor, scale: float = 1.0) -> Tensor:
+    """Returns scale · x W + b."""
+    if matrix.ndim == 2:
+        return torch.addmm(bias, x, matrix, alpha=scale)
+    return torch.baddbmm(bias.unsqueeze(-2), x, matrix, alpha=scale)
+
+
+def as_rows(x: Tensor, lead: Sequence[int], features: int) -> Tensor:
+    """Returns x [*lead, *rows, in] as [rows, in] where lead is (), else as [lead, rows, in].
+
+    Raises:
+        ValueError: if the shape of ``x`` does not fit.
+    """
+    n = len(lead)
+    if x.ndim <= n or x.shape[:n] != torch.Size(lead) or x.shape[-1] != features:
+        raise ValueError(
+            f"input must have shape [{', '.join(str(d) for d in lead)}{', ' if lead else ''}"
+            f"*batch, {features}], got {list(x.shape)}"
+        )
+    if x.ndim == 2 + min(n, 1) and n < 2:
+        return x
+    return x.reshape(prod(lead), -1, features) if lead else x.reshape(-1, features)
+
+
+def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Tensor:
+    """Returns the outputs [*lead, *rows, out] of ReLU networks with these weights.
+
+    Args:
+        x: inputs, shape [*lead, *rows, in].
+        flat: weights, shape [*lead, P]: a network for each element of lead.
+        layout: the layers.
+        dropout: probability with which a hidden unit is dropped; 0 draws nothing.
+
+    Raises:
+        ValueError: if the shape of ``x`` does not fit.
+
+    Example:
+        >>> import torch
+        >>> layout = FlatLayout((3, 4, 2))
+        >>> mlp(torch.ones(5, 7, 3), torch.ones(5, 26), layout).shape
+        torch.Size([5, 7, 2])
+    """
+    lead = flat.shape[:-1]
+    rows = as_rows(x, lead, layout.sizes[0])
+    if len(lead) > 1:
+        flat = flat.reshape(-1, layout.numel)
+    if torch.is_grad_enabled() and (flat.requires_grad or rows.requires_grad):
+        out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
+    else:
+        out = _run(rows, flat, layout, dropout)[0]
+    return out if out.shape[:-1] == x.shape[:-1] else out.reshape(*x.shape[:-1], layout.sizes[-1])
+
+
+def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tensor:
+    """Returns the outputs [*stack, *rows, out] by local reparameterisation.
+
+    Each row sees Gaussian pre-activations with the mean and variance that independent Gaussian
+    weights give it (Kingma, Salimans, Welling 2015): exactly a weight draw of its own for each
+    row, as long as a row stands for one input.
+
+    Args:
+        x: inputs, shape [*stack, *rows, in].
+        mu: means, shape [*stack, P].
+        sigma: standard deviations, shape [*stack, P].
+        layout: the layers.
+
+    Raises:
+        ValueError: if the shape of ``x`` does not fit.
+    """
+    lead = mu.shape[:-1]
+    hidden = as_rows(x, lead, layout.sizes[0])
+    if len(lead) > 1:
+        mu, sigma = mu.reshape(-1, layout.numel), sigma.reshape(-1, layout.numel)
+    means = layout.unflatten(mu)
+    variances = layout.unflatten(sigma.square())
+    # keeps √'s gradient finite where no input is active and σ has underflowed
+    tiny = torch.finfo(x.dtype).tiny
+    for k, (mean, variance) in enumerate(zip(means, variances, strict=True)):
+        if k > 0:
+            hidden = hidden.relu()
+        std = _affine(hidden.square(), *variance).clamp_min(tiny).sqrt()
+        hidden = torch.addcmul(_affine(hidden, *mean), std, torch.randn_like(std))
+    return hidden if hidden.ndim == x.ndim else hidden.reshape(*x.shape[:-1], layout.sizes[-1])

@@ -1,0 +1,194 @@
+"""The factorised Gaussian over a network's weights, its draws and its KL divergence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from bbq_torchrl.bayes.held_std import std_of
+from bbq_torchrl.bayes.noise import fill_normal_
+from bbq_torchrl.bayes.shared_noise import noise_for
+from bbq_torchrl.bayes.stack_values import stack_values
+from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind, closed_kl, draw_with_kl
+
+__all__ = ["GaussianPosterior", "inverse_softplus"]
+
+
+def inverse_softplus(std: Tensor) -> Tensor:
+    """Returns ρ with softplus(ρ) = std, as log(expm1(std)) without overflow."""
+    return std + torch.log(-torch.expm1(-std))
+
+
+class GaussianPosterior(nn.Module):
+    r"""q(w) = N(μ, softplus(ρ)²) for P independent weights, prior N(0, p²) (BBQ-Networks, 2018).
+
+    All weights lie in one vector, so that a draw, its KL and their gradients are a few passes
+    over it; both gradients are written by hand (closed KL, after Blundell et al. 2015) and σ is
+    computed once for the two. Where σ = p and μ = 0 the closed KL has a gradient of exactly 0,
+    so that weights which no data reach stay bitwise at the prior under any optimiser.
+
+    Args:
+        group_sizes: how many weights each group (for an MLP: layer) has; P is their sum.
+        prior_std: standard deviation of the prior: one number, a sequence with one for each
+            group, or a tensor [*stack] with one for each element of the stack.
+
+    Keyword Args:
+        stack: leading shape; an independent posterior for each element. Defaults to ().
+        device: of the parameters.
+        dtype: of the parameters, a floating one.
+
+    Attributes:
+        mu: parameter [*stack, P], 0 at first.
+        rho: parameter [*stack, P], softplus(rho) = prior_std at first.
+        prior_rho: buffer [1], [groups] or [*stack, 1], softplus(prior_rho) = prior_std. Kept in
+            the place of prior_std so that σ meets the prior's in any dtype.
+
+    Raises:
+        ValueError: if a prior_std is not a positive finite number, or there are not as many as
+            there are groups or elements of the stack.
+
+    Example:
+        >>> import torch
+        >>> posterior = GaussianPosterior([6, 4], 0.1, stack=(5,))
+        >>> posterior.sample().shape, posterior.sample((32,)).shape
+        (torch.Size([5, 10]), torch.Size([5, 32, 10]))
+        >>> weights, kl = posterior.sample_with_kl()
+        >>> kl.shape, bool((kl.abs() < 1e-5).all())
+        (torch.Size([5]), True)
+    """
+
+    prior_rho: Tensor
+
+    def __init__(
+        self,
+        group_sizes: Sequence[int],
+        prior_std: float | Sequence[float] | Tensor,
+        *,
+        stack: Sequence[int] = (),
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        self.group_sizes = tuple(group_sizes)
+        self.stack = torch.Size(stack)
+        std = self._prior(prior_std)
+        dtype = dtype or torch.get_default_dtype()
+        self.register_buffer("prior_rho", inverse_softplus(std).to(device=device, dtype=dtype))
+        shape = (*self.stack, sum(self.group_sizes))
+        self.mu = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
+        self.rho = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
+        self.reset_parameters()
+
+    def _prior(self, prior_std: float | Sequence[float] | Tensor) -> Tensor:
+        """Returns the prior's checked std, float64 [1], [groups] or [*stack, 1]."""
+        if isinstance(prior_std, Tensor) and prior_std.ndim > 0:
+            return stack_values("prior_std", prior_std, self.stack).unsqueeze(-1)
+        groups = list(prior_std) if isinstance(prior_std, Sequence) else [float(prior_std)]
+        for value in groups:
+            if not 0 < value < float("inf"):
+                raise ValueError(f"prior_std must be positive and finite, got {value}")
+        if len(groups) not in (1, len(self.group_sizes)):
+            raise ValueError(
+                f"prior_std must be one number or one for each of the {len(self.group_sizes)} "
+                f"groups, got {len(groups)}"
+            )
+        return torch.tensor(groups, dtype=torch.float64)
+
+    def reset_parameters(self) -> None:
+        """Sets the posterior to the prior."""
+        with torch.no_grad():
+            self.mu.zero_()
+            self.rho.copy_(self.per_weight(self.prior_rho))
+
+    def reset_std_(self, std: float | Tensor) -> None:
+        """Sets every standard deviation to ``std``, one number or one a stack element, [*stack]."""
+        values = torch.as_tensor(std, dtype=torch.float64)
+        if values.ndim:
+            values = stack_values("std_init", values, self.stack)
+        elif not 0 < std < float("inf"):
+            raise ValueError(f"std_init must be positive and finite, got {std}")
+        with torch.no_grad():
+            self.rho.copy_(inverse_softplus(values).unsqueeze(-1))
+
+    def per_weight(self, per_group: Tensor) -> Tensor:
+        """Returns values per group as values per weight: [groups] as [P], [*, 1] as it is."""
+        if per_group.shape[-1] == 1:
+            return per_group
+        parts = zip(per_group.unbind(), self.group_sizes, strict=True)
+        return torch.cat([value.expand(size) for value, size in parts])
+
+    @property
+    def prior_std(self) -> Tensor:
+        """Standard deviation of the prior: [1] if one for all, [*stack, 1], or [P]."""
+        return self.per_weight(F.softplus(self.prior_rho))
+
+    @property
+    def sigma(self) -> Tensor:
+        """Standard deviations [*stack, P], differentiable in rho."""
+        return F.softplus(self.rho)
+
+    def fill_noise_(self, noise: Tensor) -> None:
+        """Fills ``noise`` [*, P] with standard normal numbers from torch's global generator."""
+        fill_normal_(noise)
+
+    def sample(self, rows: Sequence[int] = ()) -> Tensor:
+        """Returns a draw of the weights for each of ``rows``, [*stack, *rows, P].
+
+        Differentiable in mu and rho.
+        """
+        count = self.mu.shape[-1]
+        noise, is_filled = noise_for(self, torch.Size((*self.stack, *rows, count)))
+        if not is_filled:
+            self.fill_noise_(noise)
+        shape = (*self.stack, *(1 for _ in rows), count)
+        return torch.addcmul(self.mu.reshape(shape), std_of(self).reshape(shape), noise)
+
+    @torch.no_grad()
+    def redraw_(self, draws: Tensor, where: Tensor) -> None:
+        """Replaces some of the draws that :meth:`sample` returned, in place.
+
+        Args:
+            draws: shape [*stack, *rows, P].
+            where: bool [*stack, *rows], True for the ones to replace.
+        """
+        count = self.mu.shape[-1]
+        flat, mu, rho = (t.view(-1, count) for t in (draws, self.mu, self.rho))
+        # New noise for all rows would cost a batch of networks for the few rows that begin
+        # something, so this is the one place whose amount of work follows the data.
+        which = where.flatten().nonzero().squeeze(-1)
+        element = which // max(1, flat.shape[0] // mu.shape[0])
+        noise = flat.new_empty((which.shape[0], count))
+        self.fill_noise_(noise)
+        flat[which] = torch.addcmul(mu[element], F.softplus(rho[element]), noise)
+
+    def sample_with_kl(
+        self, kind: KLKind = "closed", known_kl: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Returns a draw [*stack, P] and the KL from the prior [*stack], sharing σ.
+
+        Args:
+            kind: "closed", Σ log(p/σ) + (σ² + μ²)/(2p²) - ½, or "sampled", log q(w) - log p(w)
+                at the draw, as the paper has it.
+            known_kl: an earlier value of the closed KL, [*stack], to be returned in the place of
+                today's; its gradient is today's all the same. Defaults to None.
+
+        Raises:
+            ValueError: for any other string, or a known KL of another kind than "closed".
+        """
+        check_kl_kind(kind)
+        if known_kl is not None and kind != "closed":
+            raise ValueError(f"known_kl needs kl='closed', got {kind!r}")
+        noise, is_filled = noise_for(self, self.mu.shape)
+        fill_noise_ = None if is_filled else self.fill_noise_
+        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_, known_kl)
+
+    def kl(self) -> Tensor:
+        """Returns the KL from the prior in closed form, [*stack], in nats."""
+        return closed_kl(self.mu, self.rho, self.prior_std)
+
+    def extra_repr(self) -> str:
+        """Returns the sizes for ``repr``."""
+        return f"weights={sum(self.group_sizes)}, stack={tuple(self.stack)}"

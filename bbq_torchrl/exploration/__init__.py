@@ -1,0 +1,22 @@
+"""Ways to act on a Q-network: TensorDict modules that honor the actor's action mask."""
+
+from __future__ import annotations
+
+from bbq_torchrl.exploration.boltzmann import Boltzmann
+from bbq_torchrl.exploration.bootstrap import BootstrapSampling, MajorityVote
+from bbq_torchrl.exploration.egreedy import BatchedEGreedy
+from bbq_torchrl.exploration.evaluation import EvaluationPolicy
+from bbq_torchrl.exploration.greedy import Greedy
+from bbq_torchrl.exploration.noisy import NoisySampling
+from bbq_torchrl.exploration.thompson import ThompsonSampling
+
+__all__ = [
+    "BatchedEGreedy",
+    "Boltzmann",
+    "BootstrapSampling",
+    "EvaluationPolicy",
+    "Greedy",
+    "MajorityVote",
+    "NoisySampling",
+    "ThompsonSampling",
+]

@@ -1,0 +1,123 @@
+"""Boltzmann exploration: a softmax over the values, whose temperature falls by a schedule."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+
+from bbq_torchrl.exploration.base import explores
+from bbq_torchrl.exploration.schedules import check_batch, schedule
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
+    from torch import Tensor
+    from torchrl.data import Composite
+
+__all__ = ["Boltzmann"]
+
+
+class Boltzmann(TensorDictModuleBase):
+    """Replaces the greedy action by a draw from softmax(Q / temperature).
+
+    Goes behind an actor; explores under RANDOM and outside of any context, else leaves the
+    action as it is. The temperature falls linearly with :meth:`step` and is a buffer, so that
+    checkpoints hold it.
+
+    Args:
+        temperature_init: temperature at first, in units of Q (rewards): one number, or a tensor
+            that broadcasts with the batch, such as [*stack, 1] for one an element of the stack.
+        temperature_end: temperature after ``annealing_num_steps`` steps, likewise.
+        annealing_num_steps: length of the schedule.
+
+    Keyword Args:
+        action_key: where the action (an index) goes.
+        action_value_key: values [*batch, N].
+        action_mask_key: bool [*batch, N], or None for no mask.
+        spec: of the action, if known.
+
+    Raises:
+        ValueError: if not temperature_init ≥ temperature_end > 0, without any step, or, when
+            called, for a batch that the temperatures do not broadcast with.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> explore = Boltzmann(2.0, 0.5, 3, action_mask_key=None)
+        >>> td = TensorDict(action_value=torch.tensor([[0.0, 99.0, -99.0]]), batch_size=[1])
+        >>> explore(td)["action"]
+        tensor([1])
+        >>> explore.step(2)
+        >>> explore.temperature
+        tensor(1.)
+    """
+
+    temperature: Tensor
+    temperature_init: Tensor
+    temperature_end: Tensor
+
+    def __init__(
+        self,
+        temperature_init: float | Tensor,
+        temperature_end: float | Tensor,
+        annealing_num_steps: int = 1000,
+        *,
+        action_key: NestedKey = "action",
+        action_value_key: NestedKey = "action_value",
+        action_mask_key: NestedKey | None = "action_mask",
+        spec: Composite | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        start, end = schedule(temperature_init, temperature_end)
+        if not bool(((start >= end) & (end > 0)).all()):
+            raise ValueError(
+                "temperature_init must be at least temperature_end and that positive, got "
+                f"{start.tolist()} and {end.tolist()}"
+            )
+        if annealing_num_steps < 1:
+            raise ValueError(f"annealing_num_steps must be at least 1, got {annealing_num_steps}")
+        super().__init__()
+        self.action_key = action_key
+        self.action_value_key = action_value_key
+        self.action_mask_key = action_mask_key
+        self.in_keys = [action_value_key]
+        if action_mask_key is not None:
+            self.in_keys.append(action_mask_key)
+        self.out_keys = [action_key]
+        self.annealing_num_steps = annealing_num_steps
+        for name, value in {
+            "temperature_init": start,
+            "temperature_end": end,
+            "temperature": start.clone(),
+        }.items():
+            self.register_buffer(name, value.to(device))
+        self._spec = spec
+
+    @property
+    def spec(self) -> Composite | None:
+        """Spec of the action, if one was given."""
+        return self._spec
+
+    def step(self, frames: int = 1) -> None:
+        """Lowers the temperature by ``frames`` steps of the schedule."""
+        fall = (self.temperature_init - self.temperature_end) / self.annealing_num_steps
+        self.temperature.copy_(
+            torch.maximum(self.temperature_end, self.temperature - frames * fall)
+        )
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the drawn action [*batch]."""
+        if not explores():
+            return tensordict
+        check_batch("temperature", self.temperature, tensordict.batch_size)
+        # values have one dimension more than the batch
+        temperature = self.temperature.unsqueeze(-1)
+        logits = tensordict.get(self.action_value_key).detach() / temperature
+        # argmax(logit - log E), E ~ Exp(1), is a draw from the softmax (the Gumbel trick)
+        logits = logits - torch.empty_like(logits).exponential_().log_()
+        if self.action_mask_key is not None:
+            mask = tensordict.get(self.action_mask_key)
+            logits = torch.where(mask, logits, float("-inf"))
+        return tensordict.set(self.action_key, logits.argmax(-1))

@@ -1,0 +1,170 @@
+"""Acting on the heads of a bootstrapped Q-network: on one at a time, or by their vote."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, get_args
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+
+from bbq_torchrl.bayes.weight_mode import set_weight_mode
+from bbq_torchrl.exploration.base import Per, explores
+from bbq_torchrl.networks.vote import VoteModule
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
+    from torch import Tensor
+    from torchrl.data import Composite
+    from torchrl.modules import QValueActor
+
+__all__ = ["BootstrapSampling", "MajorityVote"]
+
+
+class _OnHeads(TensorDictModuleBase):
+    """What acts on the heads of an actor, without writing the values of all of them."""
+
+    def __init__(self, actor: QValueActor) -> None:
+        if not isinstance(actor[-1], VoteModule):
+            raise ValueError(
+                "actor must be one that bootstrap_actor returns, whose last module is a "
+                f"VoteModule, got {type(actor[-1]).__name__}"
+            )
+        super().__init__()
+        self.actor = actor
+        self.in_keys = actor.in_keys
+        self.out_keys = self._choice.out_keys
+
+    @property
+    def _choice(self) -> VoteModule:
+        choice: VoteModule = self.actor[-1]
+        return choice
+
+    @property
+    def spec(self) -> Composite:
+        """Specs of what it writes."""
+        return self._choice.spec
+
+    def _head_values(self, tensordict: TensorDictBase) -> Tensor:
+        """Returns the values of all heads, [*batch, K, N]; dropout is off."""
+        network = self.actor[0]
+        with set_weight_mode("mean"):
+            out = network(tensordict.select(*network.in_keys))
+        values: Tensor = out.get(self._choice.action_value_key)
+        return values
+
+
+class MajorityVote(_OnHeads):
+    """Acts by the majority vote of the heads, whatever the exploration type.
+
+    Each head votes for its legal action of greatest value; of equally many votes the greater mean
+    value over all heads decides, then the lower index (see
+    :class:`~bbq_torchrl.networks.VoteModule`). Writes the action and, as ``action_value``
+    [*batch, N], the mean of the values over the heads.
+
+    Args:
+        actor: what :func:`~bbq_torchrl.networks.bootstrap_actor` returns.
+
+    Raises:
+        ValueError: for another actor.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.exploration import MajorityVote
+        >>> from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
+        >>> actor = bootstrap_actor(BootstrapMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> td = MajorityVote(actor)(TensorDict(observation=torch.ones(2, 3), batch_size=[2]))
+        >>> td["action"].shape, td["action_value"].shape
+        (torch.Size([2]), torch.Size([2, 4]))
+    """
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that wins the vote, and the heads' mean values."""
+        return self._choice.vote(tensordict, self._head_values(tensordict))
+
+
+class BootstrapSampling(_OnHeads):
+    """Acts greedily on one head, drawn uniformly for each row (Bootstrapped DQN, Osband 2016).
+
+    Under the exploration types DETERMINISTIC, MEAN and MODE it acts by the majority vote; under
+    RANDOM and outside of any context it explores (as ``EGreedyModule``). Writes the action and,
+    as ``action_value`` [*batch, N], the values of the head acted on (of the vote: the mean over
+    the heads).
+
+    TorchRL's ``TensorDictPrimer(head=Categorical(10), random=True)`` draws a head for each
+    episode too, but as a part of the environment: it would have to know how many heads the agent
+    has, the head would become an entry of every observation and transition, and comparing agents
+    in one environment, or voting in the very same one, would need the transform taken out.
+
+    Args:
+        actor: what :func:`~bbq_torchrl.networks.bootstrap_actor` returns.
+
+    Keyword Args:
+        per: how long a head is acted on. "step": one action. "dialogue" (the paper): until the
+            row's next ``init_key``. "round": until :meth:`resample`. Defaults to "dialogue".
+        init_key: bool [*batch, 1] or [*batch], True where a row begins a dialogue (TorchRL's
+            ``InitTracker`` writes it); only read for per="dialogue". Without that entry heads
+            stay until :meth:`resample`. Defaults to "is_init".
+
+    Held heads are drawn anew when the batch shape changes: other rows are other dialogues. The
+    numbers come from torch's global generator, for all rows at each call that may need one, so
+    that what a row draws never depends on when the others begin.
+
+    Raises:
+        ValueError: for another ``per`` or another actor.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.exploration import BootstrapSampling
+        >>> from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
+        >>> actor = bootstrap_actor(BootstrapMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> policy = BootstrapSampling(actor)
+        >>> td = TensorDict(observation=torch.ones(50, 3), batch_size=[50])
+        >>> first, again = policy(td.clone())["action"], policy(td.clone())["action"]
+        >>> torch.equal(first, again), policy.heads.unique().numel() > 1
+        (True, True)
+    """
+
+    def __init__(
+        self, actor: QValueActor, *, per: Per = "dialogue", init_key: NestedKey = "is_init"
+    ) -> None:
+        if per not in get_args(Per):
+            raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
+        super().__init__(actor)
+        self.per = per
+        self.init_key = init_key
+        self._held: Tensor | None = None
+
+    @property
+    def heads(self) -> Tensor | None:
+        """The head that each row acted on last, int64 [*batch]; None before the first action."""
+        return self._held
+
+    def resample(self) -> None:
+        """Forgets the heads: the next call draws new ones."""
+        self._held = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that is greedy on the row's head, and that head's values."""
+        values = self._head_values(tensordict)
+        if not explores():
+            return self._choice.vote(tensordict, values)
+        self._held = self._next_heads(tensordict, values)
+        index = self._held[..., None, None].expand(*self._held.shape, 1, values.shape[-1])
+        return self._choice.act_greedily(tensordict, values.gather(-2, index).squeeze(-2))
+
+    def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
+        rows, held = values.shape[:-2], self._held
+        begins = None
+        if held is not None and held.shape == rows and self.per != "step":
+            begins = tensordict.get(self.init_key, None) if self.per == "dialogue" else None
+            if begins is None:
+                return held
+        drawn = torch.randint(values.shape[-2], rows, device=values.device)
+        if begins is None or held is None:
+            return drawn
+        return torch.where(begins.reshape(rows), drawn, held)

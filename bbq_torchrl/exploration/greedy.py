@@ -1,0 +1,59 @@
+"""Acting on the mean network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tensordict.nn import TensorDictModuleBase
+
+from bbq_torchrl.bayes.weight_mode import set_weight_mode
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from torchrl.data import Composite
+    from torchrl.modules import QValueActor
+
+__all__ = ["Greedy"]
+
+
+class Greedy(TensorDictModuleBase):
+    """Acts greedily on the mean network (dropout off), whatever the exploration type.
+
+    Args:
+        actor: what chooses actions from values.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictSequential
+        >>> from torchrl.data import Categorical
+        >>> from torchrl.modules import EGreedyModule
+        >>> from bbq_torchrl.bayes import BayesMLP
+        >>> from bbq_torchrl.exploration import Greedy
+        >>> from bbq_torchrl.networks import q_network
+        >>> actor = q_network(BayesMLP(3, 4), Categorical(4))
+        >>> policy = TensorDictSequential(
+        ...     Greedy(actor),
+        ...     EGreedyModule(Categorical(4), 0.1, 0.1, action_mask_key="action_mask"),
+        ... )
+        >>> mask = torch.tensor([False, True, True, True]).expand(2, 4)
+        >>> td = TensorDict(observation=torch.ones(2, 3), action_mask=mask, batch_size=[2])
+        >>> bool((policy(td)["action"] > 0).all())
+        True
+    """
+
+    def __init__(self, actor: QValueActor) -> None:
+        super().__init__()
+        self.actor = actor
+        self.in_keys = actor.in_keys
+        self.out_keys = actor.out_keys
+
+    @property
+    def spec(self) -> Composite:
+        """Specs of what the actor writes."""
+        return self.actor.spec
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the greedy action and the values it comes from."""
+        with set_weight_mode("mean"):
+            return self.actor(tensordict)

@@ -1,0 +1,66 @@
+"""Acting on the noise of a NoisyNet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tensordict.nn import TensorDictModuleBase
+
+from bbq_torchrl.bayes.weight_mode import WeightMode, set_weight_mode
+from bbq_torchrl.exploration.base import explores
+from bbq_torchrl.networks.noisy_mlp import noisy_layers
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from torchrl.data import Composite
+    from torchrl.modules import QValueActor
+
+__all__ = ["NoisySampling"]
+
+
+class NoisySampling(TensorDictModuleBase):
+    """Acts greedily on noise that is new at every step (NoisyNet's exploration).
+
+    Under the exploration types DETERMINISTIC, MEAN and MODE it acts on the mean network μ; under
+    RANDOM and outside of any context it explores (as ``EGreedyModule``).
+
+    Args:
+        actor: an actor whose network has noisy layers.
+
+    Keyword Args:
+        shared: whether the rows of a batch act on one noise (each element of the stack has its
+            own) or each on its own, as if it were alone. Defaults to False.
+
+    Raises:
+        ValueError: for an actor without noisy layers.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.exploration import NoisySampling
+        >>> from bbq_torchrl.networks import NoisyMLP, q_network
+        >>> actor = q_network(NoisyMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> td = TensorDict(observation=torch.ones(50, 3), batch_size=[50])
+        >>> NoisySampling(actor)(td)["action_value"].unique(dim=0).shape
+        torch.Size([50, 4])
+    """
+
+    def __init__(self, actor: QValueActor, *, shared: bool = False) -> None:
+        super().__init__()
+        noisy_layers(actor)
+        self.actor = actor
+        self.shared = shared
+        self.in_keys = actor.in_keys
+        self.out_keys = actor.out_keys
+
+    @property
+    def spec(self) -> Composite:
+        """Specs of what the actor writes."""
+        return self.actor.spec
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that is greedy under the noise, and the values."""
+        mode: WeightMode = "draw" if self.shared else "local"
+        with set_weight_mode(mode if explores() else "mean"):
+            return self.actor(tensordict)

@@ -1,0 +1,143 @@
+"""Thompson sampling: acting on draws from the posterior of the weights."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, get_args
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+
+from bbq_torchrl.bayes.bayes_mlp import BayesMLP
+from bbq_torchrl.bayes.weight_mode import given_weights, set_weight_mode
+from bbq_torchrl.exploration.base import Per, explores
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
+    from torch import Tensor
+    from torchrl.data import Composite
+    from torchrl.modules import QValueActor
+
+__all__ = ["ThompsonSampling"]
+
+
+class ThompsonSampling(TensorDictModuleBase):
+    """Draws weights from the posterior and acts greedily on them.
+
+    Under the exploration types DETERMINISTIC, MEAN and MODE it acts on the mean network; under
+    RANDOM and outside of any context it explores (as ``EGreedyModule``).
+
+    Args:
+        actor: an actor whose network has Bayesian layers.
+
+    Keyword Args:
+        per: how long a draw is acted on. "step" (the paper): one action. "dialogue": until the
+            row's next ``init_key``. "round": until :meth:`resample`. Defaults to "step".
+        shared: whether the rows of a batch act on one draw (each element of the stack has its
+            own) or each on its own. One shared draw makes 50 dialogues side by side one
+            experiment. Defaults to True for "round", else False.
+        init_key: bool [*batch, 1] or [*batch], True where a row begins a dialogue (TorchRL's
+            ``InitTracker`` writes it); only read for per="dialogue". Without that entry draws
+            stay until :meth:`resample`. Defaults to "is_init".
+
+    Independent draws for each row cost a batch of noise for every weight if they are to stay
+    (B·P numbers, P ≈ 145,000 for 268-256-256-39). Per step they come from local
+    reparameterisation, which is exact for one input per draw, at a hundredth of that. A held
+    draw is redrawn when the batch shape changes: other rows are other dialogues.
+
+    Raises:
+        ValueError: for another ``per``, or an actor without Bayesian layers.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.bayes import BayesMLP
+        >>> from bbq_torchrl.exploration import ThompsonSampling
+        >>> from bbq_torchrl.networks import q_network
+        >>> actor = q_network(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> policy = ThompsonSampling(actor, per="dialogue")
+        >>> td = TensorDict(observation=torch.ones(50, 3), batch_size=[50])
+        >>> first, again = policy(td.clone())["action"], policy(td.clone())["action"]
+        >>> torch.equal(first, again), first.unique().numel() > 1
+        (True, True)
+    """
+
+    def __init__(
+        self,
+        actor: QValueActor,
+        *,
+        per: Per = "step",
+        shared: bool | None = None,
+        init_key: NestedKey = "is_init",
+    ) -> None:
+        if per not in get_args(Per):
+            raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
+        super().__init__()
+        self.actor = actor
+        self.per = per
+        self.shared = per == "round" if shared is None else shared
+        self.init_key = init_key
+        self.in_keys = actor.in_keys
+        self.out_keys = actor.out_keys
+        self._held: dict[BayesMLP, Tensor] = {}
+        self._held_rows: torch.Size | None = None
+        bayesian_layers(actor)
+
+    @property
+    def spec(self) -> Composite:
+        """Specs of what the actor writes."""
+        return self.actor.spec
+
+    def resample(self) -> None:
+        """Forgets the draws: the next call acts on new ones."""
+        self._held = {}
+        self._held_rows = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that is greedy on the drawn weights, and the values."""
+        if not explores():
+            with set_weight_mode("mean"):
+                return self.actor(tensordict)
+        if self.per == "step":
+            with set_weight_mode("draw" if self.shared else "local"):
+                return self.actor(tensordict)
+        with torch.no_grad():
+            self._hold(tensordict)
+        with given_weights(self._held):
+            return self.actor(tensordict)
+
+    def _hold(self, tensordict: TensorDictBase) -> None:
+        layers = bayesian_layers(self.actor)
+        stack = layers[0].stack
+        rows = tensordict.batch_size[len(stack) :]
+        if self._held_rows != rows:
+            drawn = () if self.shared else tuple(rows)
+            self._held = {layer: layer.draw_weights(drawn) for layer in layers}
+            self._held_rows = rows
+            return
+        if self.per == "round":
+            return
+        begins = tensordict.get(self.init_key, None)
+        if begins is None:
+            return
+        begins = begins.reshape(tensordict.batch_size)
+        if self.shared and rows:
+            begins = begins.flatten(len(stack)).any(-1)
+        for layer, draws in self._held.items():
+            layer.posterior.redraw_(draws, begins)
+
+
+def bayesian_layers(module: torch.nn.Module) -> list[BayesMLP]:
+    """Returns the Bayesian layers and networks in ``module``.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    layers = [m for m in module.modules() if isinstance(m, BayesMLP)]
+    if not layers:
+        raise ValueError(
+            "Thompson sampling and weight draws need a network with Bayesian layers (BayesMLP, "
+            "BayesLinear), got one without"
+        )
+    return layers

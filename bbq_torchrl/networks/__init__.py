@@ -1,0 +1,22 @@
+"""Q-networks with a dimension of replicas, and actors on them."""
+
+from __future__ import annotations
+
+from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
+from bbq_torchrl.networks.growth import grow, reset_inactive_
+from bbq_torchrl.networks.mlp import MLP
+from bbq_torchrl.networks.noisy_mlp import NoisyMLP, StackedNoisyLinear
+from bbq_torchrl.networks.q_actor import q_network
+from bbq_torchrl.networks.vote import VoteModule, bootstrap_actor
+
+__all__ = [
+    "MLP",
+    "BootstrapMLP",
+    "NoisyMLP",
+    "StackedNoisyLinear",
+    "VoteModule",
+    "bootstrap_actor",
+    "grow",
+    "q_network",
+    "reset_inactive_",
+]

@@ -1,0 +1,198 @@
+"""A multi-layer perceptron with bootstrap heads on a shared trunk, or K separate ones."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
+from bbq_torchrl.bayes.weight_mode import WeightMode, check_weight_mode
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["BootstrapMLP"]
+
+
+class _ShareAmongHeads(torch.autograd.Function):
+    """hidden [*stack, *batch, H] for each head, [*stack, K, *batch, H]; the mean of gradients."""
+
+    @staticmethod
+    def forward(ctx: Any, hidden: Tensor, dim: int, heads: int) -> Tensor:
+        ctx.dim = dim
+        return _for_each_head(hidden, dim, heads)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        return grad.mean(ctx.dim), None, None
+
+
+def _for_each_head(x: Tensor, dim: int, heads: int) -> Tensor:
+    return x.unsqueeze(dim).expand(*x.shape[:dim], heads, *x.shape[dim:])
+
+
+class BootstrapMLP(nn.Module):
+    """A ReLU network with K heads, or a stack of them (Osband et al., Bootstrapped DQN, 2016).
+
+    The heads share the first ``trunk_layers`` hidden layers. Their losses add up, so that a head
+    learns as fast as a network of its own; the gradient that they pass to the trunk is divided
+    by K (section 6.1 of the paper), as is what reaches the input through it.
+
+    Args:
+        in_features: size of the input.
+        out_features: size of each head's output.
+        hidden: sizes of the hidden layers. Defaults to (256, 256).
+
+    Keyword Args:
+        heads: K. Defaults to 10.
+        stack: leading shape of the weights; with (R,) these are R independent networks of K
+            heads, whose inputs have R as their first dimension. Defaults to (), one network.
+        trunk_layers: how many hidden layers the heads share; 0 makes K separate networks.
+            Defaults to None, all of them.
+        prior_scale: if positive, each head has a fixed network added to it, drawn like the one
+            that learns and multiplied by this number (randomized prior functions, Osband et al.
+            2018): heads then differ where there are no data. Defaults to 0.
+        device: of the weights.
+        dtype: of the weights.
+
+    Attributes:
+        trunk: parameter [*stack, P_trunk], None without a trunk.
+        heads: parameter [*stack, K, P_head].
+        prior_trunk: buffer of the trunk's shape, None without a trunk or without a prior.
+        prior_heads: buffer of the heads' shape, None without a prior.
+        trunk_layout: :class:`~bbq_torchrl.bayes.FlatLayout` of the trunk, None without one.
+        head_layout: of each head.
+
+    Raises:
+        ValueError: for an argument outside of what is listed.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.networks import BootstrapMLP
+        >>> net = BootstrapMLP(268, 39, heads=10, stack=(5,), prior_scale=1.0)
+        >>> net(torch.ones(5, 32, 268)).shape
+        torch.Size([5, 32, 10, 39])
+        >>> [name for name, _ in net.named_parameters()]
+        ['trunk', 'heads']
+    """
+
+    prior_trunk: Tensor | None
+    prior_heads: Tensor | None
+
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        hidden: Sequence[int] = (256, 256),
+        *,
+        heads: int = 10,
+        stack: Sequence[int] = (),
+        trunk_layers: int | None = None,
+        prior_scale: float = 0.0,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        trunk_layers = len(hidden) if trunk_layers is None else trunk_layers
+        if heads < 1:
+            raise ValueError(f"heads must be at least 1, got {heads}")
+        if not 0 <= trunk_layers <= len(hidden):
+            raise ValueError(
+                f"trunk_layers must be from 0 to {len(hidden)}, the number of hidden layers, got "
+                f"{trunk_layers}"
+            )
+        if not 0 <= prior_scale < float("inf"):
+            raise ValueError(
+                f"prior_scale must be a finite number and not negative, got {prior_scale}"
+            )
+        sizes = (in_features, *hidden, out_features)
+        FlatLayout(sizes)  # refuses sizes that are no network before they are cut in two
+        self.trunk_layout = FlatLayout(sizes[: trunk_layers + 1]) if trunk_layers else None
+        self.head_layout = FlatLayout(sizes[trunk_layers:])
+        self.stack = torch.Size(stack)
+        self.num_heads = heads
+        self.prior_scale = prior_scale
+
+        def empty(layout: FlatLayout, *rows: int) -> Tensor:
+            return torch.empty((*self.stack, *rows, layout.numel), device=device, dtype=dtype)
+
+        trunk, layout = self.trunk_layout, self.head_layout
+        self.trunk = None if trunk is None else nn.Parameter(empty(trunk))
+        self.heads = nn.Parameter(empty(layout, heads))
+        has_prior = prior_scale > 0
+        self.register_buffer("prior_trunk", empty(trunk) if trunk and has_prior else None)
+        self.register_buffer("prior_heads", empty(layout, heads) if has_prior else None)
+        self._init_linear_(self.prior_trunk, self.prior_heads)
+        self.reset_parameters()
+
+    @property
+    def in_features(self) -> int:
+        """Size of the input."""
+        return (self.trunk_layout or self.head_layout).sizes[0]
+
+    @property
+    def out_features(self) -> int:
+        """Size of each head's output."""
+        return self.head_layout.sizes[-1]
+
+    def reset_parameters(self) -> None:
+        """Draws the weights like ``nn.Linear``: uniform in ±1/√inputs; the priors stay."""
+        self._init_linear_(self.trunk, self.heads)
+
+    def _init_linear_(self, trunk: Tensor | None, heads: Tensor | None) -> None:
+        if trunk is not None and self.trunk_layout is not None:
+            init_linear_(trunk, self.trunk_layout)
+        if heads is not None:
+            init_linear_(heads, self.head_layout)
+
+    def input_matrices(self) -> list[Tensor]:
+        """Returns the matrices that the input meets, [*lead, in, width]: views, the prior's too."""
+        layout = self.trunk_layout or self.head_layout
+        flats: tuple[Tensor | None, ...] = (self.heads, self.prior_heads)
+        if self.trunk_layout is not None:
+            flats = (self.trunk, self.prior_trunk)
+        return [layout.unflatten(flat)[0][0] for flat in flats if flat is not None]
+
+    def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
+        """Returns the outputs of all heads, shape [*stack, *batch, K, out].
+
+        Args:
+            x: inputs, shape [*stack, *batch, in].
+            mode: for the sake of networks that draw; there is nothing random here.
+
+        Raises:
+            ValueError: for another mode, or a shape that does not fit.
+        """
+        if mode is not None:
+            check_weight_mode(mode)
+        dim = len(self.stack)
+        if x.ndim <= dim or x.shape[:dim] != self.stack or x.shape[-1] != self.in_features:
+            lead = "".join(f"{size}, " for size in self.stack)
+            raise ValueError(
+                f"input must have shape [{lead}*batch, {self.in_features}], got {list(x.shape)}"
+            )
+        out = self._run(x, self.trunk, self.heads)
+        if self.prior_heads is not None:
+            prior = self._run(x, self.prior_trunk, self.prior_heads)
+            out = torch.add(out, prior, alpha=self.prior_scale)
+        return out.movedim(dim, -2)
+
+    def _run(self, x: Tensor, trunk: Tensor | None, heads: Tensor) -> Tensor:
+        """Returns [*stack, K, *batch, out]."""
+        dim = len(self.stack)
+        if trunk is None or self.trunk_layout is None:
+            shared = _for_each_head(x, dim, self.num_heads)
+        else:
+            hidden = mlp(x, trunk, self.trunk_layout).relu()
+            shared = _ShareAmongHeads.apply(hidden, dim, self.num_heads)
+        return mlp(shared, heads, self.head_layout)
+
+    def extra_repr(self) -> str:
+        """Returns the sizes for ``repr``."""
+        trunk = self.trunk_layout.sizes if self.trunk_layout else ()
+        return (
+            f"trunk={trunk}, head={self.head_layout.sizes}, heads={self.num_heads}, "
+            f"stack={tuple(self.stack)}, prior_scale={self.prior_scale}"
+        )

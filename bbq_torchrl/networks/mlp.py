@@ -1,0 +1,115 @@
+"""A plain multi-layer perceptron with a stack dimension and dropout."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+
+from bbq_torchrl.bayes import functional
+from bbq_torchrl.bayes.functional import FlatLayout, init_linear_
+from bbq_torchrl.bayes.weight_mode import (
+    WeightMode,
+    check_weight_mode,
+    weight_mode,
+    weights_given_to,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["MLP"]
+
+
+class MLP(nn.Module):
+    """A ReLU network, or a stack of independent ones, with dropout after each hidden layer.
+
+    Args:
+        in_features: size of the input.
+        out_features: size of the output.
+        hidden: sizes of the hidden layers. Defaults to (256, 256).
+
+    Keyword Args:
+        stack: leading shape of the weights; with (R,) these are R independent networks, whose
+            inputs have R as their first dimension. Defaults to (), one network.
+        dropout: probability with which a hidden unit is dropped. Defaults to 0.
+        device: of the parameters.
+        dtype: of the parameters.
+
+    Raises:
+        ValueError: if dropout is not in [0, 1).
+
+    Example:
+        >>> import torch
+        >>> net = MLP(3, 2, (16,), stack=(5,), dropout=0.5)
+        >>> x = torch.ones(5, 7, 3)
+        >>> net(x).shape, torch.equal(net(x, "mean"), net(x, "mean"))
+        (torch.Size([5, 7, 2]), True)
+    """
+
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        hidden: Sequence[int] = (256, 256),
+        *,
+        stack: Sequence[int] = (),
+        dropout: float = 0.0,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        if not 0 <= dropout < 1:
+            raise ValueError(f"dropout must be in [0, 1), got {dropout}")
+        self.layout = FlatLayout((in_features, *hidden, out_features))
+        self.stack = torch.Size(stack)
+        self.dropout = dropout
+        self.weight = nn.Parameter(
+            torch.empty((*self.stack, self.layout.numel), device=device, dtype=dtype)
+        )
+        self.reset_parameters()
+
+    @property
+    def in_features(self) -> int:
+        """Size of the input."""
+        return self.layout.sizes[0]
+
+    @property
+    def out_features(self) -> int:
+        """Size of the output."""
+        return self.layout.sizes[-1]
+
+    def reset_parameters(self) -> None:
+        """Draws the weights like ``nn.Linear``: uniform in ±1/√inputs."""
+        init_linear_(self.weight, self.layout)
+
+    def forward(
+        self, x: Tensor, mode: WeightMode | None = None, weights: Tensor | None = None
+    ) -> Tensor:
+        """Returns the outputs, shape [*stack, *batch, out].
+
+        Args:
+            x: inputs, shape [*stack, *batch, in].
+            mode: "draw" and "local" (dropout on), "mean" (off), or None: what
+                :class:`~bbq_torchrl.bayes.set_weight_mode` says, and outside of it on in
+                training mode, as ``nn.Dropout``.
+            weights: weights to use instead, [*stack, *rows, P], without dropout.
+
+        Raises:
+            ValueError: for another mode, or a shape that does not fit.
+        """
+        if mode is not None:
+            check_weight_mode(mode)
+        if weights is None:
+            weights = weights_given_to(self)
+        if weights is not None:
+            return functional.mlp(x, weights, self.layout)
+        if mode is None:
+            mode = weight_mode() or ("draw" if self.training else "mean")
+        dropout = 0.0 if mode == "mean" else self.dropout
+        return functional.mlp(x, self.weight, self.layout, dropout)
+
+    def extra_repr(self) -> str:
+        """Returns the sizes for ``repr``."""
+        return f"sizes={self.layout.sizes}, stack={tuple(self.stack)}, dropout={self.dropout}"

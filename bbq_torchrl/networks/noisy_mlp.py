@@ -1,0 +1,220 @@
+"""NoisyNet's networks on TorchRL's NoisyLinear, with a stack dimension."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+from torchrl.modules import NoisyLinear
+
+from bbq_torchrl.bayes.functional import FlatLayout, as_rows
+from bbq_torchrl.bayes.weight_mode import WeightMode, resolve_weight_mode
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+__all__ = ["NoisyMLP", "StackedNoisyLinear", "noisy_layers"]
+
+
+class StackedNoisyLinear(NoisyLinear):
+    """TorchRL's NoisyLinear with a stack dimension and noise that belongs to a call.
+
+    Parameters, their names and their start are :class:`~torchrl.modules.NoisyLinear`'s, with the
+    stack in front: weights μ + σ ∘ (ε_out ⊗ ε_in) and biases μ + σ ∘ ε_out with the factorised
+    noise ε = sgn(z) √|z|, z ~ N(0, 1) (Fortunato et al., Noisy Networks for Exploration, 2018).
+    TorchRL's layer keeps ε in buffers until ``reset_noise``; here each call draws its own from
+    torch's global generator, so that states, copies and frozen targets hold no noise, a call
+    before a backward pass may be followed by others, and ``reset_noise`` has nothing to do.
+
+    Args:
+        in_features: size of the input.
+        out_features: size of the output.
+
+    Keyword Args:
+        stack: leading shape of the parameters. Defaults to (), one layer.
+        std_init: σ starts as std_init/√in_features for weights and std_init/√out_features for
+            biases (TorchRL's; the paper divides by √in_features in both). Defaults to 0.5.
+        device: of the parameters.
+        dtype: of the parameters.
+
+    Raises:
+        ValueError: if a size or std_init is not positive.
+
+    Example:
+        >>> import torch
+        >>> from torch import nn
+        >>> from torchrl.envs.utils import ExplorationType, set_exploration_type
+        >>> from bbq_torchrl.networks import StackedNoisyLinear
+        >>> net = nn.Sequential(StackedNoisyLinear(3, 8), nn.Tanh(), StackedNoisyLinear(8, 2))
+        >>> with set_exploration_type(ExplorationType.RANDOM):
+        ...     torch.equal(net(torch.ones(3)), net(torch.ones(3)))
+        False
+    """
+
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        *,
+        stack: Sequence[int] = (),
+        std_init: float = 0.5,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        if min(in_features, out_features) < 1:
+            raise ValueError(
+                f"in_features and out_features must be positive, got {in_features} and "
+                f"{out_features}"
+            )
+        if not 0 < std_init < float("inf"):
+            raise ValueError(f"std_init must be positive and finite, got {std_init}")
+        super().__init__(in_features, out_features, device=device, dtype=dtype, std_init=std_init)
+        self.stack = torch.Size(stack)
+        del self.weight_epsilon, self.bias_epsilon
+        for name, parameter in list(self.named_parameters()):
+            empty = parameter.new_empty((*self.stack, *parameter.shape))
+            setattr(self, name, nn.Parameter(empty))
+        self.reset_parameters()
+
+    def reset_noise(self) -> None:
+        """Does nothing: each call has noise of its own."""
+
+    def _should_use_noise(self) -> bool:
+        return False  # the attributes weight and bias are the means: noise belongs to a call
+
+    def _noise(self, *shape: int) -> Tensor:
+        """Returns sgn(z) √|z| with z ~ N(0, 1)."""
+        return self._scale_noise(shape).to(self.weight_mu.dtype)
+
+    def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
+        """Returns the outputs, shape [*stack, *batch, out].
+
+        Args:
+            x: inputs, shape [*stack, *batch, in].
+            mode: "draw" (one noise of each element of the stack for the whole call), "local"
+                (noise of its own for each row), "mean" (μ), or None for what
+                :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
+
+        Raises:
+            ValueError: for another mode, or a shape that does not fit.
+        """
+        mode = resolve_weight_mode(mode)
+        rows = as_rows(x, self.stack, self.in_features)
+        # Features first, as W xᵀ: then the gradient of W comes in the order that W lies in.
+        columns = (rows if rows.ndim == 3 else rows.unsqueeze(0)).mT
+        count, _, batch = columns.shape
+        weight, weight_sigma, bias, bias_sigma = (
+            parameter.reshape(count, self.out_features, -1)
+            for parameter in (self.weight_mu, self.weight_sigma, self.bias_mu, self.bias_sigma)
+        )
+        if mode == "draw":
+            noise_in = self._noise(count, 1, self.in_features)
+            noise_out = self._noise(count, self.out_features, 1)
+            weight = torch.addcmul(weight, weight_sigma, noise_out * noise_in)
+            bias = torch.addcmul(bias, bias_sigma, noise_out)
+        out = torch.baddbmm(bias, weight, columns)
+        if mode == "local":
+            # Σ_j σ_ij ε_i ε_j x_j + σ_i ε_i = ε_i (Σ_j σ_ij (ε_j x_j) + σ_i), for each row its ε
+            noise_in = self._noise(count, self.in_features, batch)
+            noise_out = self._noise(count, self.out_features, batch)
+            spread = torch.baddbmm(bias_sigma, weight_sigma, columns * noise_in)
+            out = torch.addcmul(out, spread, noise_out)
+        return out.mT.reshape(*x.shape[:-1], self.out_features)
+
+    def extra_repr(self) -> str:
+        """Returns the sizes for ``repr``."""
+        return f"{super().extra_repr()}, stack={tuple(self.stack)}, std_init={self.std_init}"
+
+
+class NoisyMLP(nn.Module):
+    """NoisyNet's ReLU network, or a stack of independent ones: all layers are noisy.
+
+    σ is learned along with μ by the loss alone: there is no prior and no KL (compare
+    :class:`~bbq_torchrl.bayes.BayesMLP`).
+
+    Args:
+        in_features: size of the input.
+        out_features: size of the output.
+        hidden: sizes of the hidden layers. Defaults to (256, 256).
+
+    Keyword Args:
+        stack: leading shape of the parameters; with (R,) these are R independent networks, whose
+            inputs have R as their first dimension. Defaults to (), one network.
+        std_init: scale σ₀ of the standard deviations at first; see
+            :class:`StackedNoisyLinear`. Defaults to 0.5 (the paper's and TorchRL's).
+        device: of the parameters.
+        dtype: of the parameters.
+
+    Raises:
+        ValueError: if a size or std_init is not positive.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.networks import NoisyMLP
+        >>> net, x = NoisyMLP(3, 2, (16,), stack=(5,)), torch.ones(5, 7, 3)
+        >>> net(x, "draw").shape
+        torch.Size([5, 7, 2])
+        >>> torch.equal(net(x, "draw"), net(x, "draw")), torch.equal(net(x), net(x, "mean"))
+        (False, True)
+    """
+
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        hidden: Sequence[int] = (256, 256),
+        *,
+        stack: Sequence[int] = (),
+        std_init: float = 0.5,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        self.in_features, self.out_features = in_features, out_features
+        self.stack = torch.Size(stack)
+        self.layers = nn.ModuleList(
+            StackedNoisyLinear(
+                inputs, outputs, stack=stack, std_init=std_init, device=device, dtype=dtype
+            )
+            for inputs, outputs in FlatLayout((in_features, *hidden, out_features)).shapes
+        )
+
+    def reset_parameters(self) -> None:
+        """Starts again: μ uniform in ±1/√inputs, σ as ``std_init`` says."""
+        for layer in noisy_layers(self):
+            layer.reset_parameters()
+
+    def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
+        """Returns the outputs, shape [*stack, *batch, out].
+
+        Args:
+            x: inputs, shape [*stack, *batch, in].
+            mode: "draw" (one noise of each element of the stack for the whole call), "local"
+                (a draw of its own for each row: exact, as factorised noise needs no weights
+                for each), "mean" (μ), or None for what
+                :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
+
+        Raises:
+            ValueError: for another mode, or a shape that does not fit.
+        """
+        mode = resolve_weight_mode(mode)
+        for k, layer in enumerate(self.layers):
+            x = layer(x if k == 0 else x.relu(), mode)
+        return x
+
+
+def noisy_layers(module: nn.Module) -> list[StackedNoisyLinear]:
+    """Returns the noisy layers in ``module``.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    layers = [m for m in module.modules() if isinstance(m, StackedNoisyLinear)]
+    if not layers:
+        raise ValueError(
+            "NoisyNet needs a network with noisy layers (NoisyMLP, StackedNoisyLinear), got one "
+            "without"
+        )
+    return layers

@@ -1,0 +1,18 @@
+"""VIME (Houthooft et al. 2016): dynamics, their information gain, and the reward it gives."""
+
+from __future__ import annotations
+
+from bbq_torchrl.vime.dynamics import DynamicsModel
+from bbq_torchrl.vime.dynamics_loss import DynamicsLoss
+from bbq_torchrl.vime.information_gain import information_gain, mlp_information_gain
+from bbq_torchrl.vime.reward import VIMEReward
+from bbq_torchrl.vime.vime_loss import VIMELoss
+
+__all__ = [
+    "DynamicsLoss",
+    "DynamicsModel",
+    "VIMELoss",
+    "VIMEReward",
+    "information_gain",
+    "mlp_information_gain",
+]

@@ -1,0 +1,240 @@
+"""A Bayesian model of an environment's dynamics: state and action to next state."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import torch
+from torch import Tensor, nn
+
+from bbq_torchrl.bayes.bayes_mlp import BayesMLP, MeanInit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.bayes.weight_mode import WeightMode
+
+__all__ = ["DynamicsModel"]
+
+
+class DynamicsModel(nn.Module):
+    """A Bayesian network that predicts the next state (VIME, Houthooft et al. 2016).
+
+    The likelihood of the standardised next state is a Gaussian around the network's output, of
+    standard deviation ``noise_std`` in every feature and independent between features. States are
+    standardised by running statistics of each element of the stack, see :meth:`standardise`; what
+    stores transitions (:class:`~bbq_torchrl.vime.VIMEReward`) updates them, a loss never does. They
+    are not TorchRL's ``RunningMeanStd``: that has one statistic for all leading dimensions, counts
+    every row, and has no floor.
+
+    Args:
+        observation_size: features of a state, S.
+        action_size: number of discrete actions, or size of a continuous one, A.
+        hidden: sizes of the hidden layers. Defaults to (64, 64).
+
+    Keyword Args:
+        stack: leading shape; an independent model for each element. Defaults to ().
+        prior_std: standard deviation of the weights' prior, or "fan_in", as in
+            :class:`~bbq_torchrl.bayes.BayesMLP`. Defaults to 0.1.
+        noise_std: standard deviation of the likelihood, in units of the standardised state.
+            Defaults to 1.
+        std_floor: the least standard deviation that a feature is divided by. A feature that was
+            constant until now and changes in one row in a thousand would have .03, and one that
+            never changed 0: a single appearance would outweigh everything else. Defaults to 0.05.
+        mean_init: "kaiming" or "zero". With zero means no error reaches the hidden layers, and
+            every gain comes from the last bias until training has broken the tie. Defaults to
+            "kaiming".
+        std_init: standard deviation of the weights to start with; None for the prior's.
+        device: of parameters and buffers.
+        dtype: of parameters and buffers.
+
+    Attributes:
+        network: the :class:`~bbq_torchrl.bayes.BayesMLP`, S + A inputs and S outputs.
+        mean: buffer [*stack, S], running mean of each feature, 0 at first.
+        var: buffer [*stack, S], running (population) variance, 1 at first.
+        count: int64 buffer [*stack], number of states that both are taken over.
+
+    Raises:
+        ValueError: for an argument outside of what is listed.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.vime import DynamicsModel
+        >>> dynamics = DynamicsModel(268, 39, stack=(5,))
+        >>> state, action = torch.rand(5, 32, 268), torch.randint(39, (5, 32))
+        >>> dynamics.update_statistics(state)
+        >>> dynamics(state, action, "draw").shape
+        torch.Size([5, 32, 268])
+    """
+
+    mean: Tensor
+    var: Tensor
+    count: Tensor
+
+    def __init__(
+        self,
+        observation_size: int,
+        action_size: int,
+        hidden: Sequence[int] = (64, 64),
+        *,
+        stack: Sequence[int] = (),
+        prior_std: float | Literal["fan_in"] = 0.1,
+        noise_std: float = 1.0,
+        std_floor: float = 0.05,
+        mean_init: MeanInit = "kaiming",
+        std_init: float | None = None,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        for name, size in (("observation_size", observation_size), ("action_size", action_size)):
+            if size < 1:
+                raise ValueError(f"{name} must be at least 1, got {size}")
+        for name, value in (("noise_std", noise_std), ("std_floor", std_floor)):
+            if not 0 < value < float("inf"):
+                raise ValueError(f"{name} must be positive and finite, got {value}")
+        self.observation_size = observation_size
+        self.action_size = action_size
+        self.noise_std = noise_std
+        self.std_floor = std_floor
+        self.network = BayesMLP(
+            observation_size + action_size,
+            observation_size,
+            hidden,
+            stack=stack,
+            prior_std=prior_std,
+            mean_init=mean_init,
+            std_init=std_init,
+            device=device,
+            dtype=dtype,
+        )
+        shape = (*self.stack, observation_size)
+        mu = self.network.posterior.mu
+        self.register_buffer("mean", mu.new_zeros(shape))
+        self.register_buffer("var", mu.new_ones(shape))
+        self.register_buffer("count", mu.new_zeros(self.stack, dtype=torch.int64))
+
+    @property
+    def stack(self) -> torch.Size:
+        """Leading shape of weights and statistics."""
+        return self.network.stack
+
+    def reset_parameters(self) -> None:
+        """Starts the weights again; the statistics stay."""
+        self.network.reset_parameters()
+
+    # -- statistics -------------------------------------------------------------------------
+
+    @property
+    def std(self) -> Tensor:
+        """What each feature is divided by, [*stack, S], at least ``std_floor``."""
+        return self.var.sqrt().clamp_min(self.std_floor)
+
+    @torch.no_grad()
+    def update_statistics(self, observation: Tensor, valid: Tensor | None = None) -> None:
+        """Takes states into the running mean and variance (Welford's parallel algorithm).
+
+        Args:
+            observation: shape [*stack, *rows, S].
+            valid: bool [*stack, *rows], True for the rows that count; None for all. The others
+                may hold anything, and an element without one keeps its statistics bitwise.
+        """
+        x = self._states("observation", observation).reshape(*self.stack, -1, self.observation_size)
+        if valid is None:
+            mask = torch.ones(x.shape[:-1], dtype=torch.bool, device=x.device)
+        else:
+            mask = valid.reshape(x.shape[:-1])
+        mask = mask.unsqueeze(-1)
+        number = mask.sum(-2)  # [*stack, 1]
+        total = self.count.unsqueeze(-1) + number
+        divisor = number.clamp_min(1).to(x.dtype)
+        mean = torch.where(mask, x, 0).sum(-2) / divisor
+        var = torch.where(mask, x - mean.unsqueeze(-2), 0).square().sum(-2) / divisor
+        share = number / total.clamp_min(1).to(x.dtype)
+        delta = mean - self.mean
+        merged = self.var.lerp(var, share) + delta.square() * (share * (1 - share))
+        is_new = number > 0
+        self.mean.copy_(torch.where(is_new, torch.addcmul(self.mean, delta, share), self.mean))
+        self.var.copy_(torch.where(is_new, merged, self.var))
+        self.count.copy_(total.squeeze(-1))
+
+    def standardise(self, observation: Tensor) -> Tensor:
+        """Returns (observation - mean) / max(std, std_floor), shape [*stack, *rows, S].
+
+        The identity before the first :meth:`update_statistics`.
+
+        Args:
+            observation: shape [*stack, *rows, S], of any dtype.
+
+        Raises:
+            ValueError: if the shape does not fit.
+        """
+        x = self._states("observation", observation)
+        shape = (*self.stack, *(1 for _ in x.shape[len(self.stack) : -1]), self.observation_size)
+        return (x - self.mean.reshape(shape)) / self.std.reshape(shape)
+
+    def _states(self, name: str, x: Tensor) -> Tensor:
+        n = len(self.stack)
+        if x.ndim <= n or x.shape[:n] != self.stack or x.shape[-1] != self.observation_size:
+            lead = "".join(f"{d}, " for d in self.stack)
+            raise ValueError(
+                f"{name} must have shape [{lead}*rows, {self.observation_size}], got "
+                f"{list(x.shape)}"
+            )
+        return x.to(self.mean.dtype)
+
+    # -- network ----------------------------------------------------------------------------
+
+    def encode_action(self, action: Tensor, rows: Sequence[int]) -> Tensor:
+        """Returns the action as the network reads it, shape [*rows, A] in its dtype.
+
+        Args:
+            action: an index, shape [*rows] or [*rows, 1]; one-hot, bool or integer [*rows, A]; or
+                floating [*rows, A], which is taken as it is (one-hot or continuous).
+            rows: the batch shape.
+
+        Raises:
+            ValueError: if the shape does not fit.
+        """
+        rows = tuple(rows)
+        size, dtype = self.action_size, self.mean.dtype
+        if action.shape == (*rows, size) and (size > 1 or action.is_floating_point()):
+            return action.to(dtype)
+        if action.is_floating_point() or action.shape not in (rows, (*rows, 1)):
+            raise ValueError(
+                f"action must be an index of shape {list(rows)} or have shape "
+                f"{[*rows, size]}, got {action.dtype} {list(action.shape)}"
+            )
+        places = torch.arange(size, device=action.device)
+        return (action.reshape(*rows, 1) == places).to(dtype)
+
+    def inputs(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Returns what the network reads, [*stack, *rows, S + A]: standardised state and action.
+
+        Args:
+            observation: shape [*stack, *rows, S].
+            action: as in :meth:`encode_action`.
+        """
+        state = self.standardise(observation)
+        return torch.cat([state, self.encode_action(action, state.shape[:-1])], -1)
+
+    def forward(
+        self,
+        observation: Tensor,
+        action: Tensor,
+        mode: WeightMode | None = None,
+        weights: Tensor | None = None,
+    ) -> Tensor:
+        """Returns the prediction of the standardised next state, [*stack, *rows, S].
+
+        Args:
+            observation: state, shape [*stack, *rows, S].
+            action: as in :meth:`encode_action`.
+            mode: as in :meth:`BayesMLP.forward`.
+            weights: as in :meth:`BayesMLP.forward`.
+        """
+        return self.network(self.inputs(observation, action), mode, weights)
+
+    def extra_repr(self) -> str:
+        """Returns the likelihood and the floor for ``repr``."""
+        return f"noise_std={self.noise_std}, std_floor={self.std_floor}"

@@ -1,0 +1,179 @@
+"""The loss of a Bayesian model of the dynamics (VIME, Houthooft et al. 2016)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import dispatch
+from tensordict.utils import unravel_key
+from torchrl.objectives import LossModule
+
+from bbq_torchrl.bayes.kl import collect_kl
+from bbq_torchrl.objectives.num_data import NumData
+
+if TYPE_CHECKING:
+    from tensordict.utils import NestedKey
+    from torch import Tensor
+
+    from bbq_torchrl.vime.dynamics import DynamicsModel
+
+__all__ = ["DynamicsLoss"]
+
+
+class DynamicsLoss(NumData, LossModule):
+    """Negative evidence bound of a dynamics model, per transition.
+
+    For N transitions in the buffer each model's loss is
+
+        mean over the batch of Σ_features (s' - ŝ'(s, a; w))² / (2 noise_std²)
+            + kl_temperature · KL / N
+
+    in standardised states, up to a constant, with one draw w of the weights a batch. Of a
+    terminated transition nothing is predicted: it adds 0 to the sum and counts as a row, so that
+    N is the length of the buffer and data and KL weigh as Bayes' rule has it. Rows can be left
+    out altogether: ``loss_mask_key`` (TorchRL's attribute, here "valid" by default, an optional
+    entry) names a bool [*stack, *batch] entry that is True for the rows that count.
+
+    Reads a TensorDict [*stack, *batch] with the observation, the action, and under "next" the
+    observation and terminated [*stack, *batch, 1]. Each element of the stack has a loss of its
+    own; ``loss`` is their sum, so that no element's gradient depends on another's data. The
+    model's running statistics are read, not changed.
+
+    Args:
+        dynamics: the model, also held by what computes the bonus; a submodule of the loss.
+
+    Keyword Args:
+        kl_temperature: factor of the KL; 1 is Bayes' rule. Defaults to 1.
+        num_data: N, for each element of the stack or one for all; see :meth:`set_num_data`,
+            which is to be called before the first loss where this is None.
+
+    Raises:
+        ValueError: for an argument outside of what is listed.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from bbq_torchrl.vime import DynamicsModel
+        >>> from bbq_torchrl.vime import DynamicsLoss
+        >>> loss = DynamicsLoss(DynamicsModel(3, 4, stack=(5,)), num_data=1000)
+        >>> end = dict(observation=torch.zeros(5, 32, 3), terminated=torch.ones(5, 32, 1).bool())
+        >>> td = TensorDict(
+        ...     dict(observation=torch.ones(5, 32, 3), action=torch.ones(5, 32).long(), next=end),
+        ...     [5, 32],
+        ... )
+        >>> out = loss(td)
+        >>> out["loss"].backward()
+        >>> sorted(out.keys()), out["dynamics_kl"].shape
+        (['dynamics_kl', 'dynamics_loss', 'loss'], torch.Size([5]))
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        """The keys that :meth:`set_keys` sets.
+
+        Attributes:
+            observation: the state, at the root and under "next".
+            action: an index, or a vector such as one-hot.
+            terminated: read under "next".
+        """
+
+        observation: NestedKey = "observation"
+        action: NestedKey = "action"
+        terminated: NestedKey = "terminated"
+
+    default_keys = _AcceptedKeys
+    tensor_keys: _AcceptedKeys
+    dynamics: DynamicsModel
+    out_keys = ["loss", "dynamics_loss", "dynamics_kl"]  # noqa: RUF012 - as in TorchRL
+    _loss_mask_key: NestedKey | None = "valid"
+
+    def __init__(
+        self,
+        dynamics: DynamicsModel,
+        *,
+        kl_temperature: float = 1.0,
+        num_data: int | Tensor | None = None,
+    ) -> None:
+        if not kl_temperature >= 0:
+            raise ValueError(f"kl_temperature must not be negative, got {kl_temperature}")
+        super().__init__()
+        self.dynamics = dynamics
+        self.stack = dynamics.stack
+        self.kl_temperature = kl_temperature
+        self._register_num_data(num_data, dynamics.network.posterior.mu)
+        self._set_in_keys()
+
+    def _set_in_keys(self) -> None:
+        keys = self.tensor_keys
+        self.in_keys = [
+            keys.observation,
+            keys.action,
+            unravel_key(("next", keys.observation)),
+            unravel_key(("next", keys.terminated)),
+        ]
+
+    def _forward_value_estimator_keys(self, **kwargs: NestedKey) -> None:
+        self._set_in_keys()
+
+    def reset_parameters_recursive(self) -> None:
+        """Starts the model's weights again."""
+        self.dynamics.reset_parameters()
+
+    @dispatch  # type: ignore[untyped-decorator]
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Returns the losses of a batch of transitions.
+
+        Args:
+            tensordict: a batch [*stack, *batch].
+
+        Returns:
+            a TensorDict with the scalar "loss" to differentiate and, without a graph,
+            "dynamics_loss" and "dynamics_kl" (in nats), each [*stack].
+
+        Raises:
+            RuntimeError: if N is not known.
+        """
+        self._check_num_data()
+        observation, action, following, terminated = (tensordict.get(k) for k in self.in_keys)
+        rows = observation.shape[:-1]
+        predicted, counts = self._row_masks(tensordict, terminated.reshape(rows))
+        inputs = self.dynamics.inputs(observation, action)
+        if counts is not None:
+            # Select before anything is multiplied: a row that does not count may hold anything.
+            inputs = torch.where(counts.unsqueeze(-1), inputs, 0)
+        with collect_kl() as collector:
+            output = self.dynamics.network(inputs, "draw")
+        error = output - self.dynamics.standardise(following)
+        square = torch.where(predicted.unsqueeze(-1), error, 0).square().sum(-1)
+        sums = self._flat(square).sum(-1) * (0.5 / self.dynamics.noise_std**2)
+        batch = self._flat(predicted if counts is None else counts)
+        number = batch.shape[-1] if counts is None else batch.sum(-1).clamp_min(1)
+        kl = collector.total()
+        loss = sums / number + kl * (self.kl_temperature / self.num_data)
+        return TensorDict(
+            {"loss": loss.sum(), "dynamics_loss": loss.detach(), "dynamics_kl": kl.detach()}
+        )
+
+    def _row_masks(
+        self, tensordict: TensorDictBase, terminated: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Returns which rows are predicted and which count, None if all do; bool like the input."""
+        counts = None
+        for key in self._loss_mask_keys():  # type: ignore[operator]
+            mask = tensordict.get(key, None)
+            if mask is not None:
+                if mask.numel() != terminated.numel():
+                    raise ValueError(
+                        f"{key!r} must have the batch's shape {list(terminated.shape)}, got "
+                        f"{list(mask.shape)}"
+                    )
+                mask = mask.reshape(terminated.shape)
+                counts = mask if counts is None else counts & mask
+        return ~terminated if counts is None else counts & ~terminated, counts
+
+    def _flat(self, tensor: Tensor) -> Tensor:
+        """Returns [*stack, *batch] as [*stack, B]."""
+        return tensor.reshape(*self.stack, -1)

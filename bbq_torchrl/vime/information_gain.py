@@ -1,0 +1,149 @@
+r"""How much a transition would teach a Bayesian model of the dynamics, in closed form.
+
+The information gain of a transition is the divergence of the posterior after learning from it
+from the posterior before. One natural-gradient step of length λ on the loss -log p(s'|s, a; w),
+w = μ + σ ε, moves the variational parameters by -λ H⁻¹ g, where H is the Hessian of that very
+divergence: it is diagonal, 1/σ² for μ and 2 (dσ/dρ)²/σ² for ρ, and so to second order
+
+    gain = ½ λ² gᵀ H⁻¹ g     (VIME, Houthooft et al. 2016, section 2.3).
+
+With g_μ = g_w and g_ρ = g_w ε dσ/dρ the slope of σ cancels, and a weight adds g_w² σ² (1 + ε²/2).
+In a layer g_w is the product of its input a and its output's error δ, so that the sum over its
+matrix needs no gradient of a single transition, only one more matrix product for all of them:
+
+    gain = ½ λ² Σ_layers Σ_j δ_j² [ Σ_i a_i² σ_ij² (1 + ε_ij²/2) + σ_bj² (1 + ε_bj²/2) ].
+
+The gradient of the prior's term is left out because the prior of a step is the posterior before
+it, where that gradient is 0.
+"""
+
+from __future__ import annotations
+
+from math import prod
+from typing import TYPE_CHECKING
+
+import torch
+import torch.nn.functional as F
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from bbq_torchrl.bayes.functional import FlatLayout
+    from bbq_torchrl.vime.dynamics import DynamicsModel
+
+__all__ = ["information_gain", "mlp_information_gain"]
+
+
+@torch.no_grad()
+def information_gain(
+    dynamics: DynamicsModel,
+    observation: Tensor,
+    action: Tensor,
+    next_observation: Tensor,
+    *,
+    noise: Tensor | None = None,
+    step_size: float = 0.01,
+) -> Tensor:
+    """Returns the information gain of each transition, [*stack, *rows], in nats; no gradients.
+
+    Args:
+        dynamics: the model and its posterior.
+        observation: state, shape [*stack, *rows, S].
+        action: index [*stack, *rows] or vector [*stack, *rows, A].
+        next_observation: next state, shape [*stack, *rows, S].
+
+    Keyword Args:
+        noise: ε, shape [*stack, P], a draw of the weights that all rows share; None for the gain
+            at the mean, ε = 0.
+        step_size: λ; the gain is proportional to its square. Defaults to 0.01.
+
+    Raises:
+        ValueError: if a shape does not fit.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.vime import DynamicsModel, information_gain
+        >>> dynamics = DynamicsModel(3, 2, stack=(5,))
+        >>> state, action = torch.randn(5, 32, 3), torch.randint(2, (5, 32))
+        >>> gain = information_gain(dynamics, state, action, torch.randn(5, 32, 3))
+        >>> gain.shape, bool((gain > 0).all())
+        (torch.Size([5, 32]), True)
+    """
+    posterior = dynamics.network.posterior
+    return mlp_information_gain(
+        dynamics.inputs(observation, action),
+        dynamics.standardise(next_observation),
+        posterior.mu,
+        posterior.rho,
+        dynamics.network.layout,
+        noise=noise,
+        noise_std=dynamics.noise_std,
+        step_size=step_size,
+    )
+
+
+@torch.no_grad()
+def mlp_information_gain(
+    x: Tensor,
+    target: Tensor,
+    mu: Tensor,
+    rho: Tensor,
+    layout: FlatLayout,
+    *,
+    noise: Tensor | None = None,
+    noise_std: float = 1.0,
+    step_size: float = 0.01,
+) -> Tensor:
+    """Returns the information gain of each row for ReLU networks, [*stack, *rows], in nats.
+
+    Args:
+        x: inputs, shape [*stack, *rows, in].
+        target: what the outputs should have been, shape [*stack, *rows, out].
+        mu: means of the weights, shape [*stack, P].
+        rho: softplus(rho) are their standard deviations, shape [*stack, P].
+        layout: the layers.
+
+    Keyword Args:
+        noise: ε, shape [*stack, P]; None for 0.
+        noise_std: standard deviation of the likelihood.
+        step_size: λ.
+
+    Raises:
+        ValueError: if a shape does not fit.
+    """
+    stack = mu.shape[:-1]
+    rows = x.shape[len(stack) : -1]
+    for name, tensor, size in (("x", x, layout.sizes[0]), ("target", target, layout.sizes[-1])):
+        if tensor.shape != (*stack, *rows, size):
+            raise ValueError(
+                f"{name} must have shape {[*stack, *rows, size]}, got {list(tensor.shape)}"
+            )
+    if noise is not None and noise.shape != mu.shape:
+        raise ValueError(f"noise must have shape {list(mu.shape)}, got {list(noise.shape)}")
+    count, flat = prod(stack), (prod(stack), layout.numel)
+    sigma = F.softplus(rho)
+    variance = sigma.square()
+    weights = mu
+    if noise is not None:
+        weights = torch.addcmul(mu, sigma, noise)
+        variance.mul_(noise.square().mul_(0.5).add_(1))
+    layers = layout.unflatten(weights.reshape(flat))
+    variances = layout.unflatten(variance.view(flat))
+
+    inputs = [x.reshape(count, -1, layout.sizes[0])]
+    for matrix, bias in layers[:-1]:
+        inputs.append(torch.baddbmm(bias.unsqueeze(-2), inputs[-1], matrix).relu_())
+    matrix, bias = layers[-1]
+    error = torch.baddbmm(bias.unsqueeze(-2), inputs[-1], matrix)
+    error.sub_(target.reshape(error.shape)).div_(noise_std**2)
+
+    gain = error.new_zeros(error.shape[:-1])
+    for k in range(len(layers) - 1, -1, -1):
+        matrix_variance, bias_variance = variances[k]
+        spread = torch.baddbmm(bias_variance.unsqueeze(-2), inputs[k].square(), matrix_variance)
+        gain += spread.mul_(error.square()).sum(-1)
+        if k > 0:
+            error = torch.bmm(error, layers[k][0].mT).mul_(inputs[k] > 0)
+    # a posterior so wide that the sum overflows is as surprised as a number can tell
+    gain = gain.mul_(0.5 * step_size**2).clamp_max_(torch.finfo(gain.dtype).max)
+    return gain.reshape((*stack, *rows))

@@ -1,0 +1,323 @@
+"""An intrinsic reward beside the task's in a replay buffer (VIME, Houthooft et al. 2016)."""
+
+from __future__ import annotations
+
+from math import prod
+from typing import TYPE_CHECKING, Literal, get_args
+
+import torch
+import torch.nn.functional as F
+from tensordict.utils import unravel_key
+from torch import Tensor
+from torchrl.envs import EnvBase, Transform
+
+from bbq_torchrl.bayes.stack_values import stack_values
+from bbq_torchrl.vime.information_gain import information_gain
+from bbq_torchrl.vime.running_median import RunningMedian
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
+
+    from bbq_torchrl.vime.dynamics import DynamicsModel
+
+__all__ = ["GainWeights", "VIMEReward"]
+
+GainWeights = Literal["map", "mc"]
+
+# Rows are worked on this many at a time. With more than one element in the stack the last piece
+# is filled up: what a matrix product rounds to depends on its shape, and a row's must not depend
+# on how many rows another element has.
+_PIECE = 256
+
+
+class VIMEReward(Transform):
+    r"""Gives each stored transition the information gain of a dynamics model as a bonus.
+
+    A transform of a replay buffer, not of an environment:
+
+    - Storing, it takes the new states into the model's running statistics, computes the gain of
+      each new transition under the posterior as it is now
+      (:func:`~bbq_torchrl.vime.information_gain`), and stores
+
+          bonus = min(gain / m, clip),  m = median of the last ``median_window`` stores' medians,
+
+      under ``("next", "intrinsic_reward")``, beside the task's reward, which stays what it is:
+      nothing that is reported from stored or played transitions contains the bonus. The gain is
+      what the transition taught when it was new, and is not computed again.
+    - Reading, it returns the transitions with ``("next", "reward")`` = task reward + eta · bonus
+      for the loss. What was read is not changed, so it may be read again.
+
+    This store's own median is among those that m is taken over. So m is known from the first
+    store on, and a model that has not learned anything yet gives its transitions a bonus around
+    1: transitions stored beforehand (a spiked buffer) are neither preferred to later ones nor put
+    at a disadvantage. As the gain of everything falls while the model learns, m follows, and what
+    decides is how much more than usual a transition taught. The step λ cancels in it.
+
+    Terminated transitions get 0, as the model does not predict them, and are not in the medians;
+    nor are rows that do not count (``valid_key``, an optional entry). Transitions that come with a
+    bonus keep it and leave statistics and medians alone.
+
+    Elements of the stack are independent: none's bonus depends, to the bit, on another's
+    transitions or on the number of rows.
+
+    Args:
+        dynamics: the model; also to be given to a :class:`~bbq_torchrl.vime.DynamicsLoss`.
+
+    Keyword Args:
+        eta: η, what a bonus of 1 is worth in units of the task reward; a number or a tensor
+            [*stack]. Defaults to 0.1.
+        weights: "map", the gain at the posterior's mean, or "mc", at one weight draw for each
+            store, shared by its transitions. Defaults to "map".
+        step_size: λ of the gain. Defaults to 0.01.
+        normalise: whether the gain is divided by m. Defaults to True.
+        median_window: how many stores m is taken over; more if each holds only a few
+            transitions. Defaults to 10.
+        clip: the greatest bonus. Defaults to 10.
+        observation_key: the state, at the root and under "next".
+        action_key: index or vector, as :meth:`DynamicsModel.encode_action` takes it.
+        reward_key: under "next", the task's reward [*batch, 1].
+        terminated_key: under "next", bool [*batch, 1].
+        valid_key: bool [*batch], True for the rows that count; all do where it is absent.
+        intrinsic_reward_key: under "next", where the bonus goes, [*batch, 1].
+
+    Attributes:
+        median: m, a :class:`~bbq_torchrl.vime.running_median.RunningMedian`, with its buffers.
+
+    Raises:
+        ValueError: for an argument outside of what is listed, or as part of an environment.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+        >>> from bbq_torchrl.vime import VIMEReward
+        >>> from bbq_torchrl.vime import DynamicsModel
+        >>> transform = VIMEReward(DynamicsModel(4, 2), eta=0.5)
+        >>> memory = TensorDictReplayBuffer(
+        ...     storage=LazyTensorStorage(1000), transform=transform, batch_size=32
+        ... )
+        >>> end = dict(reward=torch.ones(100, 1), terminated=torch.zeros(100, 1).bool())
+        >>> rows = TensorDict(observation=torch.randn(100, 4), action=torch.randint(2, (100,)))
+        >>> rows["next"] = {"observation": torch.randn(100, 4), **end}
+        >>> _ = memory.extend(rows.auto_batch_size_(1))
+        >>> batch = memory.sample()
+        >>> torch.equal(
+        ...     batch["next", "reward"], 1 + 0.5 * batch["next", "intrinsic_reward"]
+        ... )
+        True
+    """
+
+    _given: Tensor
+    eta: float | Tensor
+
+    ENV_ERR = (
+        "VIMEReward is a transform of replay buffers: it needs whole transitions, which an "
+        "environment's transform does not see"
+    )
+
+    def __init__(
+        self,
+        dynamics: DynamicsModel,
+        *,
+        eta: float | Tensor = 0.1,
+        weights: GainWeights = "map",
+        step_size: float = 0.01,
+        normalise: bool = True,
+        median_window: int = 10,
+        clip: float = 10.0,
+        observation_key: NestedKey = "observation",
+        action_key: NestedKey = "action",
+        reward_key: NestedKey = "reward",
+        terminated_key: NestedKey = "terminated",
+        valid_key: NestedKey = "valid",
+        intrinsic_reward_key: NestedKey = "intrinsic_reward",
+    ) -> None:
+        if weights not in get_args(GainWeights):
+            raise ValueError(
+                f"weights must be one of {list(get_args(GainWeights))}, got {weights!r}"
+            )
+        if isinstance(eta, Tensor):
+            eta = stack_values("eta", eta, dynamics.stack, minimum=0)
+        elif not 0 <= eta < float("inf"):
+            raise ValueError(f"eta must be finite and not negative, got {eta}")
+        for name, value in (("step_size", step_size), ("clip", clip)):
+            if not value > 0:
+                raise ValueError(f"{name} must be positive, got {value}")
+        if median_window < 1:
+            raise ValueError(f"median_window must be at least 1, got {median_window}")
+        reward, bonus = (
+            unravel_key(("next", reward_key)),
+            unravel_key(("next", intrinsic_reward_key)),
+        )
+        state = (observation_key, action_key, unravel_key(("next", observation_key)))
+        super().__init__(
+            in_keys=[reward, bonus],
+            out_keys=[reward],
+            in_keys_inv=[*state, unravel_key(("next", terminated_key))],
+            out_keys_inv=[bonus],
+        )
+        self.dynamics = dynamics
+        if isinstance(eta, Tensor):
+            self.register_buffer("eta", eta, persistent=False)
+        else:
+            self.eta = eta
+        self.weights = weights
+        self.step_size = step_size
+        self.normalise = normalise
+        self.clip = clip
+        self.valid_key = valid_key
+        self.median = RunningMedian(dynamics.stack, median_window, like=dynamics.mean)
+        # sum and number of the bonuses since they were last reported; not worth a checkpoint
+        self.register_buffer(
+            "_given", dynamics.mean.new_zeros((2, *dynamics.stack)).double(), persistent=False
+        )
+        self._generators: list[torch.Generator] | None = None
+
+    def pop_metrics(self) -> dict[str, Tensor]:
+        """Returns the mean bonus of what was stored since the last call, and starts anew.
+
+        A trainer's metric, under "intrinsic_reward", shape [*stack]: the mean over the
+        transitions that count, in units of the usual one (eta is not in it), terminal ones
+        included with their 0; NaN where nothing was stored.
+        """
+        total, count = self._given.unbind(0)
+        mean = total / count
+        self._given.zero_()
+        return {"intrinsic_reward": mean}
+
+    def set_seeds(self, seeds: Sequence[int]) -> None:
+        """Restarts the random numbers of "mc", each element of the stack its own.
+
+        Before the first call they come from torch's global generator. States do not hold them.
+
+        Args:
+            seeds: one for each element of the stack, in order; one for stack ().
+
+        Raises:
+            ValueError: for another number of seeds.
+        """
+        count = prod(self.dynamics.stack)
+        if len(seeds) != count:
+            raise ValueError(
+                f"seeds must be {count}, one for each element of the stack, got {len(seeds)}"
+            )
+        device = self.dynamics.mean.device
+        self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
+
+    # -- storing ----------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Returns the transitions with their bonus; ``inv`` has made a shallow copy before."""
+        (bonus_key,) = self.out_keys_inv
+        if tensordict.get(bonus_key, None) is not None:
+            return tensordict
+        stack = self.dynamics.stack
+        if tensordict.batch_size[: len(stack)] != stack:
+            raise ValueError(
+                f"the batch size must begin with the stack {list(stack)}, got "
+                f"{list(tensordict.batch_size)}"
+            )
+        batch = tensordict.batch_size
+        observation, action, following, terminated = (
+            tensordict.get(key).to(self.dynamics.mean.device) for key in self.in_keys_inv
+        )
+        is_going_on = ~terminated.reshape(batch)
+        valid = tensordict.get(self.valid_key, None)
+        valid = torch.ones_like(is_going_on) if valid is None else valid.reshape(batch)
+        rows = [
+            observation,
+            self.dynamics.encode_action(action, batch),
+            following,
+            valid.to(is_going_on.device).unsqueeze(-1),
+            (valid.to(is_going_on.device) & is_going_on).unsqueeze(-1),
+        ]
+        rows = [entry.reshape(*stack, -1, entry.shape[-1]) for entry in rows]
+        bonus = self._bonus(*rows).reshape(*batch, 1)
+        return tensordict.set(bonus_key, bonus.to(tensordict.device or observation.device))
+
+    def _bonus(
+        self,
+        observation: Tensor,
+        action: Tensor,
+        following: Tensor,
+        valid: Tensor,
+        predicted: Tensor,
+    ) -> Tensor:
+        """Returns the bonus [*stack, rows] of entries [*stack, rows, *]."""
+        count = observation.shape[-2]
+        if count == 0:
+            return self.dynamics.mean.new_zeros(observation.shape[:-1])
+        for state, states_valid in self._pieces(
+            torch.cat([observation, following], -1), torch.cat([valid, predicted], -1)
+        ):
+            before, after = state.chunk(2, -1)
+            self.dynamics.update_statistics(before, states_valid[..., 0])
+            self.dynamics.update_statistics(after, states_valid[..., 1])
+        noise = self._noise() if self.weights == "mc" else None
+        pieces = [
+            information_gain(self.dynamics, *piece, noise=noise, step_size=self.step_size)
+            for piece in self._pieces(observation, action, following)
+        ]
+        gain = torch.cat(pieces, -1)[..., :count]
+        is_predicted = predicted.squeeze(-1)
+        if self.normalise:
+            median = self.median.update(gain, is_predicted).unsqueeze(-1)
+            # where more than half of the gains are 0, any other is clipped
+            gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)
+        bonus = torch.where(is_predicted, gain.clamp_max(self.clip), 0)
+        # cumsum adds from left to right: the 0 of the padding at the end change no digit
+        self._given += torch.stack(
+            [bonus.double().cumsum(-1)[..., -1], valid.squeeze(-1).sum(-1).double()]
+        )
+        return bonus
+
+    def _pieces(self, *entries: Tensor) -> Iterator[list[Tensor]]:
+        """Yields entries [*stack, rows, *] some rows at a time; see ``_PIECE``."""
+        if prod(self.dynamics.stack) > 1:
+            missing = -entries[0].shape[-2] % _PIECE
+            entries = tuple(F.pad(entry, (0, 0, 0, missing)) for entry in entries)
+        yield from (
+            list(piece) for piece in zip(*(e.split(_PIECE, -2) for e in entries), strict=True)
+        )
+
+    def _noise(self) -> Tensor:
+        """Returns standard normal noise for a weight draw, [*stack, P]."""
+        mu = self.dynamics.network.posterior.mu
+        if self._generators is None:
+            return torch.randn_like(mu)
+        noise = mu.new_empty((len(self._generators), mu.shape[-1]))
+        for row, generator in zip(noise, self._generators, strict=True):
+            row.normal_(generator=generator)
+        return noise.reshape(mu.shape)
+
+    # -- reading ----------------------------------------------------------------------------
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Returns a shallow copy whose reward is task reward + eta · bonus; the input stays."""
+        reward_key, bonus_key = self.in_keys
+        reward, bonus = tensordict.get(reward_key), tensordict.get(bonus_key, None)
+        if bonus is None:
+            raise KeyError(
+                f"{bonus_key!r} is missing: the transitions were stored without this transform"
+            )
+        out = tensordict.clone(recurse=False)
+        bonus, eta = bonus.to(reward.dtype), self.eta
+        if not isinstance(eta, Tensor):
+            return out.set(reward_key, torch.add(reward, bonus, alpha=eta))
+        eta = eta.to(reward.dtype).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))
+        return out.set(reward_key, torch.addcmul(reward, bonus, eta))
+
+    # -- not in environments ----------------------------------------------------------------
+
+    def set_container(self, container: Transform | EnvBase) -> None:
+        """Raises ValueError where the container is, or belongs to, an environment."""
+        if isinstance(container, EnvBase) or container.parent is not None:
+            raise ValueError(self.ENV_ERR)
+        super().set_container(container)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        raise ValueError(self.ENV_ERR)

@@ -1,0 +1,125 @@
+"""Bayesian linear regression, where the best factorised Gaussian is known in closed form.
+
+For y = x · w + noise the posterior is a Gaussian with precision Λ = XᵀX / noise_std² + I / p² and
+mean Λ⁻¹Xᵀy / noise_std². Of all factorised Gaussians the one nearest to it (in the KL that the
+evidence bound minimises) has the same mean and the standard deviations Λ_ii^(-1/2), which are
+smaller than the posterior's own.
+"""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import NamedTuple
+
+import pytest
+import torch
+from scipy.linalg import hadamard
+
+from bbq_torchrl.bayes import BayesLinear, collect_kl, noise_pool, set_weight_mode
+
+NOISE_STD, PRIOR_STD = 0.5, 1.0
+ROWS, FEATURES, DRAWS = 32, 3, 512
+
+
+class Data(NamedTuple):
+    """Inputs [N, 3] and outputs [N]."""
+
+    x: torch.Tensor
+    y: torch.Tensor
+
+
+def regression() -> Data:
+    """Correlated features away from 0, so that weights and bias are correlated, too.
+
+    The design is the same at each call: how slowly the flattest direction is learned depends on
+    it. The noise is not.
+    """
+    mixing = torch.tensor([[1.0, 0.5, 0.0], [0.0, 0.8, 0.4], [0.0, 0.0, 0.9]]).double()
+    orthogonal = torch.from_numpy(hadamard(ROWS)[:, 1 : FEATURES + 1]).double()
+    x = orthogonal @ mixing + 0.3
+    y = x @ torch.tensor([1.5, -1.0, 0.8]).double() + 2.0
+    return Data(x, y + NOISE_STD * torch.randn(ROWS, dtype=torch.double))
+
+
+def optimum(data: Data) -> tuple[torch.Tensor, torch.Tensor]:
+    """Returns mean and standard deviation of the weights and, last, of the bias."""
+    design = torch.cat([data.x, torch.ones_like(data.x[:, :1])], 1)
+    precision = design.T @ design / NOISE_STD**2 + torch.eye(FEATURES + 1) / PRIOR_STD**2
+    mean = torch.linalg.solve(precision, design.T @ data.y / NOISE_STD**2)
+    return mean, precision.diagonal() ** -0.5
+
+
+def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", steps=200, pool=None):
+    """Returns mean and standard deviation of the weights that maximise the evidence bound.
+
+    One network whose gradient is the average over draws (a stack of equal networks, each with a
+    draw and a mini-batch of its own): one draw a step has the same optimum, later.
+    """
+    net = BayesLinear(
+        FEATURES, 1, stack=(DRAWS,), prior_std=PRIOR_STD, std_init=0.2, dtype=torch.double
+    )
+    count = data.x.shape[0]
+    num_data = count if num_data is None else num_data
+    optimiser = torch.optim.Adam(net.parameters(), 0.1, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    for step in range(steps):
+        if pool is not None and step % 10 == 0:
+            pool.clear()
+        index = torch.arange(count) if rows is None else torch.randint(count, (DRAWS, rows))
+        x, y = data.x[index].expand(DRAWS, -1, -1), data.y[index]
+        with set_weight_mode(mode), collect_kl(kl) as collector, pool or nullcontext():
+            error = net(x).squeeze(-1) - y
+        # the loss of one transition, as BBQNLoss weighs it
+        loss = error.square().mean(-1) / (2 * NOISE_STD**2) + collector.total() / num_data
+        optimiser.zero_grad()
+        loss.sum().backward()
+        for parameter in net.parameters():
+            parameter.grad.copy_(parameter.grad.mean(0))
+        optimiser.step()
+        schedule.step()
+    return net.posterior.mu.detach()[0], net.posterior.sigma.detach()[0]
+
+
+def assert_optimal(found, expected):
+    (mean, std), (expected_mean, expected_std) = found, expected
+    torch.testing.assert_close(mean, expected_mean, rtol=0.05, atol=0)
+    # far below the width of the posterior itself
+    assert ((mean - expected_mean).abs() / expected_std).max() < 0.3
+    torch.testing.assert_close(std, expected_std, rtol=0.05, atol=0)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"mode": "draw"},
+        {"mode": "local"},
+        {"mode": "draw", "kl": "sampled"},
+        {"mode": "draw", "rows": 8},
+        {"mode": "local", "rows": 8},
+        {"mode": "draw", "rows": 8, "pool": noise_pool()},
+    ],
+    ids=["full", "full local", "full sampled KL", "batches", "batches local", "batches pool"],
+)
+def test_it_learns_the_best_factorised_gaussian(settings):
+    data = regression()
+    assert_optimal(learn(data, **settings), optimum(data))
+
+
+@pytest.mark.parametrize("rows", [None, 8], ids=["full", "batches"])
+def test_duplicated_data_are_twice_the_data(rows):
+    data = regression()
+    twice = Data(data.x.repeat(2, 1), data.y.repeat(2))
+    expected = optimum(twice)
+    # The data's part of the precision doubles. This is far from what one copy would give.
+    data_precision = optimum(data)[1] ** -2 - PRIOR_STD**-2
+    torch.testing.assert_close(expected[1] ** -2, 2 * data_precision + PRIOR_STD**-2)
+    assert (optimum(data)[1] / expected[1]).min() > 1.3
+
+    assert_optimal(learn(twice, rows=rows), expected)
+
+
+def test_num_data_and_not_the_size_of_the_batch_weighs_the_prior():
+    # 64 rows that are said to be 32 transitions have the weight of 30
+    data = regression()
+    twice = Data(data.x.repeat(2, 1), data.y.repeat(2))
+    assert_optimal(learn(twice, num_data=ROWS), optimum(data))

@@ -1,0 +1,146 @@
+"""A prior and a start for each element of a stack: as networks that have them alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.distributions import Normal, kl_divergence
+
+from bbq_torchrl.bayes import BayesMLP, GaussianPosterior
+from bbq_torchrl.bayes.stack_values import stack_values
+from bbq_torchrl.networks import grow, reset_inactive_
+
+PRIORS = {
+    (3,): torch.tensor([0.05, 0.3, 1.7]),
+    (2, 2): torch.tensor([[0.05, 0.3], [0.7, 2.0]]),
+    # More weights than are worked on at a time.
+    (5,): torch.tensor([0.05, 0.1, 0.2, 0.4, 0.8]),
+}
+
+
+def posterior_of(stack, weights=(7, 4)):
+    """A posterior at random means and spreads, its prior's stds [*stack, 1], and noise."""
+    posterior = GaussianPosterior(weights, PRIORS[stack], stack=stack, dtype=torch.double)
+    with torch.no_grad():
+        posterior.mu.normal_(0, 0.5)
+        posterior.rho.uniform_(-4, 2)
+    noise = torch.randn_like(posterior.mu)
+    rows = iter(noise.reshape(-1, noise.shape[-1]))
+
+    def fill(buffer):
+        for row in buffer.reshape(-1, buffer.shape[-1]):
+            row.copy_(next(rows))
+
+    posterior.fill_noise_ = fill
+    return posterior, PRIORS[stack].double().unsqueeze(-1), noise
+
+
+@pytest.mark.parametrize("kind", ["closed", "sampled"])
+@pytest.mark.parametrize(
+    ("stack", "weights"), [((3,), (7, 4)), ((2, 2), (7, 4)), ((5,), (40_001,))]
+)
+def test_draw_kl_and_gradients_are_those_of_torch_distributions(stack, weights, kind):
+    posterior, std, noise = posterior_of(stack, weights)
+    parameters = (posterior.mu, posterior.rho)
+    drawn, kl = posterior.sample_with_kl(kind)
+    q, p = Normal(posterior.mu, posterior.sigma), Normal(torch.zeros_like(std), std)
+    expected = posterior.mu + posterior.sigma * noise
+    closed = kl_divergence(q, p).sum(-1)
+    sampled = (q.log_prob(expected) - p.log_prob(expected)).sum(-1)
+    expected_kl = closed if kind == "closed" else sampled
+    torch.testing.assert_close(drawn, expected)
+    torch.testing.assert_close(kl, expected_kl)
+    torch.testing.assert_close(posterior.kl(), closed)
+    probes = (torch.randn_like(drawn), torch.randn_like(kl))
+    torch.testing.assert_close(
+        torch.autograd.grad((drawn, kl), parameters, probes),
+        torch.autograd.grad((expected, expected_kl), parameters, probes),
+    )
+
+
+def test_the_gradient_of_the_closed_kl_alone_is_that_of_torch_distributions():
+    posterior, std, _ = posterior_of((2, 2))
+    parameters = (posterior.mu, posterior.rho)
+    closed = kl_divergence(Normal(posterior.mu, posterior.sigma), Normal(torch.zeros(1), std))
+    torch.testing.assert_close(
+        torch.autograd.grad(posterior.kl().sum(), parameters),
+        torch.autograd.grad(closed.sum(), parameters),
+    )
+
+
+@pytest.mark.parametrize("kind", ["closed", "sampled"])
+def test_each_element_is_bitwise_as_where_all_have_its_prior(kind):
+    stack, weights = (5,), (40_001,)
+    std = PRIORS[stack]
+
+    def outcome(prior_std):
+        torch.manual_seed(0)
+        posterior = GaussianPosterior(weights, prior_std, stack=stack)
+        start = posterior.rho.detach().clone()
+        with torch.no_grad():
+            posterior.mu.normal_(0, 0.1)
+            posterior.rho.uniform_(-4, 1)
+        drawn, kl = posterior.sample_with_kl(kind)
+        gradients = torch.autograd.grad(drawn.square().sum() + kl.sum(), posterior.parameters())
+        return start, drawn, kl, posterior.kl(), *gradients
+
+    together = outcome(std)
+    for element in range(5):
+        # The number that float32 holds: a tensor of 0.05 is not the Python number 0.05.
+        alone = outcome(float(std[element]))
+        for one, other in zip(together, alone, strict=True):
+            assert torch.equal(one[element], other[element])
+
+
+def test_at_its_own_prior_an_element_has_a_gradient_of_exactly_zero():
+    posterior = GaussianPosterior([37, 12], PRIORS[(3,)], stack=(3,))
+    _, kl = posterior.sample_with_kl()
+    for value in (kl, posterior.kl()):
+        for gradient in torch.autograd.grad(value.sum(), posterior.parameters()):
+            assert not gradient.any()
+
+
+def test_a_network_starts_each_element_where_it_is_told():
+    stds = torch.tensor([0.01, 0.5])
+    net = BayesMLP(3, 2, (4,), stack=(2,), prior_std=stds)
+    torch.testing.assert_close(net.posterior.sigma, stds[:, None].expand_as(net.posterior.rho))
+    torch.testing.assert_close(net.posterior.prior_std, stds[:, None])
+    started = BayesMLP(3, 2, (4,), stack=(2,), std_init=stds)
+    torch.testing.assert_close(started.posterior.sigma, net.posterior.sigma)
+    assert started.posterior.prior_rho.shape == (1,)
+
+
+def test_what_is_inactive_or_new_is_at_its_own_elements_prior():
+    stds = torch.tensor([0.01, 0.5])
+    net = BayesMLP(3, 2, (4,), stack=(2,), prior_std=stds, std_init=2.0)
+    inactive = torch.tensor([False, False, True])
+    reset_inactive_(net, inputs=inactive)
+    matrix, _ = net.layout.unflatten(net.posterior.sigma)[0]
+    torch.testing.assert_close(matrix[:, 2], stds[:, None].expand(2, 4))
+    grown = grow(net, 4, 2)
+    matrix, _ = grown.layout.unflatten(grown.posterior.sigma)[0]
+    torch.testing.assert_close(matrix[:, 3], stds[:, None].expand(2, 4))
+    torch.testing.assert_close(matrix[:, 0], torch.full((2, 4), 2.0))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (torch.ones(3), r"must be one number or have the stack's shape \[2\], got \[3\]"),
+        (torch.tensor([0.1, -1.0]), r"must be positive and finite, got \[0\.1.*, -1\.0\]"),
+        (torch.tensor([0.1, torch.inf]), "must be positive and finite"),
+    ],
+)
+def test_what_does_not_fit_the_stack_is_refused(values, message):
+    with pytest.raises(ValueError, match=f"prior_std {message}"):
+        BayesMLP(3, 2, stack=(2,), prior_std=values)
+    with pytest.raises(ValueError, match=f"std_init {message}"):
+        BayesMLP(3, 2, stack=(2,), std_init=values)
+
+
+def test_the_least_value_may_be_given():
+    assert stack_values("kl_temperature", torch.zeros(2), (2,), minimum=0).tolist() == [0, 0]
+    with pytest.raises(ValueError, match=r"kl_temperature must be at least 0 and finite"):
+        stack_values("kl_temperature", torch.tensor([-1.0, 0]), (2,), minimum=0)
+    with pytest.raises(ValueError, match=r"gamma must be at least 0 and at most 1, got \[0\.5, 2"):
+        stack_values("gamma", torch.tensor([0.5, 2.0]), (2,), minimum=0, maximum=1)

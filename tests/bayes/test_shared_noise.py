@@ -1,0 +1,128 @@
+"""shared_noise: the draws of several passes with one noise."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+from torch.func import functional_call
+
+from bbq_torchrl.bayes import BayesLinear, BayesMLP, collect_kl, set_weight_mode, shared_noise
+
+STACKS = [(), (3,), (2, 3)]
+
+
+def trained(net):
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.copy_(torch.empty_like(parameter).uniform_(-2, 1))
+    return net
+
+
+def several_layers(stack=()):
+    return trained(
+        nn.Sequential(BayesLinear(4, 8, stack=stack), nn.Tanh(), BayesLinear(8, 2, stack=stack))
+    )
+
+
+class Draw(nn.Module):
+    """Draws when called, so that its posterior's parameters can be swapped."""
+
+    def __init__(self, posterior):
+        super().__init__()
+        self.posterior = posterior
+
+    def forward(self):
+        return self.posterior.sample()
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("first_with_kl", [False, True])
+@pytest.mark.parametrize("second_with_kl", [False, True])
+def test_blocks_draw_the_same_weights(stack, first_with_kl, second_with_kl):
+    net, x = several_layers(stack), torch.randn(*stack, 5, 4)
+    noise, outs = shared_noise(), []
+    for with_kl in (first_with_kl, second_with_kl):
+        with set_weight_mode("draw"), noise:
+            if with_kl:
+                with collect_kl("sampled"):
+                    outs.append(net(x))
+            else:
+                outs.append(net(x))
+    assert torch.equal(*outs)
+    with set_weight_mode("draw"):
+        assert not torch.equal(net(x), outs[0])
+
+
+@pytest.mark.parametrize("kl", ["closed", "sampled"])
+def test_other_parameters_get_the_same_noise(kl):
+    # large enough for a stack that is drawn a part at a time
+    net = trained(BayesMLP(150, 40, (150, 150), stack=(5,), dtype=torch.double))
+    other = {k: v.detach() - 0.5 for k, v in net.named_parameters()}
+    posterior, noise = net.posterior, shared_noise()
+    with noise, collect_kl(kl) as collector:
+        first = collector.draw(posterior)
+    with noise:
+        second = functional_call(Draw(posterior), other)
+    epsilon = ((first - posterior.mu) / posterior.sigma).detach()
+    assert epsilon.std() == pytest.approx(1, abs=5 * (2 * epsilon.numel()) ** -0.5)
+    sigma = torch.nn.functional.softplus(other["posterior.rho"])
+    torch.testing.assert_close(second, other["posterior.mu"] + sigma * epsilon)
+
+
+def test_a_layer_that_draws_twice_shares_draw_by_draw():
+    layer, x = trained(BayesLinear(4, 4)), torch.randn(5, 4)
+    noise = shared_noise()
+    with noise:
+        first = [layer(x, "draw") for _ in range(2)]
+    with noise:
+        second = [layer(x, "draw") for _ in range(3)]
+    assert not torch.equal(*first)
+    for ours, theirs in zip(first, second, strict=False):
+        assert torch.equal(ours, theirs)
+    with noise:  # the draw that was one more is shared from now on
+        third = [layer(x, "draw") for _ in range(3)]
+    assert torch.equal(second[2], third[2])
+
+
+def test_only_what_draws_inside_shares_and_blocks_nest():
+    layer, x = trained(BayesLinear(4, 4)), torch.randn(5, 4)
+    outer, inner = shared_noise(), shared_noise()
+
+    def draws():
+        with outer:
+            a = layer(x, "draw")
+            with inner:
+                b = layer(x, "draw")
+            c = layer(x, "draw")
+        return a, b, c
+
+    first, second = draws(), draws()
+    for ours, theirs in zip(first, second, strict=True):
+        assert torch.equal(ours, theirs)
+    assert not torch.equal(first[0], first[1])
+    assert not torch.equal(first[0], first[2])
+    assert not torch.equal(layer(x, "draw"), first[0])
+
+
+def test_the_gradient_is_that_of_the_draw():
+    layer, x = trained(BayesLinear(4, 2, dtype=torch.double)), torch.randn(5, 4).double()
+    noise = shared_noise()
+    gradients = []
+    for _ in range(2):
+        with noise, collect_kl() as collector:
+            out = layer(x, "draw").square().sum() + collector.total()
+        gradients.append(torch.autograd.grad(out, list(layer.parameters())))
+    for ours, theirs in zip(*gradients, strict=True):
+        assert torch.equal(ours, theirs)
+
+
+def test_draws_of_other_shapes_are_refused():
+    layer, noise = BayesLinear(4, 2), shared_noise()
+    with noise:
+        layer.draw_weights((3,))
+    with (
+        noise,
+        pytest.raises(ValueError, match=r"draw of shape \[10\] cannot share noise of shape \[3, 1"),
+    ):
+        layer.draw_weights()

@@ -1,0 +1,111 @@
+"""Schedules with values of their own along the batch: as modules that have them alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Categorical
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import EGreedyModule
+
+from bbq_torchrl.exploration import BatchedEGreedy, Boltzmann
+
+ACTIONS, ROWS, STEPS = 5, 400, 4
+STARTS, ENDS = (0.9, 0.5, 0.3), (0.1, 0.5, 0.2)
+
+
+def column(values):
+    return torch.tensor(values).unsqueeze(-1)
+
+
+def explorer(kind, start, end):
+    if kind == "temperature":
+        return Boltzmann(start, end, STEPS)
+    make = EGreedyModule if isinstance(start, float) else BatchedEGreedy
+    return make(Categorical(ACTIONS), start, end, STEPS, action_mask_key="action_mask")
+
+
+def value(module):
+    return module.temperature if isinstance(module, Boltzmann) else module.eps
+
+
+def acted(module, steps):
+    module.step(steps)
+    torch.manual_seed(0)
+    mask = torch.rand(3, ROWS, ACTIONS) < 0.6
+    mask[..., 2] = True
+    td = TensorDict(
+        action_mask=mask, action_value=torch.randn(3, ROWS, ACTIONS), batch_size=(3, ROWS)
+    )
+    td["action"] = torch.full((3, ROWS), 2)
+    with set_exploration_type(ExplorationType.RANDOM):
+        return module(td)["action"]
+
+
+@pytest.mark.parametrize("steps", [0, 2, 9])
+@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
+def test_each_part_acts_bitwise_as_where_all_have_its_schedule(kind, steps):
+    module = explorer(kind, column(STARTS), column(ENDS))
+    together = acted(module, steps)
+    for part, (start, end) in enumerate(zip(STARTS, ENDS, strict=True)):
+        other = explorer(kind, start, end)
+        alone = acted(other, steps)
+        assert torch.equal(together[part], alone[part])
+        assert torch.equal(value(module)[part, 0], value(other))
+    assert value(module).shape == (3, 1)
+
+
+@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
+def test_one_number_goes_with_several(kind):
+    module = explorer(kind, column(STARTS), 0.1)
+    module.step(100)
+    torch.testing.assert_close(value(module), torch.full((3, 1), 0.1))
+
+
+@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
+def test_the_place_in_the_schedule_is_in_the_state(kind):
+    module, other = (explorer(kind, column(STARTS), column(ENDS)) for _ in range(2))
+    module.step(3)
+    other.load_state_dict(module.state_dict())
+    for _ in range(2):
+        assert torch.equal(value(other), value(module))
+        for each in (module, other):
+            each.step()
+    # What was given is not what the schedule moves.
+    start = column(STARTS)
+    explorer(kind, start, column(ENDS)).step(2)
+    assert torch.equal(start, column(STARTS))
+
+
+def test_epsilon_is_the_share_of_random_actions():
+    epsilon = torch.tensor([[0.0], [0.2], [1.0]])
+    explore = BatchedEGreedy(Categorical(100_000), epsilon, epsilon, 1)
+    td = TensorDict(action=torch.zeros(3, 20_000).long(), batch_size=[3, 20_000])
+    share = (explore(td)["action"] != 0).float().mean(-1)
+    error = (epsilon * (1 - epsilon) / 20_000).sqrt().squeeze(-1)
+    assert ((share - epsilon.squeeze(-1)).abs() <= 5 * error + 1e-4).all()
+
+
+@pytest.mark.parametrize(("start", "end"), [(0.1, 0.2), (1.5, 0.1), (0.1, -0.1)])
+def test_an_epsilon_that_is_no_schedule_is_refused(start, end):
+    with pytest.raises(ValueError, match="eps_init must be at least eps_end and both be between"):
+        BatchedEGreedy(Categorical(3), column((0.5, start)), column((0.1, end)))
+    with pytest.raises(ValueError, match="temperature_init must be at least temperature_end"):
+        Boltzmann(column((0.5, start)), column((0.6, end)))
+
+
+@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
+@pytest.mark.parametrize("batch", [(3,), (4, 2), ()])
+def test_values_that_do_not_fit_the_batch_are_refused(kind, batch):
+    explore = explorer(kind, column(STARTS), column(ENDS))
+    td = TensorDict(action=torch.zeros(batch).long(), batch_size=batch)
+    td["action_value"] = torch.zeros(*batch, ACTIONS)
+    td["action_mask"] = torch.ones(*batch, ACTIONS).bool()
+    with pytest.raises(ValueError, match=r"shape \[3, 1\] must broadcast with the batch, got"):
+        explore(td)
+
+
+def test_a_schedule_without_a_step_is_refused():
+    with pytest.raises(ValueError, match="annealing_num_steps must be at least 1, got 0"):
+        BatchedEGreedy(Categorical(3), 0.5, 0.1, 0)

@@ -1,0 +1,318 @@
+"""Acting on one head at a time, and by the vote of all."""
+
+from __future__ import annotations
+
+import pickle
+from copy import deepcopy
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from q_actor import ACTIONS, FEATURES, all_legal, observations
+from scipy.stats import chisquare
+from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
+from torch import nn
+from torchrl.data import Binary, Categorical, OneHot
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import EGreedyModule, QValueActor
+
+from bbq_torchrl.exploration import BootstrapSampling, EvaluationPolicy, Greedy, MajorityVote
+from bbq_torchrl.networks import MLP, BootstrapMLP, VoteModule, bootstrap_actor, q_network
+
+RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
+HEADS = 7
+STACKS = [(), (3,)]
+
+
+class FixedValues(nn.Module):
+    """Head k's value of action a is a number of its own, 100 k + a, in every state."""
+
+    def __init__(self, heads=HEADS):
+        super().__init__()
+        table = 100.0 * torch.arange(heads).unsqueeze(-1) + torch.arange(ACTIONS)
+        self.register_buffer("table", table)
+
+    def forward(self, x):
+        return self.table.expand(*x.shape[:-1], -1, -1)
+
+
+def actor_on(network, spec=None, **keys):
+    return bootstrap_actor(network, spec or Categorical(ACTIONS), **keys)
+
+
+def fixed(heads=HEADS, **keys):
+    return actor_on(FixedValues(heads), **{"action_mask_key": None, **keys})
+
+
+def bare(*batch):
+    return TensorDict(observation=torch.zeros(*batch, FEATURES), batch_size=batch)
+
+
+def heads_used(policy, td):
+    """The head that each row acted on, read off the values."""
+    with set_exploration_type(RANDOM):
+        return (policy(td.clone())["action_value"][..., 0] / 100).long()
+
+
+# -- the vote ------------------------------------------------------------------------------
+
+
+def winner(values, mask):
+    """The vote of one state in plain Python; values[k][a]."""
+    legal = [a for a, may in enumerate(mask) if may]
+    votes = dict.fromkeys(legal, 0)
+    for of_head in values:
+        best = max(of_head[a] for a in legal)
+        votes[next(a for a in legal if of_head[a] == best)] += 1
+    most = max(votes.values())
+    tied = [a for a in legal if votes[a] == most]
+    total = {a: sum(of_head[a] for of_head in values) for a in tied}
+    return next(a for a in tied if total[a] == max(total.values()))
+
+
+@st.composite
+def states(draw):
+    heads, actions = draw(st.integers(1, 5)), draw(st.integers(1, 4))
+    # few different numbers, exact in floating point, so that ties of all kinds are common
+    row = st.lists(st.integers(-2, 2), min_size=actions, max_size=actions)
+    values = draw(st.lists(row, min_size=heads, max_size=heads))
+    mask = draw(st.lists(st.booleans(), min_size=actions, max_size=actions).filter(any))
+    return values, mask
+
+
+@settings(max_examples=100, deadline=None)
+@given(states())
+def test_the_vote_is_the_one_of_a_plain_count(state):
+    values, mask = state
+    vote = VoteModule(Categorical(len(mask)))
+    td = TensorDict(
+        head_value=torch.tensor([values], dtype=torch.float),
+        action_mask=torch.tensor([mask]),
+        batch_size=[1],
+    )
+    td = vote(td)
+    expected = winner(values, mask)
+    assert td["action"].tolist() == [expected]
+    mean = torch.tensor(values, dtype=torch.float).mean(0)
+    least = torch.finfo(torch.float).min
+    assert torch.equal(td["action_value"][0], mean.masked_fill(~torch.tensor(mask), least))
+    assert torch.equal(td["chosen_action_value"][0], mean[expected : expected + 1])
+
+
+def test_one_head_cannot_outvote_the_others_by_large_values():
+    values = torch.tensor([[[1e6, 0.0], [0.0, 1.0], [0.0, 1.0]]])
+    td = VoteModule(Categorical(2), action_mask_key=None)(TensorDict(head_value=values))
+    assert td["action"].tolist() == [1]
+    assert td["action_value"].argmax(-1).tolist() == [0]
+
+
+@pytest.mark.parametrize("exploration", [RANDOM, DETERMINISTIC, None])
+@pytest.mark.parametrize("stack", STACKS)
+def test_the_vote_is_what_the_actor_greedy_and_the_evaluation_do(exploration, stack):
+    actor = actor_on(BootstrapMLP(FEATURES, ACTIONS, (8,), heads=HEADS, stack=stack))
+    td = observations(*stack, 50, same=False)
+    everywhere = [actor, MajorityVote(actor), Greedy(actor), EvaluationPolicy(actor)]
+    if exploration is DETERMINISTIC:
+        everywhere.append(BootstrapSampling(actor))
+    with set_exploration_type(exploration):
+        outs = [policy(td.clone()) for policy in everywhere]
+    for out in outs[1:]:
+        for key in ("action", "action_value", "chosen_action_value"):
+            assert torch.equal(out[key], outs[0][key])
+
+
+@pytest.mark.parametrize("mode", [DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE])
+def test_sampling_votes_where_it_does_not_explore(mode):
+    policy = BootstrapSampling(fixed())
+    with set_exploration_type(mode):
+        out = policy(bare(4))
+    assert torch.equal(out["action_value"][0], FixedValues().table.mean(0))
+    assert policy.heads is None
+    with set_exploration_type(None):
+        policy(bare(4))
+    assert policy.heads is not None
+
+
+# -- one head ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("per", ["step", "dialogue", "round"])
+def test_how_long_a_head_is_acted_on(stack, per):
+    policy, td = BootstrapSampling(fixed(), per=per), bare(*stack, 40)
+    first, again = heads_used(policy, td), heads_used(policy, td)
+    assert torch.equal(again, policy.heads)
+    assert first.unique().numel() > 1  # all the same: 7^-39
+    assert torch.equal(first, again) == (per != "step")
+    if stack:
+        assert torch.unique(first, dim=0).shape[0] == 3
+    policy.resample()
+    assert not torch.equal(heads_used(policy, td), again)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("trailing", [(), (1,)])
+def test_a_dialogue_keeps_its_head_until_the_next_one_begins(stack, trailing):
+    policy, td = BootstrapSampling(fixed(1000)), bare(*stack, 40)
+    td["is_init"] = torch.ones(*stack, 40, *trailing, dtype=torch.bool)
+    first = heads_used(policy, td)
+    td["is_init"].zero_()
+    assert torch.equal(heads_used(policy, td), first)
+    begins = torch.arange(40).expand(*stack, 40) % 3 == 0
+    td["is_init"] = begins.reshape(*stack, 40, *trailing)
+    second = heads_used(policy, td)
+    assert torch.equal(second[~begins], first[~begins])
+    # 14 or 42 rows begin; each keeps its head of a thousand by chance with probability 1/1000
+    assert (second[begins] != first[begins]).sum() > begins.sum() - 6
+    td["is_init"].zero_()
+    assert torch.equal(heads_used(policy, td), second)
+
+
+@pytest.mark.parametrize("per", ["round", "step"])
+def test_only_dialogues_heed_their_beginnings(per):
+    policy, td = BootstrapSampling(fixed(), per=per), bare(40)
+    first = heads_used(policy, td)
+    td["is_init"] = torch.ones(40, 1, dtype=torch.bool)
+    assert torch.equal(heads_used(policy, td), first) == (per == "round")
+
+
+def test_the_entry_that_tells_beginnings_has_any_name():
+    policy, td = BootstrapSampling(fixed(1000), init_key=("my", "start")), bare(40)
+    first = heads_used(policy, td)
+    td["my", "start"] = torch.ones(40, 1, dtype=torch.bool)
+    assert not torch.equal(heads_used(policy, td), first)
+
+
+def test_a_single_dialogue_has_a_head_too():
+    policy = BootstrapSampling(fixed(1000))
+    td = bare()
+    first = heads_used(policy, td)
+    assert torch.equal(heads_used(policy, td), first)
+    td["is_init"] = torch.ones(1, dtype=torch.bool)
+    drawn = {int(heads_used(policy, td)) for _ in range(10)}
+    assert len(drawn) > 5
+
+
+def test_other_rows_are_other_dialogues():
+    policy = BootstrapSampling(fixed(1000))
+    heads_used(policy, bare(4))
+    assert heads_used(policy, bare(7)).shape == (7,)
+
+
+@pytest.mark.parametrize("redrawn", ["first", "at the beginning", "every step"])
+def test_heads_are_uniform_and_independent_between_rows_and_dialogues(redrawn):
+    n = 20_000
+    policy = BootstrapSampling(fixed(), per="step" if redrawn == "every step" else "dialogue")
+    td = bare(n)
+    before = heads_used(policy, td)
+    if redrawn == "at the beginning":
+        td["is_init"] = torch.ones(n, 1, dtype=torch.bool)
+    elif redrawn == "first":
+        policy.resample()
+    drawn = heads_used(policy, td)
+    for pairs in (drawn[:, None], torch.stack([before, drawn], -1), drawn.reshape(-1, 2)):
+        codes = (pairs * HEADS ** torch.arange(pairs.shape[-1])).sum(-1)
+        counts = torch.bincount(codes, minlength=HEADS ** pairs.shape[-1])
+        assert chisquare(counts.numpy()).pvalue > 1e-7
+
+
+def test_when_a_row_begins_does_not_change_what_the_others_draw():
+    drawn = []
+    for others_begin in (False, True):
+        torch.manual_seed(0)
+        policy, td = BootstrapSampling(fixed(1000)), bare(3, 8)
+        td["is_init"] = torch.zeros(3, 8, 1, dtype=torch.bool)
+        for step in range(6):
+            td["is_init"][1] = step % 2 == 0
+            td["is_init"][0] = others_begin
+            heads = heads_used(policy, td)
+        drawn.append(heads[1:])
+    assert torch.equal(*drawn)
+
+
+def test_it_acts_greedily_on_its_head_among_legal_actions():
+    net = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=HEADS)
+    policy, td = BootstrapSampling(actor_on(net)), observations(60, same=False)
+    with set_exploration_type(RANDOM):
+        out = policy(td.clone())
+    values = net(td["observation"])[torch.arange(60), policy.heads]
+    legal = values.masked_fill(~td["action_mask"], -torch.inf)
+    assert torch.equal(out["action"], legal.argmax(-1))
+    assert torch.equal(out["chosen_action_value"][:, 0], legal.amax(-1))
+    torch.testing.assert_close(out["action_value"][td["action_mask"]], values[td["action_mask"]])
+    assert (out["action_value"][~td["action_mask"]] == torch.finfo(torch.float).min).all()
+
+
+# -- both ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("exploration", [RANDOM, DETERMINISTIC, None])
+@pytest.mark.parametrize("spec", [Categorical(ACTIONS), OneHot(ACTIONS)])
+def test_no_forbidden_action_is_taken(stack, exploration, spec):
+    actor = actor_on(BootstrapMLP(FEATURES, ACTIONS, (8,), heads=3, stack=stack), spec)
+    policies = [MajorityVote(actor)]
+    policies += [BootstrapSampling(actor, per=per) for per in ("step", "dialogue", "round")]
+    explore = EGreedyModule(spec, 0.5, 0.5, action_mask_key="action_mask")
+    policies.append(TensorDictSequential(MajorityVote(actor), explore))
+    with set_exploration_type(exploration):
+        for policy in policies:
+            td = policy(observations(*stack, 200, same=False))
+            assert td["action"].shape == (*stack, 200, *spec.shape)
+            assert td["action"].dtype == torch.int64
+            if isinstance(spec, OneHot):
+                assert (td["action"].sum(-1) == 1).all()
+                td["action"] = td["action"].argmax(-1)
+            assert all_legal(td)
+
+
+def test_what_they_read_and_write():
+    keys = {"action_key": ("act", "a"), "action_value_key": ("act", "q"), "head_value_key": "all"}
+    net = BootstrapMLP(FEATURES, ACTIONS, heads=2)
+    actor = actor_on(net, in_keys=["see"], action_mask_key="may", **keys)
+    assert isinstance(actor, QValueActor)
+    assert set(actor.in_keys) == {"see", "may"}
+    td = observations(4).rename_key_("observation", "see").rename_key_("action_mask", "may")
+    for policy in (MajorityVote(actor), BootstrapSampling(actor)):
+        assert set(policy.in_keys) == {"see", "may"}
+        assert policy.out_keys == [("act", "a"), ("act", "q"), "chosen_action_value"]
+        assert isinstance(policy.spec["act", "a"], Categorical)
+        out = policy(td.clone())
+        assert set(out.keys(True, True)) == {"see", "may", *policy.out_keys}
+    out = actor(td.clone())
+    assert out["all"].shape == (4, 2, ACTIONS)
+    assert out["act", "q"].shape == (4, ACTIONS)
+    assert set(actor.out_keys) == {"all", *MajorityVote(actor).out_keys}
+
+
+def test_dropout_is_off():
+    net = nn.Sequential(MLP(FEATURES, 2 * ACTIONS, (32,), dropout=0.5), nn.Unflatten(-1, (2, -1)))
+    td = observations(20)
+    for policy in (MajorityVote(actor_on(net)), BootstrapSampling(actor_on(net))):
+        with set_exploration_type(RANDOM):
+            assert torch.equal(*(policy(td.clone())["action_value"] for _ in range(2)))
+
+
+def test_copies_act_on_networks_of_their_own():
+    policy = BootstrapSampling(actor_on(BootstrapMLP(FEATURES, ACTIONS, heads=2)))
+    td = observations(4)
+    policy(td.clone())
+    for copy in (deepcopy(policy), pickle.loads(pickle.dumps(policy))):
+        assert torch.equal(copy(td.clone())["action_value"], policy(td.clone())["action_value"])
+        with torch.no_grad():
+            copy.actor[0].module.heads.add_(1.0)
+        out, own = copy(td.clone())["action_value"], policy(td.clone())["action_value"]
+        assert not torch.equal(out, own)
+
+
+def test_arguments_outside_of_what_is_listed_are_refused():
+    with pytest.raises(ValueError, match=r"per must be one of \['step', 'dialogue', 'round'\]"):
+        BootstrapSampling(fixed(), per="episode")
+    single = q_network(MLP(FEATURES, ACTIONS), Categorical(ACTIONS))
+    for policy in (MajorityVote, BootstrapSampling):
+        with pytest.raises(ValueError, match="actor must be one that bootstrap_actor returns"):
+            policy(single)
+    with pytest.raises(ValueError, match="spec must be a Categorical or a OneHot, got Binary"):
+        actor_on(FixedValues(), Binary(ACTIONS))

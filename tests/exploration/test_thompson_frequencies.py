@@ -1,0 +1,148 @@
+"""How often Thompson sampling takes an action: as often as the posterior has it be the best.
+
+Every test compares counts of actions with the truth by a chi-square test, which fails at a p-value
+below 1e-6: by chance once in a million runs.
+"""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from scipy import integrate, stats
+from tensordict import TensorDict
+from torchrl.data import Categorical
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from bbq_torchrl.bayes import BayesLinear, BayesMLP
+from bbq_torchrl.exploration import ThompsonSampling
+from bbq_torchrl.networks import q_network
+
+FEATURES, ACTIONS, DRAWS = 4, 5, 4000
+LEAST_P = 1e-6
+# How the draws of one posterior are had: as rows with draws of their own, or (where a batch
+# shares one) as elements of a stack of equal networks.
+WAYS = [("step", False), ("step", True), ("dialogue", False), ("round", False), ("round", True)]
+
+
+def away_from_the_prior(net):
+    """Gives the network a random posterior, wide enough that several actions may be the best."""
+    with torch.no_grad():
+        net.posterior.mu.normal_(0, 0.15)
+        net.posterior.rho.uniform_(-1, 0)
+    return net
+
+
+def actions(make, per, shared, x, mask=None):
+    """Returns the actions of DRAWS weight draws at the input x [F], int64 [DRAWS].
+
+    Args:
+        make: returns the network for a stack.
+        per: of the policy.
+        shared: of the policy.
+        x: the input.
+        mask: the legal actions, bool [N].
+    """
+    net = make((DRAWS,) if shared else ())
+    policy = ThompsonSampling(q_network(net, Categorical(ACTIONS)), per=per, shared=shared)
+    batch = (DRAWS, 1) if shared else (DRAWS,)
+    mask = torch.ones(ACTIONS, dtype=torch.bool) if mask is None else mask
+    td = TensorDict(
+        {
+            "observation": x.expand(*batch, FEATURES),
+            "action_mask": mask.expand(*batch, ACTIONS),
+        },
+        batch,
+    )
+    with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
+        return policy(td)["action"].flatten()
+
+
+def counts(action):
+    return action.bincount(minlength=ACTIONS).numpy()
+
+
+@pytest.mark.parametrize(("per", "shared"), WAYS)
+@pytest.mark.parametrize("legal", [[True] * ACTIONS, [True, False, True, True, False]])
+def test_an_agent_that_knows_nothing_takes_every_legal_action_equally_often(per, shared, legal):
+    mask = torch.tensor(legal)
+
+    def make(stack):
+        return BayesMLP(FEATURES, ACTIONS, (8,), stack=stack, prior_std=0.5)
+
+    taken = counts(actions(make, per, shared, torch.randn(FEATURES), mask))
+
+    assert not taken[~mask.numpy()].any()
+    assert stats.chisquare(taken[mask.numpy()]).pvalue > LEAST_P
+
+
+def without_rare(taken, expected):
+    """Returns both counts, each rare action counted together with the next rarest one."""
+    pairs = sorted(zip(expected, taken, strict=True))
+    while pairs[0][0] < 50:
+        (first, ours), (second, theirs), *others = pairs
+        pairs = sorted([(first + second, ours + theirs), *others])
+    expected, taken = zip(*pairs, strict=True)
+    return taken, expected
+
+
+def probability_of_being_best(mean, std):
+    """P(Q_a > Q_b for all b) for independent Gaussian Q, by quadrature."""
+
+    def density(q, a):
+        others = [b for b in range(len(mean)) if b != a]
+        below = stats.norm.cdf(q, mean[others], std[others]).prod()
+        return stats.norm.pdf(q, mean[a], std[a]) * below
+
+    return [
+        integrate.quad(density, mean[a] - 8 * std[a], mean[a] + 8 * std[a], (a,))[0]
+        for a in range(len(mean))
+    ]
+
+
+@pytest.mark.parametrize(("per", "shared"), WAYS)
+def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(per, shared):
+    # Q_a = w_a · x + b_a are independent Gaussians
+    x = torch.randn(FEATURES)
+    posterior = away_from_the_prior(BayesLinear(FEATURES, ACTIONS))
+    ((matrix, bias),) = posterior.layout.unflatten(posterior.posterior.mu.detach())
+    ((matrix_std, bias_std),) = posterior.layout.unflatten(posterior.posterior.sigma.detach())
+    mean = x @ matrix + bias
+    std = (x.square() @ matrix_std.square() + bias_std.square()).sqrt()
+    expected = probability_of_being_best(mean.double().numpy(), std.double().numpy())
+    assert sum(expected) == pytest.approx(1.0)
+
+    def make(stack):
+        net = BayesLinear(FEATURES, ACTIONS, stack=stack)
+        with torch.no_grad():
+            for ours, theirs in zip(net.parameters(), posterior.parameters(), strict=True):
+                ours.copy_(theirs)
+        return net
+
+    taken = counts(actions(make, per, shared, x))
+
+    taken, expected = without_rare(taken, [DRAWS * p for p in expected])
+    assert stats.chisquare(taken, expected, sum_check=False).pvalue > LEAST_P
+
+
+@pytest.mark.parametrize(("per", "shared"), WAYS)
+def test_a_networks_action_is_taken_as_often_as_it_is_the_best(per, shared):
+    # the truth is a Monte Carlo estimate with torch's own noise and matrix products
+    x = torch.randn(FEATURES)
+    posterior = away_from_the_prior(BayesMLP(FEATURES, ACTIONS, (8,)))
+    mu, sigma = posterior.posterior.mu.detach(), posterior.posterior.sigma.detach()
+    weights = torch.distributions.Normal(mu, sigma).sample((10 * DRAWS,))
+    (first, bias), (second, second_bias) = posterior.layout.unflatten(weights)
+    hidden = (torch.einsum("i,nio->no", x, first) + bias).relu()
+    expected = counts((torch.einsum("ni,nio->no", hidden, second) + second_bias).argmax(-1))
+
+    def make(stack):
+        net = BayesMLP(FEATURES, ACTIONS, (8,), stack=stack)
+        with torch.no_grad():
+            for ours, theirs in zip(net.parameters(), posterior.parameters(), strict=True):
+                ours.copy_(theirs)
+        return net
+
+    taken = counts(actions(make, per, shared, x))
+
+    table = without_rare(taken, expected)
+    assert stats.chi2_contingency(table).pvalue > LEAST_P

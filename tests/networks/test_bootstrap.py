@@ -1,0 +1,243 @@
+"""The network with bootstrap heads against K separate ones, and its priors."""
+
+from __future__ import annotations
+
+import pickle
+from copy import deepcopy
+
+import pytest
+import torch
+from torch import nn
+
+from bbq_torchrl.networks import BootstrapMLP, reset_inactive_
+
+FEATURES, OUT, HIDDEN, HEADS = 5, 3, (7, 6), 4
+STACKS = [(), (1,), (3,), (2, 2)]
+TRUNKS = [0, 1, 2]
+
+
+def make(stack=(), trunk_layers=None, hidden=HIDDEN, **settings):
+    settings = {"heads": HEADS, "dtype": torch.double, **settings}
+    return BootstrapMLP(FEATURES, OUT, hidden, stack=stack, trunk_layers=trunk_layers, **settings)
+
+
+def plain(x, layers):
+    """One network by its definition."""
+    for k, (matrix, bias) in enumerate(layers):
+        x = (x if k == 0 else x.relu()) @ matrix + bias
+    return x
+
+
+def separate_networks(x, trunk, heads, net):
+    """Each head of each element of the stack, one after the other: [*stack, *batch, K, out]."""
+    n = len(net.stack)
+    x = x.reshape(-1, *x.shape[n:])
+    heads = heads.reshape(-1, net.num_heads, heads.shape[-1])
+    outs = []
+    for element, (rows, of_heads) in enumerate(zip(x, heads, strict=True)):
+        shared = []
+        if net.trunk_layout is not None:
+            flat = trunk.reshape(-1, trunk.shape[-1])[element]
+            shared = net.trunk_layout.unflatten(flat)
+        layers = [shared + net.head_layout.unflatten(head) for head in of_heads]
+        outs.append(torch.stack([plain(rows, each) for each in layers], -2))
+    out = torch.stack(outs)
+    return out.reshape(*net.stack, *out.shape[1:])
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("trunk_layers", TRUNKS)
+@pytest.mark.parametrize("batch", [(8,), (2, 4), ()])
+def test_outputs_are_those_of_separate_networks_that_share_a_trunk(stack, trunk_layers, batch):
+    net = make(stack, trunk_layers)
+    x = torch.randn(*stack, *batch, FEATURES, dtype=torch.double)
+    out = net(x)
+    assert out.shape == (*stack, *batch, HEADS, OUT)
+    torch.testing.assert_close(out, separate_networks(x, net.trunk, net.heads, net))
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("trunk_layers", TRUNKS)
+def test_heads_get_their_own_gradient_and_the_trunk_the_mean_of_theirs(stack, trunk_layers):
+    net = make(stack, trunk_layers)
+    x = torch.randn(*stack, 8, FEATURES, dtype=torch.double, requires_grad=True)
+    probe = torch.randn(*stack, 8, HEADS, OUT, dtype=torch.double)
+    wanted = [x, net.heads] + ([] if net.trunk is None else [net.trunk])
+    gradients = torch.autograd.grad((net(x) * probe).sum(), wanted)
+
+    reference = separate_networks(x, net.trunk, net.heads, net)
+    per_head = [
+        torch.autograd.grad(
+            (reference * probe)[..., k, :].sum(), wanted, retain_graph=True, materialize_grads=True
+        )
+        for k in range(HEADS)
+    ]
+    of_x, of_heads, *of_trunk = (torch.stack(parts) for parts in zip(*per_head, strict=True))
+    torch.testing.assert_close(gradients[1], of_heads.sum(0))
+    if trunk_layers:
+        torch.testing.assert_close(gradients[2], of_trunk[0].mean(0))
+        torch.testing.assert_close(gradients[0], of_x.mean(0))
+    else:  # nothing is shared
+        assert net.trunk is None
+        torch.testing.assert_close(gradients[0], of_x.sum(0))
+
+
+@pytest.mark.parametrize("trunk_layers", TRUNKS)
+@pytest.mark.parametrize("prior_scale", [0.0, 2.0])
+def test_what_one_element_sees_leaves_the_others_bits_alone(trunk_layers, prior_scale):
+    net = make((3,), trunk_layers, prior_scale=prior_scale, dtype=torch.float)
+    x = torch.randn(3, 33, FEATURES)
+    spoilt = x.clone()
+    spoilt[1] = float("nan")
+    found = []
+    for inputs in (x, spoilt):
+        out = net(inputs)
+        gradients = torch.autograd.grad(out.square().sum(), list(net.parameters()))
+        found.append((out, *gradients))
+    for ours, theirs in zip(*found, strict=True):
+        assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
+        assert theirs[1].isnan().any()
+
+
+def test_every_head_of_every_element_starts_with_weights_of_its_own():
+    net = make((3,), prior_scale=1.0)
+    heads = torch.cat([net.heads.detach().flatten(0, 1), net.prior_heads.flatten(0, 1)])
+    assert torch.unique(heads, dim=0).shape[0] == 2 * 3 * HEADS
+    trunks = torch.cat([net.trunk.detach(), net.prior_trunk])
+    assert torch.unique(trunks, dim=0).shape[0] == 6
+
+
+def test_it_starts_like_torch_linear():
+    net = BootstrapMLP(100, 50, (80, 60), heads=6)
+    layers = net.trunk_layout.unflatten(net.trunk) + net.head_layout.unflatten(net.heads)
+    for (matrix, bias), inputs in zip(layers, (100, 80, 60), strict=True):
+        assert max(matrix.abs().max(), bias.abs().max()) <= inputs**-0.5
+        # the standard deviation of a uniform variable in ±b is b / √3; of n ≥ 4,800 numbers it
+        # has a relative standard error of (.2 / n)^.5 ≤ .0065
+        assert abs(matrix.std() * (3 * inputs) ** 0.5 - 1) < 5 * 0.0065
+
+
+@pytest.mark.parametrize("trunk_layers", TRUNKS)
+def test_the_prior_is_another_network_times_its_scale(trunk_layers):
+    net = make((2,), trunk_layers, prior_scale=3.0)
+    x = torch.randn(2, 8, FEATURES, dtype=torch.double)
+    expected = separate_networks(x, net.trunk, net.heads, net)
+    prior = separate_networks(x, net.prior_trunk, net.prior_heads, net)
+    assert prior.std() > 0
+    torch.testing.assert_close(net(x), expected + 3.0 * prior)
+
+
+@pytest.mark.parametrize("trunk_layers", TRUNKS)
+def test_priors_never_move(trunk_layers):
+    net = make((2,), trunk_layers, prior_scale=1.0)
+    priors = {name: tensor.clone() for name, tensor in net.named_buffers()}
+    assert len(priors) == (1 if trunk_layers == 0 else 2)
+    before = [parameter.detach().clone() for parameter in net.parameters()]
+    optimiser = torch.optim.Adam(net.parameters(), 0.1, weight_decay=0.1)
+    for _ in range(3):
+        optimiser.zero_grad()
+        net(torch.randn(2, 8, FEATURES, dtype=torch.double)).square().sum().backward()
+        optimiser.step()
+    net.reset_parameters()
+    net.train(False)
+    for name, tensor in net.named_buffers():
+        assert torch.equal(tensor, priors[name])
+        assert not tensor.requires_grad
+    for parameter, old in zip(net.parameters(), before, strict=True):
+        assert not (parameter == old).any()
+
+
+def test_without_a_prior_there_is_no_memory_for_one():
+    assert not list(make().named_buffers())
+    assert set(make().state_dict()) == {"trunk", "heads"}
+    assert set(make(trunk_layers=0).state_dict()) == {"heads"}
+
+
+@pytest.mark.parametrize("trunk_layers", TRUNKS)
+def test_copies_and_states_hold_the_prior_too(trunk_layers):
+    net = make((2,), trunk_layers, prior_scale=1.0)
+    x = torch.randn(2, 8, FEATURES, dtype=torch.double)
+    loaded = make((2,), trunk_layers, prior_scale=1.0)
+    assert not torch.equal(loaded(x), net(x))
+    loaded.load_state_dict(net.state_dict())
+    for copy in (loaded, deepcopy(net), pickle.loads(pickle.dumps(net))):
+        assert torch.equal(copy(x), net(x))
+        with torch.no_grad():
+            copy.heads.add_(1.0)
+        assert not torch.equal(copy(x), net(x))
+
+
+@pytest.mark.parametrize("stack", [(), (2,)])
+@pytest.mark.parametrize("trunk_layers", TRUNKS)
+@pytest.mark.parametrize("prior_scale", [0.0, 1.0])
+def test_a_feature_that_appears_late_changes_nothing_when_it_does(stack, trunk_layers, prior_scale):
+    # wide enough that no layer is dead in all rows
+    net = make(stack, trunk_layers, (32, 32), prior_scale=prior_scale)
+    inactive = torch.tensor([False, True, False, False, True])
+    reset_inactive_(net, inputs=inactive, outputs=torch.tensor([False, True, False]))
+    x = torch.randn(*stack, 8, FEATURES, dtype=torch.double)
+    early = x.masked_fill(inactive, 0)
+    assert torch.equal(net(x), net(early))
+    optimiser = torch.optim.Adam(net.parameters(), 0.01)
+    for _ in range(5):
+        optimiser.zero_grad()
+        net(early).square().sum().backward()
+        optimiser.step()
+    assert torch.equal(net(x), net(early))
+    net(x).square().sum().backward()
+    (matrix,) = net.input_matrices()[:1]
+    assert not matrix[..., inactive, :].any()
+    assert matrix[..., ~inactive, :].all()
+    first = net.heads if trunk_layers == 0 else net.trunk
+    layout = net.head_layout if trunk_layers == 0 else net.trunk_layout
+    assert layout.unflatten(first.grad)[0][0][..., inactive, :].any()  # from now on it learns
+
+
+def test_a_mask_of_inactive_features_that_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match=r"inputs must be a bool mask of shape \[5\], got"):
+        reset_inactive_(make(), inputs=torch.tensor([True]))
+    with pytest.raises(ValueError, match=r"outputs must be a bool mask of shape \[3\], got"):
+        reset_inactive_(make(), outputs=torch.tensor([0, 1, 1]))
+
+
+def test_it_runs_inside_of_other_modules_and_draws_nothing():
+    net = nn.Sequential(make((3,), dtype=torch.float), nn.Identity())
+    x = torch.randn(3, 8, FEATURES)
+    state = torch.get_rng_state()
+    for mode in ("draw", "local", "mean", None):
+        assert torch.equal(net[0](x, mode), net(x))
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+def test_a_network_without_hidden_layers_has_linear_heads():
+    net = BootstrapMLP(FEATURES, OUT, (), heads=2)
+    assert net.trunk is None
+    assert (net.in_features, net.out_features) == (FEATURES, OUT)
+    assert net(torch.randn(8, FEATURES)).shape == (8, 2, OUT)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"heads": 0}, "heads must be at least 1, got 0"),
+        ({"trunk_layers": 3}, "trunk_layers must be from 0 to 2, the number of hidden layers, got"),
+        ({"trunk_layers": -1}, "trunk_layers must be from 0 to 2"),
+        ({"prior_scale": -1.0}, "prior_scale must be a finite number and not negative, got -1.0"),
+        ({"prior_scale": float("nan")}, "prior_scale must be .* got nan"),
+    ],
+)
+def test_settings_outside_of_what_is_listed_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        make(**settings)
+
+
+def test_sizes_and_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="sizes must be at least two positive integers"):
+        BootstrapMLP(FEATURES, 0)
+    for trunk_layers in TRUNKS:
+        net = make((3,), trunk_layers)
+        for shape in [(2, 8, FEATURES), (3, 8, FEATURES + 1), (3,), (FEATURES,)]:
+            with pytest.raises(ValueError, match=r"input must have shape \[3, \*batch, 5\], got"):
+                net(torch.randn(shape, dtype=torch.double))
+    with pytest.raises(ValueError, match="mode must be one of"):
+        make()(torch.randn(FEATURES, dtype=torch.double), "mode")

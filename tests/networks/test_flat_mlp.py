@@ -1,0 +1,157 @@
+"""The MLP on a flat weight vector against one written with torch's own layers."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bbq_torchrl.bayes import set_weight_mode
+from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp, mlp_local
+from bbq_torchrl.networks import MLP
+
+LAYOUT = FlatLayout((5, 7, 6, 3))
+STACKS = [(), (1,), (4,), (2, 3)]
+
+
+def plain(x, flat, layout=LAYOUT):
+    """One network, one layer after the other, with autograd's gradients."""
+    for k, (matrix, bias) in enumerate(layout.unflatten(flat)):
+        x = (x if k == 0 else x.relu()) @ matrix + bias
+    return x
+
+
+def per_element(x, flat, stack):
+    outs = [
+        plain(a, b)
+        for a, b in zip(
+            x.reshape(-1, *x.shape[len(stack) :]), flat.reshape(-1, flat.shape[-1]), strict=True
+        )
+    ]
+    return torch.stack(outs).reshape(*stack, *outs[0].shape)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("batch", [(8,), (2, 4), ()])
+def test_values_and_gradients_equal_those_of_separate_networks(stack, batch):
+    x = torch.randn(*stack, *batch, 5, dtype=torch.double, requires_grad=True)
+    flat = torch.randn(*stack, LAYOUT.numel, dtype=torch.double, requires_grad=True)
+    out, expected = mlp(x, flat, LAYOUT), per_element(x, flat, stack)
+    assert out.shape == (*stack, *batch, 3)
+    torch.testing.assert_close(out, expected)
+    probe = torch.randn_like(out)
+    for ours, theirs in zip(
+        torch.autograd.grad(out, (x, flat), probe),
+        torch.autograd.grad(expected, (x, flat), probe),
+        strict=True,
+    ):
+        torch.testing.assert_close(ours, theirs)
+
+
+@pytest.mark.parametrize("sizes", [(3, 2), (3, 4, 2), (3, 4, 4, 4, 2)])
+def test_gradcheck_at_every_depth(sizes):
+    layout = FlatLayout(sizes)
+    x = torch.randn(2, 6, 3, dtype=torch.double, requires_grad=True)
+    flat = torch.randn(2, layout.numel, dtype=torch.double, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda a, b: mlp(a, b, layout), (x, flat))
+
+
+def test_gradcheck_with_dropout():
+    x = torch.randn(2, 6, 5, dtype=torch.double, requires_grad=True)
+    flat = torch.randn(2, LAYOUT.numel, dtype=torch.double, requires_grad=True)
+
+    def same_masks(a, b):
+        torch.manual_seed(3)
+        return mlp(a, b, LAYOUT, dropout=0.4)
+
+    assert torch.autograd.gradcheck(same_masks, (x, flat))
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_gradcheck_of_local_reparameterisation(stack):
+    layout = FlatLayout((3, 4, 2))
+    x = torch.randn(*stack, 2, 3, dtype=torch.double, requires_grad=True)
+    mu = torch.randn(*stack, layout.numel, dtype=torch.double, requires_grad=True)
+    sigma = torch.rand(*stack, layout.numel, dtype=torch.double) + 0.1
+
+    def same_noise(*args):
+        torch.manual_seed(3)
+        return mlp_local(*args, layout)
+
+    assert torch.autograd.gradcheck(same_noise, (x, mu, sigma.requires_grad_()))
+
+
+def test_every_row_may_have_weights_of_its_own():
+    x = torch.randn(3, 8, 5)
+    flat = torch.randn(3, 8, LAYOUT.numel)
+    expected = torch.stack(
+        [torch.stack([plain(x[i, j], flat[i, j]) for j in range(8)]) for i in range(3)]
+    )
+    torch.testing.assert_close(mlp(x, flat, LAYOUT), expected)
+
+
+def test_dropout_drops_the_given_share_and_keeps_the_mean():
+    layout = FlatLayout((1, 20_000, 1))
+    flat = torch.zeros(layout.numel)
+    (_, hidden_bias), (out, _) = layout.unflatten(flat)
+    hidden_bias.fill_(1.0)
+    out.fill_(1 / 20_000)  # the output is the mean of the hidden units
+    mean = mlp(torch.zeros(1, 1), flat, layout, dropout=0.25).item()
+    # kept with .75, then 4/3: the mean's standard error is (1/3)^.5 / 20000^.5 = .0041
+    assert abs(mean - 1) < 5 * 0.0041
+    assert mean != 1
+
+
+def test_dropout_masks_differ_between_rows_and_elements():
+    net = MLP(1, 64, (64,), stack=(3,), dropout=0.5)
+    out = net(torch.ones(3, 5, 1), "draw").flatten(0, 1)
+    assert torch.unique(out, dim=0).shape[0] == 15
+
+
+def test_a_start_like_torch_linear():
+    layout = FlatLayout((100, 80, 50))
+    flat = torch.empty(6, layout.numel)
+    init_linear_(flat, layout)
+    for (matrix, bias), (inputs, _) in zip(layout.unflatten(flat), layout.shapes, strict=True):
+        for part in (matrix, bias):
+            assert part.abs().max() <= inputs**-0.5
+        # the standard deviation of a uniform variable in ±b is b / √3; relative error about
+        # (1.25 · 2 n)^-.5 < .004 of it for n ≥ 24,000 numbers
+        assert abs(matrix.std() * (3 * inputs) ** 0.5 - 1) < 0.02
+    assert not torch.equal(flat[0], flat[1])
+
+
+def test_mlp_drops_in_training_mode_and_never_in_mode_mean():
+    net, x = MLP(4, 3, (32,), dropout=0.5), torch.randn(6, 4)
+    assert not torch.equal(net(x), net(x))
+    assert torch.equal(net(x, "mean"), net(x, "mean"))
+    with set_weight_mode("mean"):
+        assert torch.equal(net(x), net(x, "mean"))
+    net.eval()
+    assert torch.equal(net(x), net(x, "mean"))
+    assert not torch.equal(net(x, "draw"), net(x, "draw"))
+
+
+def test_mlp_without_dropout_draws_no_random_number():
+    net, x = MLP(4, 3, (32,)), torch.randn(6, 4)
+    state = torch.get_rng_state()
+    net(x, "draw")
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+@pytest.mark.parametrize("dropout", [-0.1, 1.0, 2.0])
+def test_a_dropout_outside_of_its_range_is_refused(dropout):
+    with pytest.raises(ValueError, match=r"dropout must be in \[0, 1\), got"):
+        MLP(3, 2, dropout=dropout)
+
+
+@pytest.mark.parametrize("shape", [(7, 5), (4, 8), (5,)])
+def test_an_input_whose_shape_does_not_fit_is_refused(shape):
+    flat = torch.randn(4, LAYOUT.numel)
+    with pytest.raises(ValueError, match=r"input must have shape \[4, \*batch, 5\], got"):
+        mlp(torch.randn(shape), flat, LAYOUT)
+
+
+def test_sizes_that_are_no_network_are_refused():
+    for sizes in [(3,), (3, 0, 2), (-1, 2)]:
+        with pytest.raises(ValueError, match="sizes must be at least two positive integers"):
+            FlatLayout(sizes)

@@ -1,0 +1,271 @@
+"""NoisyMLP against TorchRL's NoisyLinear: outputs, moments, stacks, modes, states."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import pytest
+import torch
+from torch import nn
+from torch.func import functional_call
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import NoisyLinear, reset_noise
+
+from bbq_torchrl.bayes import set_weight_mode
+from bbq_torchrl.networks import NoisyMLP, StackedNoisyLinear
+
+RANDOM = ExplorationType.RANDOM
+STACKS = [(), (1,), (3,), (2, 3)]
+BATCHES = [(), (6,), (2, 4)]
+
+
+@pytest.fixture
+def noise(monkeypatch):
+    """Records the noise vectors of calls, in order."""
+    drawn, scale = [], NoisyLinear._scale_noise
+
+    def record(self, size):
+        drawn.append(scale(self, size))
+        return drawn[-1]
+
+    monkeypatch.setattr(StackedNoisyLinear, "_scale_noise", record)
+    return drawn
+
+
+def torchrl_networks(net):
+    """One network of TorchRL's own layers for each element of the stack, same parameters."""
+    made = []
+    for k in range(net.stack.numel()):
+        layers = []
+        for layer in net.layers:
+            theirs = NoisyLinear(layer.in_features, layer.out_features, dtype=torch.double)
+            for name, parameter in layer.named_parameters():
+                own = parameter.detach().reshape(-1, *getattr(theirs, name).shape)[k]
+                getattr(theirs, name).data.copy_(own)
+            layers += [theirs, nn.ReLU()]
+        made.append(nn.Sequential(*layers[:-1]))
+    return made
+
+
+def set_noise(network, vectors):
+    """Gives TorchRL's layers the noise ε_in, ε_out of each layer."""
+    for k, layer in enumerate(network[::2]):
+        noise_in, noise_out = (v.double() for v in vectors[2 * k : 2 * k + 2])
+        layer.weight_epsilon.copy_(noise_out.outer(noise_in))
+        layer.bias_epsilon.copy_(noise_out)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("batch", BATCHES)
+@pytest.mark.parametrize("mode", ["draw", "mean"])
+def test_outputs_and_gradients_are_those_of_torchrls_layers(noise, stack, batch, mode):
+    net = NoisyMLP(4, 3, (8, 6), stack=stack, dtype=torch.double)
+    x = torch.randn(*stack, *batch, 4, dtype=torch.double, requires_grad=True)
+    out = net(x, mode)
+    assert out.shape == (*stack, *batch, 3)
+    assert len(noise) == (6 if mode == "draw" else 0)
+    count = net.stack.numel()
+    theirs = torchrl_networks(net)
+    copy = x.detach().clone().requires_grad_()
+    inputs = copy.reshape(count, *batch, 4)
+    outs = []
+    with set_exploration_type(RANDOM if mode == "draw" else ExplorationType.DETERMINISTIC):
+        for k, network in enumerate(theirs):
+            if mode == "draw":
+                set_noise(network, [v.reshape(count, -1)[k] for v in noise])
+            outs.append(network(inputs[k]))
+    expected = torch.stack(outs).reshape(out.shape)
+    torch.testing.assert_close(out, expected)
+    leaves = [copy, *(p for n in theirs for p in n.parameters())]
+    wanted = torch.autograd.grad(expected.square().sum(), leaves, materialize_grads=True)
+    leaves = [x, *net.parameters()]
+    gradients = torch.autograd.grad(out.square().sum(), leaves, materialize_grads=True)
+    torch.testing.assert_close(gradients[0], wanted[0])
+    per_network = [wanted[1 + k * 12 : 13 + k * 12] for k in range(count)]
+    for ours, parts in zip(gradients[1:], zip(*per_network, strict=True), strict=True):
+        torch.testing.assert_close(ours, torch.stack(parts).reshape(ours.shape))
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_rows_of_mode_local_are_networks_with_noise_of_their_own(noise, stack):
+    net = NoisyMLP(4, 3, (8, 6), stack=stack, dtype=torch.double)
+    count, rows = net.stack.numel(), 5
+    x = torch.randn(*stack, rows, 4, dtype=torch.double)
+    out = net(x, "local").reshape(count, rows, 3)
+    theirs, inputs = torchrl_networks(net), x.reshape(count, rows, 4)
+    with set_exploration_type(RANDOM):
+        for k, network in enumerate(theirs):
+            for row in range(rows):
+                set_noise(network, [v[k, :, row] for v in noise])
+                torch.testing.assert_close(out[k, row], network(inputs[k, row]))
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_parameters_start_as_torchrls(stack):
+    net = NoisyMLP(9, 4, (25,), stack=stack, std_init=0.3)
+    for layer in net.layers:
+        theirs = NoisyLinear(layer.in_features, layer.out_features, std_init=0.3)
+        assert dict(layer.named_parameters()).keys() == dict(theirs.named_parameters()).keys()
+        for name, parameter in theirs.named_parameters():
+            ours = getattr(layer, name).detach()
+            assert ours.shape == (*stack, *parameter.shape)
+            if name.endswith("sigma"):
+                assert torch.equal(ours, parameter.detach().expand(ours.shape))
+            else:
+                assert 0 < ours.abs().max() <= layer.in_features**-0.5
+    means = net.layers[0].weight_mu.detach().reshape(-1, 25 * 9)
+    assert torch.unique(means, dim=0).shape[0] == net.stack.numel()
+    assert NoisyMLP(9, 4).layers[0].std_init == NoisyLinear(9, 4).std_init
+    with torch.no_grad():
+        net.layers[1].bias_sigma.zero_()
+    net.reset_parameters()
+    torch.testing.assert_close(net.layers[1].bias_sigma, torch.full((*stack, 4), 0.3 / 2))
+
+
+@pytest.mark.parametrize("mode", ["draw", "local"])
+def test_a_layers_output_has_the_moments_of_factorised_noise(mode):
+    # y_i = b_i + Σ_j w_ij x_j, with E ε = 0 and E ε² = E|z| = (2/π)^½ for ε = sgn(z) |z|^½:
+    # var y_i = (2/π) Σ_j σ_ij² x_j² + (2/π)^½ σ_i². Layers side by side are independent draws.
+    n, rows = (20_000, 1) if mode == "draw" else (1, 20_000)
+    layer, x = StackedNoisyLinear(3, 2, stack=(n,)), torch.tensor([1.0, -0.5, 2.0])
+    sigma, bias_sigma = torch.tensor([[0.2, 0.3, 0.1], [0.4, 0.1, 0.2]]), torch.tensor([0.5, 0.3])
+    with torch.no_grad():
+        layer.weight_mu.copy_(torch.tensor([[1.0, 2.0, 3.0], [-1.0, 0.0, 1.0]]))
+        layer.bias_mu.copy_(torch.tensor([0.5, -0.5]))
+        layer.weight_sigma.copy_(sigma)
+        layer.bias_sigma.copy_(bias_sigma)
+    out = layer(x.expand(n, rows, 3), mode).detach().reshape(-1, 2)
+    scale = torch.tensor(2 / torch.pi)
+    variance = scale * (sigma.square() @ x.square()) + scale.sqrt() * bias_sigma.square()
+    mean = torch.tensor([0.5 + 1.0 - 1.0 + 6.0, -0.5 - 1.0 + 2.0])
+    assert ((out.mean(0) - mean).abs() < 5 * (variance / 20_000).sqrt()).all()
+    # E ε⁴ = 1 and E ε² = (2/π)^½: the kurtosis of ε_i times a sum of these is at most 3π/2 < 5
+    assert ((out.var(0) / variance - 1).abs() < 5 * (4 / 20_000) ** 0.5).all()
+    # outputs have noises of their own, but share those of the inputs: no correlation all the same
+    assert abs(torch.corrcoef(out.T)[0, 1]) < 5 * (3 / 20_000) ** 0.5
+
+
+def test_rows_share_the_noise_in_mode_draw_and_do_not_in_mode_local():
+    net, x = NoisyMLP(4, 3, (8,)), torch.randn(4).expand(6, 4)
+    draw = net(x, "draw")
+    torch.testing.assert_close(draw, draw[:1].expand_as(draw))
+    assert torch.unique(net(x, "local"), dim=0).shape[0] == 6
+    assert not torch.equal(net(x, "draw"), draw)
+    assert torch.equal(net(x, "mean"), net(x, "mean"))
+
+
+@pytest.mark.parametrize("mode", ["draw", "local", "mean"])
+def test_elements_of_the_stack_are_bitwise_independent(mode):
+    def gradients(change):
+        torch.manual_seed(0)
+        net, x = NoisyMLP(7, 3, (33,), stack=(3,)), torch.randn(3, 32, 7)
+        if change == "data":
+            x[1] *= 3.0
+        if change == "nan":
+            x[1, 4, 2] = float("nan")
+            with torch.no_grad():
+                net.layers[1].weight_sigma[1] = float("nan")
+        torch.manual_seed(1)
+        out = net(x, mode)
+        out.square().sum().backward()
+        return [out, *(p.grad for p in net.parameters() if p.grad is not None)]
+
+    plain = gradients(None)
+    for change in ("data", "nan"):
+        for ours, theirs in zip(plain, gradients(change), strict=True):
+            assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
+
+
+def test_elements_of_the_stack_draw_independently():
+    net, x = NoisyMLP(4, 3, (8,), stack=(5,)), torch.randn(4).expand(5, 2, 4)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.copy_(parameter[:1].expand_as(parameter))
+    assert torch.unique(net(x, "draw")[:, 0], dim=0).shape[0] == 5
+    torch.testing.assert_close(net(x, "mean")[:1].expand(5, 2, 3), net(x, "mean"))
+
+
+@pytest.mark.parametrize("exploration", [None, *ExplorationType])
+def test_the_exploration_type_decides_where_nothing_else_does(exploration):
+    net, x = NoisyMLP(4, 3, (8,)), torch.randn(6, 4)
+    mean = net(x, "mean")
+    with set_exploration_type(exploration):
+        assert torch.equal(net(x), mean) == (exploration is not RANDOM)
+        with set_weight_mode("mean"):
+            assert torch.equal(net(x), mean)
+        with set_weight_mode("draw"):
+            assert not torch.equal(net(x), mean)
+        assert not torch.equal(net(x, "draw"), mean)
+
+
+def test_sigma_of_what_is_not_active_gets_no_gradient():
+    net, x = NoisyMLP(4, 3, (8,), stack=(2,)), torch.randn(2, 6, 4)
+    x[..., 1] = 0.0
+    net(x, "draw")[..., 0].square().sum().backward()
+    first, last = net.layers[0], net.layers[-1]
+    for parameter in (first.weight_mu, first.weight_sigma):
+        assert not parameter.grad[..., 1].any()
+        assert parameter.grad[..., [0, 2, 3]].any()
+    for parameter in (last.weight_mu, last.weight_sigma):
+        assert not parameter.grad[:, 1:].any()
+    for parameter in (last.bias_mu, last.bias_sigma):
+        assert not parameter.grad[:, 1:].any()
+        assert parameter.grad[:, 0].all()
+
+
+@pytest.mark.parametrize("stack", [(), (2,)])
+def test_states_hold_parameters_only_and_copies_agree(stack):
+    net, x = NoisyMLP(4, 3, (8,), stack=stack), torch.randn(*stack, 6, 4)
+    names = {
+        f"layers.{k}.{n}_{p}" for k in "01" for n in ("weight", "bias") for p in ("mu", "sigma")
+    }
+    assert set(net.state_dict()) == names
+    assert not list(net.buffers())
+    other = NoisyMLP(4, 3, (8,), stack=stack)
+    other.load_state_dict(net.state_dict())
+    parameters = {k: v.detach() for k, v in net.named_parameters()}
+    blank = NoisyMLP(4, 3, (8,), stack=stack)
+    calls = [net, other, deepcopy(net), lambda *a: functional_call(blank, parameters, a)]
+    for mode in ("mean", "draw", "local"):
+        outs = []
+        for call in calls:
+            torch.manual_seed(0)
+            outs.append(call(x, mode))
+        assert all(torch.equal(out, outs[0]) for out in outs)
+    assert net.double()(x.double(), "draw").dtype == torch.double
+
+
+def test_a_call_leaves_an_earlier_ones_gradient_alone():
+    net, x = NoisyMLP(4, 3, (8,)), torch.randn(6, 4)
+    gradients = []
+    for between in (False, True):
+        torch.manual_seed(0)
+        out = net(x, "draw").sum()
+        if between:
+            net(x, "draw")
+            net.apply(reset_noise)  # as TorchRL's trainers do
+        gradients.append(torch.autograd.grad(out, list(net.parameters())))
+    for ours, theirs in zip(*gradients, strict=True):
+        assert torch.equal(ours, theirs)
+
+
+def test_the_layer_shows_its_means_and_its_sizes():
+    layer = StackedNoisyLinear(4, 3, stack=(2,))
+    with set_exploration_type(RANDOM):
+        assert layer.weight is layer.weight_mu
+        assert layer.bias is layer.bias_mu
+    assert "in_features=4, out_features=3, bias=True, stack=(2,), std_init=0.5" in repr(layer)
+
+
+def test_what_does_not_fit_is_refused():
+    net = NoisyMLP(4, 3, (8,), stack=(2,))
+    with pytest.raises(ValueError, match=r"input must have shape \[2, \*batch, 4\], got \[3, 4\]"):
+        net(torch.ones(3, 4))
+    with pytest.raises(ValueError, match=r"mode must be one of \['draw', 'local', 'mean'\]"):
+        net(torch.ones(2, 4), "sample")
+    with pytest.raises(ValueError, match="std_init must be positive and finite, got 0"):
+        NoisyMLP(4, 3, std_init=0.0)
+    with pytest.raises(ValueError, match="sizes must be at least two positive integers"):
+        NoisyMLP(4, 0)
+    with pytest.raises(ValueError, match="in_features and out_features must be positive, got 0"):
+        StackedNoisyLinear(0, 3)

@@ -1,0 +1,36 @@
+"""Actors and observations for the tests of policies."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict
+from torchrl.data import Categorical
+
+from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.networks import q_network
+
+FEATURES, ACTIONS = 5, 6
+
+
+def bayes_actor(stack=(), hidden=(16,)):
+    """An actor at the prior with a spread that makes its actions vary."""
+    net = BayesMLP(FEATURES, ACTIONS, hidden, stack=stack, prior_std=1.0)
+    return q_network(net, Categorical(ACTIONS))
+
+
+def observations(*batch, same=True):
+    """States with a random mask in which at least one action is legal; the same for all rows."""
+    shape = (1,) * len(batch) if same else batch
+    mask = torch.rand(*shape, ACTIONS) < 0.5
+    mask[..., 2] = True
+    return TensorDict(
+        {
+            "observation": torch.randn(*shape, FEATURES).expand(*batch, FEATURES).clone(),
+            "action_mask": mask.expand(*batch, ACTIONS).clone(),
+        },
+        batch,
+    )
+
+
+def all_legal(td):
+    return bool(td["action_mask"].gather(-1, td["action"].unsqueeze(-1)).all())

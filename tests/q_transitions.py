@@ -1,0 +1,140 @@
+"""Transitions, actors and reference computations for the tests of the losses."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict
+from torchrl.data import Categorical
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.networks import MLP, BootstrapMLP, NoisyMLP, bootstrap_actor, q_network
+from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
+
+FEATURES, ACTIONS, BATCH, HEADS = 5, 4, 32, 3
+STACKS = [(), (1,), (3,), (2, 2)]
+
+
+def transitions(stack=(), batch=(BATCH,), dtype=torch.float):
+    """Random transitions; some end, and no state forbids every action."""
+    shape = (*stack, *batch)
+
+    def state():
+        mask = torch.rand(*shape, ACTIONS) < 0.6
+        mask[..., 1] = True
+        return {"observation": torch.randn(*shape, FEATURES, dtype=dtype), "action_mask": mask}
+
+    start = state()
+    action = torch.distributions.Categorical(start["action_mask"].float()).sample()
+    end = torch.rand(*shape, 1) < 0.3
+    return TensorDict(
+        {
+            **start,
+            "action": action,
+            "next": {
+                **state(),
+                "reward": torch.randn(*shape, 1, dtype=dtype),
+                "done": end,
+                "terminated": end.clone(),
+            },
+        },
+        shape,
+    )
+
+
+def bayes_loss(stack=(), *, hidden=(8, 8), dtype=torch.float, net=None, **settings):
+    """A BBQN loss whose posterior and target lie away from the prior and from each other."""
+    net = net or BayesMLP(FEATURES, ACTIONS, hidden, stack=stack, dtype=dtype)
+    with torch.no_grad():
+        net.posterior.mu.normal_(0, 0.3)
+        net.posterior.rho.uniform_(-3, -1)
+    loss = BBQNLoss(q_network(net, Categorical(ACTIONS)), **{"num_data": 100, **settings})
+    return _away(loss)
+
+
+def plain_loss(stack=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **settings):
+    """A DQN loss whose target lies away from the network."""
+    net = MLP(FEATURES, ACTIONS, hidden, stack=stack, dropout=dropout, dtype=dtype)
+    loss = DropoutDQNLoss(q_network(net, Categorical(ACTIONS)), **settings)
+    return _away(loss)
+
+
+def heads_loss(stack=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0, **settings):
+    """A loss of bootstrap heads whose targets lie away from the network."""
+    net = BootstrapMLP(
+        FEATURES,
+        ACTIONS,
+        hidden,
+        heads=HEADS,
+        stack=stack,
+        trunk_layers=trunk_layers,
+        prior_scale=prior_scale,
+        dtype=settings.pop("dtype", torch.float),
+    )
+    return _away(BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)), **settings))
+
+
+def noisy_loss(stack=(), *, hidden=(), dtype=torch.float, kind=NoisyDQNLoss, **settings):
+    """A NoisyNet loss whose target lies away from the network; one layer unless told."""
+    net = NoisyMLP(FEATURES, ACTIONS, hidden, stack=stack, dtype=dtype)
+    loss = kind(q_network(net, Categorical(ACTIONS)), **settings)
+    return _away(loss)
+
+
+def _away(loss):
+    """The loss, its parameters moved away from its targets, and what freezes those."""
+    update = HardUpdate(loss, value_network_update_interval=0)
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return loss, update
+
+
+def flat(loss, name, *, target=False):
+    """The only tensor of that name (mu, rho, weight, prior_rho) that the loss uses."""
+    params = loss.target_value_network_params if target else loss.value_network_params
+    found = [v for k, v in params.items(True, True) if (k if isinstance(k, str) else k[-1]) == name]
+    assert len(found) == 1
+    return found[0]
+
+
+def network(layout, weights, x):
+    """One network by its definition; weights [P], x [B, in]."""
+    for k, (matrix, bias) in enumerate(layout.unflatten(weights)):
+        x = (x if k == 0 else x.relu()) @ matrix + bias
+    return x
+
+
+def target_of(layout, weights, td, gamma):
+    """The one-step target [B] of one network."""
+    q = network(layout, weights, td["next", "observation"])
+    best = q.masked_fill(~td["next", "action_mask"], -torch.inf).amax(-1)
+    going_on = (~td["next", "terminated"].squeeze(-1)).to(q.dtype)
+    return (td["next", "reward"].squeeze(-1) + gamma * going_on * best).detach()
+
+
+def slopes(loss, td, step=1e-6):
+    """The loss's slope along a random direction of its parameters: by its gradient, by steps."""
+    parameters = list(loss.parameters())
+    directions = [torch.randn_like(parameter) for parameter in parameters]
+
+    def value(scale):
+        with torch.no_grad():
+            for parameter, direction in zip(parameters, directions, strict=True):
+                parameter.add_(scale * direction)
+        torch.manual_seed(0)  # the same draws and dropout masks each time
+        out = loss(td)["loss"]
+        with torch.no_grad():
+            for parameter, direction in zip(parameters, directions, strict=True):
+                parameter.sub_(scale * direction)
+        return out
+
+    torch.manual_seed(0)
+    gradients = torch.autograd.grad(loss(td)["loss"], parameters)
+    by_gradient = sum((g * d).sum() for g, d in zip(gradients, directions, strict=True))
+    return by_gradient, ((value(step) - value(-step)) / (2 * step)).detach()
+
+
+def elements(td, stack):
+    """The batch of each element of the stack, one after the other."""
+    return td.reshape(-1, *td.shape[len(stack) :]) if stack else td.unsqueeze(0)

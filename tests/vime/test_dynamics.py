@@ -1,0 +1,248 @@
+"""DynamicsModel: running statistics by their definition, actions in every form, stacks."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bbq_torchrl.vime import DynamicsModel
+
+S, A = 4, 3
+STACKS = [(), (1,), (3,), (2, 2)]
+
+
+def model(stack=(), **settings):
+    """A model whose statistics are not the ones at the start."""
+    dynamics = DynamicsModel(S, A, (8,), stack=stack, **settings)
+    dtype = dynamics.mean.dtype
+    dynamics.update_statistics(2 + 3 * torch.randn(*stack, 50, S, dtype=dtype))
+    return dynamics
+
+
+def elements(tensor, stack):
+    return tensor.reshape(-1, *tensor.shape[len(stack) :])
+
+
+# -- statistics ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("dtype", [torch.float, torch.double])
+def test_statistics_are_those_of_all_rows_that_counted(stack, dtype):
+    dynamics = DynamicsModel(S, A, stack=stack, dtype=dtype)
+    stored, counted = [], []
+    for rows in (1, 7, 30):
+        x = 5 + 2 * torch.randn(*stack, rows, S, dtype=dtype)
+        valid = torch.rand(*stack, rows) < 0.6
+        dynamics.update_statistics(torch.where(valid.unsqueeze(-1), x, torch.nan), valid)
+        stored.append(x)
+        counted.append(valid)
+    x, valid = (elements(torch.cat(t, len(stack)), stack) for t in (stored, counted))
+    for k in range(len(x)):
+        rows = x[k][valid[k]].double()
+        if not len(rows):
+            continue
+        assert elements(dynamics.count, stack).reshape(-1)[k] == len(rows)
+        mean, var = rows.mean(0), rows.var(0, unbiased=False)
+        torch.testing.assert_close(elements(dynamics.mean, stack)[k].double(), mean)
+        torch.testing.assert_close(
+            elements(dynamics.var, stack)[k].double(), var, rtol=1e-4, atol=1e-5
+        )
+
+
+def test_statistics_do_not_drift_far_from_the_origin():
+    # float32 sums of squares would lose everything here
+    dynamics = DynamicsModel(1, 1)
+    x = 3000 + 0.5 * torch.randn(4000, 1)
+    for piece in x.split(100):
+        dynamics.update_statistics(piece)
+    assert dynamics.mean.item() == pytest.approx(x.double().mean().item(), rel=1e-6)
+    assert dynamics.std.item() == pytest.approx(x.double().std().item(), rel=1e-2)
+
+
+def test_an_element_without_rows_keeps_its_statistics_bitwise():
+    dynamics = model((2,))
+    before = {name: b.clone() for name, b in dynamics.named_buffers()}
+    valid = torch.tensor([[True] * 5, [False] * 5])
+    x = torch.randn(2, 5, S)
+    x[1] = torch.nan
+    dynamics.update_statistics(x, valid)
+    for name in ("mean", "var", "count"):
+        now = getattr(dynamics, name)
+        assert torch.equal(now[1], before[name][1])
+        assert not torch.equal(now[0], before[name][0])
+
+
+def test_statistics_of_an_element_do_not_depend_on_anothers_rows():
+    one, other = model((3,)), DynamicsModel(S, A, (8,), stack=(3,))
+    other.load_state_dict(one.state_dict())
+    x, y = torch.randn(3, 9, S), torch.randn(3, 9, S)
+    y[1] = x[1]
+    one.update_statistics(x)
+    other.update_statistics(y)
+    for name in ("mean", "var"):
+        assert torch.equal(getattr(one, name)[1], getattr(other, name)[1])
+        assert not torch.equal(getattr(one, name)[0], getattr(other, name)[0])
+
+
+def test_standardised_states_have_mean_0_and_variance_1():
+    dynamics = DynamicsModel(S, A, stack=(2,), std_floor=1e-3)
+    x = torch.randn(2, 500, S) * torch.tensor([0.1, 1.0, 10.0, 100.0]) + 7
+    assert torch.equal(dynamics.standardise(x), x)  # nothing is known yet
+    dynamics.update_statistics(x)
+    z = dynamics.standardise(x)
+    torch.testing.assert_close(z.mean(1), torch.zeros(2, S), rtol=0, atol=1e-3)
+    torch.testing.assert_close(z.var(1, unbiased=False), torch.ones(2, S), rtol=1e-3, atol=0)
+
+
+def test_the_floor_bounds_a_feature_that_appears_for_the_first_time():
+    dynamics = DynamicsModel(2, 1, std_floor=0.05)
+    x = torch.zeros(10_000, 2)
+    x[:, 0] = torch.randn(10_000)
+    dynamics.update_statistics(x)
+    appears = torch.tensor([[0.0, 1.0]])
+    assert dynamics.standardise(appears)[0, 1] == pytest.approx(1 / 0.05)
+    dynamics.update_statistics(appears)  # its own std would be .01
+    assert dynamics.var[1].sqrt() == pytest.approx(0.01, rel=1e-2)
+    assert dynamics.standardise(appears)[0, 1] == pytest.approx(1 / 0.05, rel=1e-3)
+
+
+def test_statistics_are_buffers_that_learning_does_not_touch():
+    dynamics = model((2,))
+    assert {name for name, _ in dynamics.named_parameters()} == {
+        "network.posterior.mu",
+        "network.posterior.rho",
+    }
+    before = dynamics.mean.clone()
+    dynamics(torch.randn(2, 5, S), torch.zeros(2, 5).long(), "draw").sum().backward()
+    assert torch.equal(dynamics.mean, before)
+    assert not dynamics.mean.requires_grad
+
+
+def test_states_round_trip():
+    dynamics, other = model((2,)), DynamicsModel(S, A, (8,), stack=(2,))
+    other.load_state_dict(dynamics.state_dict())
+    x, action = torch.randn(2, 5, S), torch.randint(A, (2, 5))
+    assert torch.equal(dynamics(x, action), other(x, action))
+    assert torch.equal(dynamics.count, other.count)
+    dynamics.update_statistics(x)
+    other.update_statistics(x)
+    assert torch.equal(dynamics.var, other.var)
+
+
+def test_resetting_the_parameters_leaves_the_statistics():
+    dynamics = model()
+    mu, mean = dynamics.network.posterior.mu.clone(), dynamics.mean.clone()
+    dynamics.reset_parameters()
+    assert not torch.equal(dynamics.network.posterior.mu, mu)
+    assert torch.equal(dynamics.mean, mean)
+
+
+# -- prediction ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("rows", [(6,), (2, 3)])
+def test_it_predicts_from_standardised_state_and_one_hot_action(stack, rows):
+    dynamics = model(stack, dtype=torch.double)
+    x = torch.randn(*stack, *rows, S, dtype=torch.double)
+    action = torch.randint(A, (*stack, *rows))
+    out = dynamics(x, action, "mean")
+    assert out.shape == (*stack, *rows, S)
+    weights = elements(dynamics.network.posterior.mu.detach(), stack)
+    mean, std = elements(dynamics.mean, stack), elements(dynamics.var, stack).sqrt()
+    for k, (xs, actions) in enumerate(
+        zip(elements(x, stack), elements(action, stack), strict=True)
+    ):
+        (w1, b1), (w2, b2) = dynamics.network.layout.unflatten(weights[k])
+        one_hot = torch.nn.functional.one_hot(actions, A).double()
+        read = torch.cat([(xs - mean[k]) / std[k], one_hot], -1)
+        expected = (read @ w1 + b1).relu() @ w2 + b2
+        torch.testing.assert_close(elements(out, stack)[k], expected)
+
+
+@pytest.mark.parametrize("stack", [(), (3,)])
+def test_every_form_of_an_action_is_understood(stack):
+    dynamics = model(stack)
+    x, index = torch.randn(*stack, 6, S), torch.randint(A, (*stack, 6))
+    expected = dynamics(x, index)
+    one_hot = torch.nn.functional.one_hot(index, A)
+    for action in (index.unsqueeze(-1), index.int(), one_hot, one_hot.bool(), one_hot.float()):
+        assert torch.equal(dynamics(x, action), expected)
+
+
+def test_a_single_action_and_a_continuous_one():
+    x = torch.randn(6, S)
+    single = DynamicsModel(S, 1)
+    assert torch.equal(single.encode_action(torch.zeros(6, 1).long(), (6,)), torch.ones(6, 1))
+    force = torch.randn(6, 1)
+    assert torch.equal(single.inputs(x, force)[:, -1:], force)
+
+
+def test_observations_may_be_of_any_dtype():
+    dynamics = DynamicsModel(S, A)
+    bits = torch.rand(6, S) < 0.5
+    action = torch.zeros(6).long()
+    assert torch.equal(dynamics(bits, action), dynamics(bits.float(), action))
+
+
+def test_draws_differ_and_the_mean_does_not():
+    dynamics = model((2,))
+    x, action = torch.randn(2, 5, S), torch.zeros(2, 5).long()
+    assert not torch.equal(dynamics(x, action, "draw"), dynamics(x, action, "draw"))
+    assert torch.equal(dynamics(x, action, "mean"), dynamics(x, action, "mean"))
+    given = dynamics.network.draw_weights()
+    assert torch.equal(dynamics(x, action, weights=given), dynamics(x, action, weights=given))
+
+
+# -- errors ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"noise_std": 0.0}, "noise_std must be positive and finite, got 0.0"),
+        ({"noise_std": float("nan")}, "noise_std must be positive"),
+        ({"std_floor": -1.0}, "std_floor must be positive and finite, got -1.0"),
+        ({"prior_std": 0.0}, "prior_std must be positive"),
+        ({"mean_init": "ones"}, "mean_init must be one of"),
+        ({"std_init": 0.0}, "std_init must be positive"),
+    ],
+)
+def test_bad_settings_are_named(settings, message):
+    with pytest.raises(ValueError, match=message):
+        DynamicsModel(S, A, **settings)
+
+
+def test_sizes_must_be_positive():
+    with pytest.raises(ValueError, match="observation_size must be at least 1, got 0"):
+        DynamicsModel(0, A)
+    with pytest.raises(ValueError, match="action_size must be at least 1, got -1"):
+        DynamicsModel(S, -1)
+
+
+def test_shapes_that_do_not_fit_are_named():
+    dynamics = DynamicsModel(S, A, stack=(2,))
+    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*rows, 4\]"):
+        dynamics.standardise(torch.zeros(3, 5, S))
+    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*rows, 4\]"):
+        dynamics.update_statistics(torch.zeros(2, 5, S + 1))
+    with pytest.raises(ValueError, match=r"action must be an index of shape \[2, 5\] or .*2, 5, 3"):
+        dynamics(torch.zeros(2, 5, S), torch.zeros(2, 4).long())
+    with pytest.raises(ValueError, match="action must be an index"):
+        dynamics(torch.zeros(2, 5, S), torch.zeros(2, 5))  # an index must not be floating
+
+
+def test_its_weights_can_be_those_of_any_stack_element():
+    # the stack is nothing but models side by side
+    dynamics = model((3,), dtype=torch.double)
+    x, action = torch.randn(3, 5, S, dtype=torch.double), torch.randint(A, (3, 5))
+    out = dynamics(x, action)
+    for k in range(3):
+        single = DynamicsModel(S, A, (8,), dtype=torch.double)
+        state = {
+            name: v if name.endswith("prior_rho") else v[k]
+            for name, v in dynamics.state_dict().items()
+        }
+        single.load_state_dict(state)
+        torch.testing.assert_close(single(x[k], action[k]), out[k])
