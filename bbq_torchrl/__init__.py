@@ -1,8 +1,9 @@
 """BBQ-Networks (AAAI 2018) as native TorchRL parts.
 
-The sub-packages bear TorchRL's names: ``envs``, ``modules``, ``objectives``, ``data``,
-``trainers``. ``domains`` and ``simulator`` hold what a dialogue is about and how the user in it
-behaves; ``evaluation`` measures trained agents; ``options`` are what the command line can choose.
+``bayes``, ``networks``, ``exploration``, ``objectives``, ``data`` and ``vime`` are parts for any
+TorchRL project; ``domains`` and ``simulator`` hold what a dialogue is about and how the user in it
+behaves, ``envs`` makes an environment of them; ``trainers`` play and learn, ``evaluation`` measures
+trained agents, and ``options`` are what the command line can choose.
 :func:`load_run` returns a finished run as environment, policy and configuration.
 """
 

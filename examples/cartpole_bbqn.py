@@ -26,7 +26,7 @@ from torchrl.objectives import SoftUpdate
 
 from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, ThompsonSampling
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
 
 Agent = Literal["bbqn", "dqn"]
@@ -62,9 +62,9 @@ def make_agent(agent: Agent, env: TransformedEnv, frames: int) -> tuple[Any, Any
     """
     if agent == "bbqn":
         net = BayesMLP(4, 2, HIDDEN, prior_std="fan_in", mean_init="kaiming", std_init=0.03)
-        actor = q_network(net, env.action_spec, action_mask_key=None)
+        actor = q_actor(net, env.action_spec, action_mask_key=None)
         return actor, ThompsonSampling(actor), BBQNLoss(actor, gamma=GAMMA, noise_std=1.0)
-    actor = q_network(MLP(4, 2, HIDDEN), env.action_spec, action_mask_key=None)
+    actor = q_actor(FlatMLP(4, 2, HIDDEN), env.action_spec, action_mask_key=None)
     dither = EGreedyModule(env.action_spec, eps_end=0.05, annealing_num_steps=frames // 4)
     return actor, TensorDictSequential(Greedy(actor), dither), DropoutDQNLoss(actor, gamma=GAMMA)
 
@@ -84,16 +84,16 @@ def train(agent: Agent, frames: int, seed: int, *, every: int = 2000) -> float:
     env, test_env = make_env(seed), make_env(seed + 10_000)
     actor, explore, loss = make_agent(agent, env, frames)
     target = SoftUpdate(loss, tau=0.005)
-    optimiser = torch.optim.Adam(loss.parameters(), 1e-3, fused=True)
+    optimizer = torch.optim.Adam(loss.parameters(), 1e-3, fused=True)
     updates = frames * UPDATES_PER_BATCH // FRAMES_PER_BATCH
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, updates)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
     buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(frames), batch_size=64)
     collector = Collector(
         env,
         explore,
         frames_per_batch=FRAMES_PER_BATCH,
         total_frames=frames,
-        auto_register_policy_transforms=True,  # marks where episodes begin, as per="dialogue" needs
+        auto_register_policy_transforms=True,  # marks where episodes begin, as per="episode" needs
     )
     policy = EvaluationPolicy(actor)  # the mean network
     seen = 0
@@ -105,9 +105,9 @@ def train(agent: Agent, frames: int, seed: int, *, every: int = 2000) -> float:
             explore[-1].step(batch.numel())  # ε falls
         for _ in range(UPDATES_PER_BATCH):
             out = loss(buffer.sample())
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             out["loss"].backward()
-            optimiser.step()
+            optimizer.step()
             schedule.step()
             target.step()
         before, seen = seen, seen + batch.numel()

@@ -23,7 +23,7 @@ from torchrl.modules import EGreedyModule
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.exploration import Greedy
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss, VIMEReward
 
@@ -46,7 +46,7 @@ def main() -> None:
 
     env = TransformedEnv(GymEnv("CartPole-v1", categorical_action_encoding=True), RewardSum())
     env.set_seed(args.seed)
-    actor = q_network(MLP(4, 2, (128, 128)), env.action_spec, action_mask_key=None)
+    actor = q_actor(FlatMLP(4, 2, (128, 128)), env.action_spec, action_mask_key=None)
     epsilon = EGreedyModule(env.action_spec, eps_end=0.05, annealing_num_steps=args.frames // 4)
     policy = TensorDictSequential(Greedy(actor), epsilon)
 
@@ -59,7 +59,7 @@ def main() -> None:
     q_loss = DropoutDQNLoss(actor, gamma=0.99, loss_function="smooth_l1")
     loss = VIMELoss(q_loss, DynamicsLoss(dynamics))
     freeze = HardUpdate(loss, value_network_update_interval=100)
-    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    optimizer = torch.optim.Adam(loss.parameters(), lr=1e-3)
 
     returns: list[float] = []
     collector = Collector(
@@ -75,9 +75,9 @@ def main() -> None:
         loss.set_num_data(len(memory))
         for _ in range(args.updates_per_batch):
             losses = loss(memory.sample())
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             losses["loss"].backward()
-            optimiser.step()
+            optimizer.step()
             freeze.step()
         returns += rows["next", "episode_reward"][rows["next", "done"]].tolist()
         if (number + 1) % 20 == 0:

@@ -83,14 +83,14 @@ def values_of_successes(trainer: RoundTrainer) -> list[float]:
 
 def curve(trainer: RoundTrainer, epochs: int) -> Iterator[tuple[int, list[float]]]:
     """Yields the updates so far and the values at successes, at every freeze."""
-    update = Update(trainer.loss, trainer.optimiser)
+    update = Update(trainer.loss, trainer.optimizer)
     trainer.loss.set_num_data(trainer.replay.num_data())
     for epoch in range(epochs):
         if epoch % EPOCHS_A_FREEZE == 0:
             if epoch:
                 yield update.sums.updates[0], values_of_successes(trainer)
             trainer.target_updater.step()
-            trainer.replay.compute(("next", "frozen_value"), trainer.loss.frozen_values)
+            trainer.replay.compute(("next", "next_state_value"), trainer.loss.next_state_values)
         trainer.loss.begin_epoch()
         learn_epoch(update, trainer.replay.epoch(trainer.settings.batch_size))
     yield update.sums.updates[0], values_of_successes(trainer)

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from bbq_torchrl.bayes import BayesMLP, collect_kl
-from bbq_torchrl.networks import MLP
+from bbq_torchrl.networks import FlatMLP
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,36 +42,36 @@ def curve(count: int) -> tuple[Tensor, Tensor]:
     return x, x + 0.3 * moved.sin() + 0.3 * (2 * moved).sin() + noise
 
 
-def standardised(x: Tensor) -> Tensor:
+def standardized(x: Tensor) -> Tensor:
     """Returns x with the mean and the spread of [0, 0.5] taken off, as networks want it."""
     return (x - 0.25) / 0.144
 
 
 def train_bayesian(x: Tensor, y: Tensor, steps: int) -> BayesMLP:
-    """Returns a network that maximises the evidence bound, a weight draw a step."""
+    """Returns a network that maximizes the evidence bound, a weight draw a step."""
     net = BayesMLP(1, 1, HIDDEN, prior_std="fan_in", mean_init="kaiming", std_init=0.02)
-    optimiser = torch.optim.Adam(net.parameters(), 3e-3)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    optimizer = torch.optim.Adam(net.parameters(), 3e-3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for _ in range(steps):
         with collect_kl() as kl:
-            error = net(standardised(x), "draw") - y
+            error = net(standardized(x), "draw") - y
         loss = error.square().mean() / (2 * NOISE_STD**2) + kl.total() / len(x)
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss.backward()
-        optimiser.step()
+        optimizer.step()
         schedule.step()
     return net
 
 
-def train_plain(x: Tensor, y: Tensor, steps: int) -> MLP:
-    """Returns a network that minimises the squared error."""
-    net = MLP(1, 1, HIDDEN)
-    optimiser = torch.optim.Adam(net.parameters(), 3e-3)
+def train_plain(x: Tensor, y: Tensor, steps: int) -> FlatMLP:
+    """Returns a network that minimizes the squared error."""
+    net = FlatMLP(1, 1, HIDDEN)
+    optimizer = torch.optim.Adam(net.parameters(), 3e-3)
     for _ in range(steps):
-        loss = (net(standardised(x)) - y).square().mean()
-        optimiser.zero_grad()
+        loss = (net(standardized(x)) - y).square().mean()
+        optimizer.zero_grad()
         loss.backward()
-        optimiser.step()
+        optimizer.step()
     return net
 
 
@@ -79,7 +79,7 @@ def train_plain(x: Tensor, y: Tensor, steps: int) -> MLP:
 def draws(net: BayesMLP, x: Tensor, count: int = 500) -> Tensor:
     """Returns the curves of weight draws at x [n, 1], shape [count, n]."""
     weights = net.draw_weights((count,))
-    rows = standardised(x).expand(count, *x.shape)
+    rows = standardized(x).expand(count, *x.shape)
     return net(rows, weights=weights).squeeze(-1)
 
 
@@ -98,7 +98,7 @@ def draw_panel(axes: Axes, title: str, x: Tensor, y: Tensor) -> None:
     axes.legend(loc="upper left", frameon=False, fontsize=8)
 
 
-def draw_figure(out: Path, x: Tensor, y: Tensor, bayesian: BayesMLP, plain: MLP) -> None:
+def draw_figure(out: Path, x: Tensor, y: Tensor, bayesian: BayesMLP, plain: FlatMLP) -> None:
     """Saves the figure: quantiles of the Bayesian network's draws beside the plain network."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
@@ -115,7 +115,7 @@ def draw_figure(out: Path, x: Tensor, y: Tensor, bayesian: BayesMLP, plain: MLP)
     draw_panel(left, "Bayes by Backprop", x, y)
     left.set_ylabel("y")
     with torch.no_grad():
-        right.plot(at, plain(standardised(grid)).squeeze(-1), color="C3", label="prediction")
+        right.plot(at, plain(standardized(grid)).squeeze(-1), color="C3", label="prediction")
     draw_panel(right, "Plain network", x, y)
     figure.tight_layout()
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 
 from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.networks import q_network
+from bbq_torchrl.networks import q_actor
 
 FEATURES, ACTIONS = 5, 6
 
@@ -15,7 +15,7 @@ FEATURES, ACTIONS = 5, 6
 def bayes_actor(stack=(), hidden=(16,)):
     """An actor at the prior with a spread that makes its actions vary."""
     net = BayesMLP(FEATURES, ACTIONS, hidden, stack=stack, prior_std=1.0)
-    return q_network(net, Categorical(ACTIONS))
+    return q_actor(net, Categorical(ACTIONS))
 
 
 def observations(*batch, same=True):

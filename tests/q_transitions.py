@@ -8,7 +8,7 @@ from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.networks import MLP, BootstrapMLP, NoisyMLP, bootstrap_actor, q_network
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, bootstrap_actor, q_actor
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
 FEATURES, ACTIONS, BATCH, HEADS = 5, 4, 32, 3
@@ -48,14 +48,14 @@ def bayes_loss(stack=(), *, hidden=(8, 8), dtype=torch.float, net=None, **settin
     with torch.no_grad():
         net.posterior.mu.normal_(0, 0.3)
         net.posterior.rho.uniform_(-3, -1)
-    loss = BBQNLoss(q_network(net, Categorical(ACTIONS)), **{"num_data": 100, **settings})
+    loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), **{"num_data": 100, **settings})
     return _away(loss)
 
 
 def plain_loss(stack=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **settings):
     """A DQN loss whose target lies away from the network."""
-    net = MLP(FEATURES, ACTIONS, hidden, stack=stack, dropout=dropout, dtype=dtype)
-    loss = DropoutDQNLoss(q_network(net, Categorical(ACTIONS)), **settings)
+    net = FlatMLP(FEATURES, ACTIONS, hidden, stack=stack, dropout=dropout, dtype=dtype)
+    loss = DropoutDQNLoss(q_actor(net, Categorical(ACTIONS)), **settings)
     return _away(loss)
 
 
@@ -77,7 +77,7 @@ def heads_loss(stack=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0, *
 def noisy_loss(stack=(), *, hidden=(), dtype=torch.float, kind=NoisyDQNLoss, **settings):
     """A NoisyNet loss whose target lies away from the network; one layer unless told."""
     net = NoisyMLP(FEATURES, ACTIONS, hidden, stack=stack, dtype=dtype)
-    loss = kind(q_network(net, Categorical(ACTIONS)), **settings)
+    loss = kind(q_actor(net, Categorical(ACTIONS)), **settings)
     return _away(loss)
 
 

@@ -1,7 +1,7 @@
 """Multi-layer perceptrons on one flat weight vector, with hand-written gradients.
 
 A network's weights are one vector [*stack, P] = (W₁, b₁, W₂, b₂, …), W_l of shape
-[inputs, outputs]. One vector means one draw, one KL, one optimiser entry and one gradient
+[inputs, outputs]. One vector means one draw, one KL, one optimizer entry and one gradient
 buffer for the whole network; the layers are views of it. The gradient of all layers is written
 into one vector by matrix products with ``out=``: autograd's own way (a slice per layer) would
 fill a vector of zeros for each layer and add them up.

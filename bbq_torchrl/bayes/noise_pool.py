@@ -31,7 +31,7 @@ class noise_pool(Context):
     of it at a random place (the noise table of Salimans et al. 2017, "Evolution Strategies as a
     Scalable Alternative to Reinforcement Learning"). Each draw is of independent standard normal
     numbers; two draws may share some of them, at different weights. Networks share none.
-    Dropout (of :class:`~bbq_torchrl.networks.MLP`), a tenth of the time of a DQN update, takes what
+    Dropout (of :class:`~bbq_torchrl.networks.FlatMLP`), a tenth of a DQN update, takes what
     it keeps from a pool of as many batches in the same way.
 
     Draws with more dimensions than the stack (one for each dialogue, say) are not concerned, nor

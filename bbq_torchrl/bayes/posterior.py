@@ -1,4 +1,4 @@
-"""The factorised Gaussian over a network's weights, its draws and its KL divergence."""
+"""The factorized Gaussian over a network's weights, its draws and its KL divergence."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class GaussianPosterior(nn.Module):
     All weights lie in one vector, so that a draw, its KL and their gradients are a few passes
     over it; both gradients are written by hand (closed KL, after Blundell et al. 2015) and σ is
     computed once for the two. Where σ = p and μ = 0 the closed KL has a gradient of exactly 0,
-    so that weights which no data reach stay bitwise at the prior under any optimiser.
+    so that weights which no data reach stay bitwise at the prior under any optimizer.
 
     Args:
         group_sizes: how many weights each group (for an MLP: layer) has; P is their sum.

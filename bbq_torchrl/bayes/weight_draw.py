@@ -26,7 +26,7 @@ KL_KINDS: tuple[str, ...] = get_args(KLKind)
 _LEAST_RATIO = 1e-18
 
 # σ/p - p/σ counts as zero up to this many machine epsilons: softplus of the very same ρ may
-# differ in the last bits between the vectorised part of a loop and its remainder.
+# differ in the last bits between the vectorized part of a loop and its remainder.
 _SAME_STD = 32.0
 
 # How many weights the passes below work on at a time: half a megabyte a vector, so that the

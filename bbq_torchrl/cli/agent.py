@@ -35,7 +35,7 @@ class Agent:
     Attributes:
         actor: the Q-network and its choice of an action.
         loss: what is learned.
-        optimiser: moves the loss's parameters.
+        optimizer: moves the loss's parameters.
         policy: acts with exploration.
         metrics: what of the exploration is worth a column of the metrics; one number, or
             [replicas].
@@ -44,7 +44,7 @@ class Agent:
 
     actor: QValueActor
     loss: LossModule
-    optimiser: ReplicaOptimizer
+    optimizer: ReplicaOptimizer
     policy: TensorDictModuleBase
     metrics: dict[str, Callable[[], float | Tensor]] = field(default_factory=dict)
     transform: Transform | None = None

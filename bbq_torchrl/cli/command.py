@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator
 
-__all__ = ["REFUSED", "Refusal", "command", "prepare"]
+__all__ = ["REFUSED", "UsageError", "command", "prepare"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -68,10 +68,10 @@ REFUSED = 2
 
 Task = Callable[[Config, Path], float]
 Check = Callable[[Config], None]
-ClearErrors = Callable[[], "tuple[type[Exception], ...]"]
+UsageErrors = Callable[[], "tuple[type[Exception], ...]"]
 
 
-class Refusal(CompactHydraException):
+class UsageError(CompactHydraException):
     """A job that stopped for a reason that its text says; Hydra prints it without a traceback."""
 
 
@@ -79,13 +79,13 @@ class _Stopped(BaseException):
     """Carries a refusal past Hydra, which would add to what it says."""
 
 
-def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callable[[], None]]:
+def command(check: Check, usage_errors: UsageErrors) -> Callable[[Task], Callable[[], None]]:
     """Makes a training function the main function of a command line.
 
     Args:
         check: what else to check of a configuration before anything runs, such as its device and
             its corpus; raises ``ValueError`` or ``OSError``.
-        clear_errors: returns the exceptions of a run whose text is enough for a person.
+        usage_errors: returns the exceptions of a run whose text is enough for a person.
 
     Returns:
         a decorator for a function from configuration and run folder to the final success rate,
@@ -109,12 +109,12 @@ def command(check: Check, clear_errors: ClearErrors) -> Callable[[Task], Callabl
             except interruption.Interrupted:
                 if not swept:
                     raise
-                raise Refusal(interruption.line()) from None  # the other jobs end in good order
+                raise UsageError(interruption.line()) from None  # the other jobs end in good order
             except Exception as error:
                 if swept:  # Hydra reports the first job that fails, at the end; the log has each
                     _LOG.error("this run failed: %s", sentence(error) or type(error).__name__)
-                if isinstance(error, (ConfigError, OSError, *clear_errors())):
-                    refusal = Refusal(sentence(error))
+                if isinstance(error, (ConfigError, OSError, *usage_errors())):
+                    refusal = UsageError(sentence(error))
                     raise refusal if swept else _Stopped(refusal) from error
                 raise
 

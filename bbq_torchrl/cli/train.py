@@ -22,7 +22,7 @@ def _check(config: Config) -> None:
     checks.check(config)
 
 
-def _clear_errors() -> tuple[type[Exception], ...]:
+def _usage_errors() -> tuple[type[Exception], ...]:
     """Returns the errors of a run whose text is enough for a person."""
     from bbq_torchrl.trainers import (
         CheckpointDamagedError,
@@ -34,7 +34,7 @@ def _clear_errors() -> tuple[type[Exception], ...]:
     return NonFiniteLossError, CheckpointDamagedError, CheckpointMismatchError, SpikeError
 
 
-@command(_check, _clear_errors)
+@command(_check, _usage_errors)
 def main(config: Config, run_folder: Path) -> float:
     """Trains, evaluates, and writes the run folder. Returns the final success rate."""
     from bbq_torchrl.run import run

@@ -61,7 +61,7 @@ def build_trainer(
             transform=agent.transform,
             device=config.device,
         ),
-        agent.optimiser,
+        agent.optimizer,
         HardUpdate(agent.loss, value_network_update_interval=0),
         RoundSettings(
             rounds=protocol.rounds,
@@ -85,7 +85,7 @@ def build_trainer(
         loggers=config.logger.make(run_folder, resume=config.resume is not None),
         callbacks=callbacks,
         evaluator=_evaluator(config, domain, agent),
-        gauges={**agent.metrics, **_own_values(config)},
+        round_metrics={**agent.metrics, **_own_values(config)},
         described=description(config),
     )
     return trainer, agent
@@ -128,7 +128,7 @@ def _evaluator(config: Config, domain: Domain | None, agent: Agent) -> RoundEval
 
 
 def _own_values(config: Config) -> dict[str, Callable[[], torch.Tensor]]:
-    """Returns gauges of the keys that have a list, so that the metrics say whose value is which."""
+    """Returns the keys that have a list as metrics, which say whose value is which."""
     per_replica = replica_values(config)
     columns = {
         key: torch.tensor([values[key] for values in per_replica], dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Imports the public MiuLab movie-booking corpus (TC-Bot, MIT licence) without trusting it.
+"""Imports the public MiuLab movie-booking corpus (TC-Bot, MIT license) without trusting it.
 
 The corpus is a folder of Python 2 pickles. A pickle is a program: loaded plainly it can run
 anything. The reader here refuses every global, so that nothing but dicts, lists, texts and
@@ -57,7 +57,7 @@ def load_miulab(
 
     Acts, slots, actions and policies are those of our movie domain. Blank values, of which the
     corpus has a few, count as absent. A value that only a goal has is allowed: the corpus is not
-    normalised, and some goals cannot be met.
+    normalized, and some goals cannot be met.
 
     Some of the public files hold a few entries that are none: goals that constrain and request the
     same slot, slots that no list of slots has. They are left out, and ``skipped`` of the domain

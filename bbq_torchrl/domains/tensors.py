@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.domain import Action, Domain
 
-__all__ = ["DomainTensors", "build_vocabulary", "tensorise"]
+__all__ = ["DomainTensors", "build_vocabulary", "tensorize"]
 
 
 @dataclass(frozen=True)
@@ -109,12 +109,12 @@ def build_vocabulary(domain: Domain) -> tuple[tuple[str, ...], ...]:
     return tuple((*head, *known.values()) for known in texts)
 
 
-def tensorise(domain: Domain) -> DomainTensors:
+def tensorize(domain: Domain) -> DomainTensors:
     """Returns ``domain`` as tensors of ids, on the CPU.
 
     Example:
         >>> from bbq_torchrl.domains import movie_domain
-        >>> tensors = tensorise(movie_domain())
+        >>> tensors = tensorize(movie_domain())
         >>> tensors.n_acts, tensors.n_slots, tensors.n_actions
         (11, 29, 39)
     """

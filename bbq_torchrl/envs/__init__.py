@@ -5,13 +5,13 @@ from __future__ import annotations
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.envs.schedule import ExtensionSchedule
-from bbq_torchrl.envs.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
+from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
 
 __all__ = [
     "CarefulPolicy",
     "DialogueEnv",
     "ExtensionSchedule",
-    "RandomPolicy",
     "SequencePolicy",
+    "UniformPolicy",
     "scripted_policy",
 ]

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from bbq_torchrl.domains import tensorise
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs.turns import TurnProgram
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 
@@ -98,7 +98,7 @@ class DialogueEnv(EnvBase):
         super().__init__(device=_present(device), batch_size=torch.Size(batch_size))
         if slot_error_prob is None:
             slot_error_prob = domain.reference_slot_error_prob
-        tensors = tensorise(domain)
+        tensors = tensorize(domain)
         self.domain = domain
         self.schedule = schedule
         if schedule is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.envs.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
+from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
@@ -40,7 +40,7 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
     """
     domain: Domain = env.domain
     if name == RANDOM_POLICY:
-        return RandomPolicy()
+        return UniformPolicy()
     if name not in domain.policies:
         raise ValueError(
             f"policy must be one of {', '.join((RANDOM_POLICY, *domain.policies))}, got {name!r}"

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from tensordict import NestedKey, TensorDictBase
 
-__all__ = ["CarefulPolicy", "RandomPolicy", "SequencePolicy"]
+__all__ = ["CarefulPolicy", "SequencePolicy", "UniformPolicy"]
 
 
 class SequencePolicy(TensorDictModuleBase):
@@ -153,8 +153,8 @@ class CarefulPolicy(TensorDictModuleBase):
         return tensordict.set(self.action_key, action)
 
 
-class RandomPolicy(TensorDictModuleBase):
-    """Plays a legal action, all alike. Unlike TorchRL's ``RandomPolicy`` it reads the mask.
+class UniformPolicy(TensorDictModuleBase):
+    """Plays a legal action, all alike. Unlike TorchRL's ``UniformPolicy`` it reads the mask.
 
     Args:
         mask_key: bool ``[*batch, N]``, the legal actions, at least one.
@@ -163,7 +163,7 @@ class RandomPolicy(TensorDictModuleBase):
     Example:
         >>> from tensordict import TensorDict
         >>> mask = torch.tensor([[False, True, False]])
-        >>> RandomPolicy()(TensorDict(action_mask=mask, batch_size=[1]))["action"]
+        >>> UniformPolicy()(TensorDict(action_mask=mask, batch_size=[1]))["action"]
         tensor([1])
     """
 

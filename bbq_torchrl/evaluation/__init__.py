@@ -19,7 +19,7 @@ from bbq_torchrl.evaluation.statistics import (
     interquartile_mean,
     paired_differences,
     probability_of_improvement,
-    summarise,
+    summarize,
 )
 
 __all__ = [
@@ -38,5 +38,5 @@ __all__ = [
     "read_metrics",
     "read_result",
     "rounds_to_reach",
-    "summarise",
+    "summarize",
 ]

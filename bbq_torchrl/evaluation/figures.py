@@ -19,8 +19,8 @@ __all__ = ["Curves", "draw_comparison", "draw_run", "moving_average"]
 WINDOW = 10
 """Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
 
-# Okabe and Ito's colours, told apart by colour-blind readers too.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# Okabe and Ito's colors, told apart by color-blind readers too.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 
 @dataclass(frozen=True)
@@ -78,20 +78,20 @@ def draw_run(
     figure, axes = _axes()
     groups = [curves] if isinstance(curves, Curves) else list(curves)
     rounds = np.arange(len(groups[0].success))
-    for group, colour in zip(groups, _colours(len(groups)), strict=True):
+    for group, color in zip(groups, _colors(len(groups)), strict=True):
         if group.evaluated is None:
-            _draw_group(axes, group, colour, band=False)
+            _draw_group(axes, group, color, band=False)
         else:
-            _draw_evaluated(axes, group, colour)
+            _draw_evaluated(axes, group, color)
         # Of one group the final evaluation stands out, of several it belongs to the group.
-        final = COLOURS[1] if len(groups) == 1 else colour
+        final = COLORS[1] if len(groups) == 1 else color
         if group.final.size:
             mean = float(np.mean(group.final))
             at = np.full(group.final.size, rounds[-1] + 1)
             axes.plot(at, group.final, "o", ms=5, color=final)
             axes.axhline(mean, color=final, lw=1, ls="--", label=f"final evaluation: {mean:.3f}")
     if spiked is not None:
-        axes.plot([0], [0], "^", color=COLOURS[2], ms=8, clip_on=False, label=spiked, zorder=5)
+        axes.plot([0], [0], "^", color=COLORS[2], ms=8, clip_on=False, label=spiked, zorder=5)
     for start, slot in (extensions or {}).items():
         if start <= rounds[-1]:
             axes.axvline(start, color="0.6", lw=0.8, ls=":")
@@ -109,18 +109,18 @@ def draw_comparison(file: Path, groups: Sequence[Curves], *, title: str) -> None
         groups: at most seven, one for each setting.
         title: the heading.
     """
-    if not 1 <= len(groups) <= len(COLOURS):
-        raise ValueError(f"between 1 and {len(COLOURS)} groups can be drawn, got {len(groups)}")
+    if not 1 <= len(groups) <= len(COLORS):
+        raise ValueError(f"between 1 and {len(COLORS)} groups can be drawn, got {len(groups)}")
     figure, axes = _axes()
-    for group, colour in zip(groups, COLOURS, strict=False):
-        _draw_group(axes, group, colour, band=True)
+    for group, color in zip(groups, COLORS, strict=False):
+        _draw_group(axes, group, color, band=True)
     _finish(figure, axes, file, title)
 
 
-def _colours(count: int) -> Sequence[Any]:
-    """Colours of groups; of many, ones that follow their order."""
-    if count <= len(COLOURS):
-        return COLOURS[:count]
+def _colors(count: int) -> Sequence[Any]:
+    """Colors of groups; of many, ones that follow their order."""
+    if count <= len(COLORS):
+        return COLORS[:count]
     from matplotlib import colormaps
 
     return [colormaps["viridis"](place) for place in np.linspace(0, 0.95, count)]
@@ -136,35 +136,35 @@ def _axes() -> tuple[Any, Any]:
     return figure, figure.add_subplot()
 
 
-def _draw_group(axes: Any, group: Curves, colour: str, *, band: bool) -> None:
+def _draw_group(axes: Any, group: Curves, color: str, *, band: bool) -> None:
     success = np.asarray(group.success, dtype=float)
     rounds = np.arange(len(success))
     smooth = moving_average(success)
     seeds = success.shape[1]
     # A single run shows its raw rounds; several seeds would hide each other that way.
-    axes.plot(rounds, success if seeds == 1 else smooth, color=colour, lw=0.7, alpha=0.35)
+    axes.plot(rounds, success if seeds == 1 else smooth, color=color, lw=0.7, alpha=0.35)
     noun = "1 seed" if seeds == 1 else f"{seeds} seeds"
     label = f"{group.label} ({noun}, mean of {WINDOW} rounds)"
-    axes.plot(rounds, smooth.mean(1), color=colour, lw=2.2, label=label)
+    axes.plot(rounds, smooth.mean(1), color=color, lw=2.2, label=label)
     if band and seeds >= MIN_BOOTSTRAP:
         bounds = np.array([_bounds(row) for row in smooth])
-        axes.fill_between(rounds, bounds[:, 0], bounds[:, 1], color=colour, alpha=0.15, lw=0)
+        axes.fill_between(rounds, bounds[:, 0], bounds[:, 1], color=color, alpha=0.15, lw=0)
 
 
-def _draw_evaluated(axes: Any, group: Curves, colour: Any) -> None:
+def _draw_evaluated(axes: Any, group: Curves, color: Any) -> None:
     success = np.asarray(group.success, dtype=float)
     training = moving_average(success).mean(1)
     label = f"training, with exploration (mean of {WINDOW} rounds)"
-    axes.plot(np.arange(len(success)), training, color=colour, lw=1, alpha=0.4, label=label)
+    axes.plot(np.arange(len(success)), training, color=color, lw=1, alpha=0.4, label=label)
     rates = np.asarray(group.evaluated, dtype=float)
     rounds = np.flatnonzero(~np.isnan(rates[:, 0]))
     seeds = rates.shape[1]
     # What is evaluated has learned from the round already: it stands at the round's end.
     if seeds > 1:
-        axes.plot(rounds + 1, rates[rounds], color=colour, lw=0.7, alpha=0.35)
+        axes.plot(rounds + 1, rates[rounds], color=color, lw=0.7, alpha=0.35)
     noun = "1 seed" if seeds == 1 else f"{seeds} seeds"
     label = f"{group.label} ({noun}, evaluated)"
-    axes.plot(rounds + 1, rates[rounds].mean(1), "o-", ms=3, color=colour, lw=2.2, label=label)
+    axes.plot(rounds + 1, rates[rounds].mean(1), "o-", ms=3, color=color, lw=2.2, label=label)
 
 
 def _bounds(row: Any) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bbq_torchrl.evaluation.learning import areas
-from bbq_torchrl.evaluation.statistics import Summary, paired_differences, summarise
+from bbq_torchrl.evaluation.statistics import Summary, paired_differences, summarize
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -77,7 +77,7 @@ def pair(one: Group, other: Group) -> Pairing:
     if pairs == 0:
         return Pairing(one, other, remark=NO_PARTNER)
     differences = {
-        name: summarise(
+        name: summarize(
             paired_differences(
                 dict(zip(one.members, minuend, strict=True)),
                 dict(zip(other.members, subtrahend, strict=True)),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torchrl.envs.utils import ExplorationType
 
-from bbq_torchrl.trainers import Outcomes, Policy, derive_seed, outcomes, play_dialogues
+from bbq_torchrl.trainers import EpisodeStats, Policy, derive_seed, outcomes, play_dialogues
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,7 +26,7 @@ def evaluate(
     seed: int = 0,
     max_steps: int = 1000,
     exploration: ExplorationType = ExplorationType.DETERMINISTIC,
-) -> Outcomes:
+) -> EpisodeStats:
     """Plays exactly so many dialogues, each to its end, and returns how they went.
 
     Dialogues run side by side in lockstep, so that long ones count as much as short ones.
@@ -46,7 +46,7 @@ def evaluate(
         env, policy, dialogues, seed=seed, max_steps=max_steps, exploration=exploration
     )
     played = [outcomes(rollout) for rollout in rollouts]
-    return Outcomes(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))
+    return EpisodeStats(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))
 
 
 def evaluation_rollouts(

@@ -13,11 +13,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.evaluation.figures import COLOURS, Curves, draw_comparison
+from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison
 from bbq_torchrl.evaluation.groups import Group, find_results, read_groups
 from bbq_torchrl.evaluation.learning import learning
 from bbq_torchrl.evaluation.pairs import Pairing, pairings
-from bbq_torchrl.evaluation.statistics import Summary, summarise
+from bbq_torchrl.evaluation.statistics import Summary, summarize
 from bbq_torchrl.evaluation.tables import (
     LEARNING_NOTE,
     NOTE,
@@ -61,9 +61,9 @@ def write_report(groups: Sequence[Group], folder: Path) -> str:
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures = []
-    for number, start in enumerate(range(0, len(groups), len(COLOURS)), 1):
+    for number, start in enumerate(range(0, len(groups), len(COLORS)), 1):
         figures.append(folder / ("curves.png" if number == 1 else f"curves_{number}.png"))
-        drawn = groups[start : start + len(COLOURS)]
+        drawn = groups[start : start + len(COLORS)]
         title = f"Training success: {setting_of(drawn)}"
         draw_comparison(figures[-1], [curves(group) for group in drawn], title=title)
     pictures = [f"![Training success by round]({figure.name})" for figure in figures]
@@ -102,7 +102,7 @@ def _row(group: Group) -> dict[str, Any]:
         "rounds": group.first.rounds,
     }
     for name, values in (("final_success", group.final), ("training_success", group.cumulative)):
-        row |= _summary(name, summarise(values))
+        row |= _summary(name, summarize(values))
     return row | {"reward": group.reward, "turns": group.turns}
 
 

@@ -27,7 +27,7 @@ __all__ = [
     "interquartile_mean",
     "paired_differences",
     "probability_of_improvement",
-    "summarise",
+    "summarize",
 ]
 
 Statistic = Literal["mean", "iqm"]
@@ -174,11 +174,11 @@ def estimate(
     return Estimate(value, low, high, data.size, "bootstrap")
 
 
-def summarise(values: Sequence[float]) -> Summary:
+def summarize(values: Sequence[float]) -> Summary:
     """Sums up a quantity over seeds, one value for each.
 
     Example:
-        >>> summary = summarise([0.7, 0.72, 0.74, 0.76, 0.78])
+        >>> summary = summarize([0.7, 0.72, 0.74, 0.76, 0.78])
         >>> print(summary.bootstrap, summary.t)
         0.740 [0.716, 0.764] 0.740 [0.701, 0.779]
     """

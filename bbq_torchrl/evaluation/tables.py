@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, Reach, learning
 from bbq_torchrl.evaluation.markdown import table
-from bbq_torchrl.evaluation.statistics import Estimate, probability_of_improvement, summarise
+from bbq_torchrl.evaluation.statistics import Estimate, probability_of_improvement, summarize
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -95,7 +95,7 @@ def success_table(groups: Iterable[Group]) -> str:
     )
     rows = []
     for group in groups:
-        final, training = summarise(group.final), summarise(group.cumulative)
+        final, training = summarize(group.final), summarize(group.cumulative)
         rows.append(
             (
                 group.label,

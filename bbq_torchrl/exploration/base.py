@@ -8,7 +8,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 __all__ = ["Per", "explores"]
 
-Per = Literal["step", "dialogue", "round"]
+Per = Literal["step", "episode", "round"]
 
 
 def explores() -> bool:

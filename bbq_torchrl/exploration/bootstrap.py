@@ -102,13 +102,13 @@ class BootstrapSampling(_OnHeads):
         actor: what :func:`~bbq_torchrl.networks.bootstrap_actor` returns.
 
     Keyword Args:
-        per: how long a head is acted on. "step": one action. "dialogue" (the paper): until the
-            row's next ``init_key``. "round": until :meth:`resample`. Defaults to "dialogue".
-        init_key: bool [*batch, 1] or [*batch], True where a row begins a dialogue (TorchRL's
-            ``InitTracker`` writes it); only read for per="dialogue". Without that entry heads
+        per: how long a head is acted on. "step": one action. "episode" (the paper): until the
+            row's next ``init_key``. "round": until :meth:`resample`. Defaults to "episode".
+        init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
+            ``InitTracker`` writes it); only read for per="episode". Without that entry heads
             stay until :meth:`resample`. Defaults to "is_init".
 
-    Held heads are drawn anew when the batch shape changes: other rows are other dialogues. The
+    Held heads are drawn anew when the batch shape changes: other rows are other episodes. The
     numbers come from torch's global generator, for all rows at each call that may need one, so
     that what a row draws never depends on when the others begin.
 
@@ -130,7 +130,7 @@ class BootstrapSampling(_OnHeads):
     """
 
     def __init__(
-        self, actor: QValueActor, *, per: Per = "dialogue", init_key: NestedKey = "is_init"
+        self, actor: QValueActor, *, per: Per = "episode", init_key: NestedKey = "is_init"
     ) -> None:
         if per not in get_args(Per):
             raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
@@ -161,7 +161,7 @@ class BootstrapSampling(_OnHeads):
         rows, held = values.shape[:-2], self._held
         begins = None
         if held is not None and held.shape == rows and self.per != "step":
-            begins = tensordict.get(self.init_key, None) if self.per == "dialogue" else None
+            begins = tensordict.get(self.init_key, None) if self.per == "episode" else None
             if begins is None:
                 return held
         drawn = torch.randint(values.shape[-2], rows, device=values.device)

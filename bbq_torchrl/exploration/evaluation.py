@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 import torch
 from tensordict.nn import TensorDictModuleBase
 
+from bbq_torchrl.bayes.layers import bayesian_layers
 from bbq_torchrl.bayes.weight_mode import given_weights, set_weight_mode
-from bbq_torchrl.exploration.thompson import bayesian_layers
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -50,8 +50,8 @@ class EvaluationPolicy(TensorDictModuleBase):
         >>> from torchrl.data import Categorical
         >>> from bbq_torchrl.bayes import BayesMLP
         >>> from bbq_torchrl.exploration import EvaluationPolicy
-        >>> from bbq_torchrl.networks import q_network
-        >>> actor = q_network(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> from bbq_torchrl.networks import q_actor
+        >>> actor = q_actor(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
         >>> policy = EvaluationPolicy(actor, mode="average")
         >>> td = TensorDict(observation=torch.ones(2, 3), batch_size=[2])
         >>> torch.equal(policy(td.clone())["action_value"], policy(td.clone())["action_value"])

@@ -30,8 +30,8 @@ class Greedy(TensorDictModuleBase):
         >>> from torchrl.modules import EGreedyModule
         >>> from bbq_torchrl.bayes import BayesMLP
         >>> from bbq_torchrl.exploration import Greedy
-        >>> from bbq_torchrl.networks import q_network
-        >>> actor = q_network(BayesMLP(3, 4), Categorical(4))
+        >>> from bbq_torchrl.networks import q_actor
+        >>> actor = q_actor(BayesMLP(3, 4), Categorical(4))
         >>> policy = TensorDictSequential(
         ...     Greedy(actor),
         ...     EGreedyModule(Categorical(4), 0.1, 0.1, action_mask_key="action_mask"),

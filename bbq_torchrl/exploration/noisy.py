@@ -39,8 +39,8 @@ class NoisySampling(TensorDictModuleBase):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from bbq_torchrl.exploration import NoisySampling
-        >>> from bbq_torchrl.networks import NoisyMLP, q_network
-        >>> actor = q_network(NoisyMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> from bbq_torchrl.networks import NoisyMLP, q_actor
+        >>> actor = q_actor(NoisyMLP(3, 4), Categorical(4), action_mask_key=None)
         >>> td = TensorDict(observation=torch.ones(50, 3), batch_size=[50])
         >>> NoisySampling(actor)(td)["action_value"].unique(dim=0).shape
         torch.Size([50, 4])

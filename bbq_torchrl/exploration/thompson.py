@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, get_args
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from bbq_torchrl.bayes.bayes_mlp import BayesMLP
+from bbq_torchrl.bayes.layers import bayesian_layers
 from bbq_torchrl.bayes.weight_mode import given_weights, set_weight_mode
 from bbq_torchrl.exploration.base import Per, explores
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
+
+    from bbq_torchrl.bayes.bayes_mlp import BayesMLP
 
 __all__ = ["ThompsonSampling"]
 
@@ -31,19 +33,19 @@ class ThompsonSampling(TensorDictModuleBase):
         actor: an actor whose network has Bayesian layers.
 
     Keyword Args:
-        per: how long a draw is acted on. "step" (the paper): one action. "dialogue": until the
+        per: how long a draw is acted on. "step" (the paper): one action. "episode": until the
             row's next ``init_key``. "round": until :meth:`resample`. Defaults to "step".
         shared: whether the rows of a batch act on one draw (each element of the stack has its
             own) or each on its own. One shared draw makes 50 dialogues side by side one
             experiment. Defaults to True for "round", else False.
-        init_key: bool [*batch, 1] or [*batch], True where a row begins a dialogue (TorchRL's
-            ``InitTracker`` writes it); only read for per="dialogue". Without that entry draws
+        init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
+            ``InitTracker`` writes it); only read for per="episode". Without that entry draws
             stay until :meth:`resample`. Defaults to "is_init".
 
     Independent draws for each row cost a batch of noise for every weight if they are to stay
     (B·P numbers, P ≈ 145,000 for 268-256-256-39). Per step they come from local
     reparameterisation, which is exact for one input per draw, at a hundredth of that. A held
-    draw is redrawn when the batch shape changes: other rows are other dialogues.
+    draw is redrawn when the batch shape changes: other rows are other episodes.
 
     Raises:
         ValueError: for another ``per``, or an actor without Bayesian layers.
@@ -54,9 +56,9 @@ class ThompsonSampling(TensorDictModuleBase):
         >>> from torchrl.data import Categorical
         >>> from bbq_torchrl.bayes import BayesMLP
         >>> from bbq_torchrl.exploration import ThompsonSampling
-        >>> from bbq_torchrl.networks import q_network
-        >>> actor = q_network(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
-        >>> policy = ThompsonSampling(actor, per="dialogue")
+        >>> from bbq_torchrl.networks import q_actor
+        >>> actor = q_actor(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> policy = ThompsonSampling(actor, per="episode")
         >>> td = TensorDict(observation=torch.ones(50, 3), batch_size=[50])
         >>> first, again = policy(td.clone())["action"], policy(td.clone())["action"]
         >>> torch.equal(first, again), first.unique().numel() > 1
@@ -126,18 +128,3 @@ class ThompsonSampling(TensorDictModuleBase):
             begins = begins.flatten(len(stack)).any(-1)
         for layer, draws in self._held.items():
             layer.posterior.redraw_(draws, begins)
-
-
-def bayesian_layers(module: torch.nn.Module) -> list[BayesMLP]:
-    """Returns the Bayesian layers and networks in ``module``.
-
-    Raises:
-        ValueError: if there are none.
-    """
-    layers = [m for m in module.modules() if isinstance(m, BayesMLP)]
-    if not layers:
-        raise ValueError(
-            "Thompson sampling and weight draws need a network with Bayesian layers (BayesMLP, "
-            "BayesLinear), got one without"
-        )
-    return layers

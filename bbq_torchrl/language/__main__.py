@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language.generate import Generator
-from bbq_torchrl.language.labelled import as_examples, read_lines
+from bbq_torchrl.language.labeled import as_examples, read_lines
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.measure import measure_lines, measure_round_trip
 from bbq_torchrl.language.phrases import load_phrases
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
         command.add_argument("--sentences", type=int, default=6_000, help="to learn from")
         command.add_argument("--seed", type=int, default=0)
-        command.add_argument("--labelled", type=Path, help="own labeled lines, learned as well")
+        command.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
         command.add_argument("--file", type=Path, help="where the understander goes")
         if name == "measure":
             command.add_argument("--data", type=Path, default=Path("tests/data/language"))
@@ -71,13 +71,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _trained(given: argparse.Namespace, domain: Domain) -> tuple[Understander, float]:
-    labelled = []
-    if given.labelled is not None:
+    labeled = []
+    if given.labeled is not None:
         lexicon = Lexicon(domain, load_phrases(domain, given.domain))
-        labelled = as_examples(read_lines(given.labelled, domain), lexicon)
+        labeled = as_examples(read_lines(given.labeled, domain), lexicon)
     started = time.process_time()
     understand = Understander.train(
-        domain, given.domain, sentences=given.sentences, seed=given.seed, labelled=labelled
+        domain, given.domain, sentences=given.sentences, seed=given.seed, labeled=labeled
     )
     return understand, time.process_time() - started
 

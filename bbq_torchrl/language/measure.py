@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.language.frames import Frame
-from bbq_torchrl.language.labelled import Line, read_lines
+from bbq_torchrl.language.labeled import Line, read_lines
 from bbq_torchrl.language.noise import lowered, with_typos
 from bbq_torchrl.language.templates import Piece, parse, plain
 from bbq_torchrl.language.templates import expand as expand_template

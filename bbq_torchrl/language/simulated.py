@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.domains import DONT_CARE, NONE, tensorise
+from bbq_torchrl.domains import DONT_CARE, NONE, tensorize
 from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.simulator import Simulator
 
@@ -43,7 +43,7 @@ def play(domain: Domain, dialogues: int, *, seed: int = 0, kept: int = 4) -> Tur
         kept: how many dialogues of a batch are kept whole; of the others only turns whose act has
             slots that no turn before had.
     """
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     simulator = Simulator(tensors)
     active = torch.ones(tensors.n_slots, dtype=torch.bool)
     generator = torch.Generator().manual_seed(seed)

@@ -80,7 +80,7 @@ class Understander:
         *,
         sentences: int = 6_000,
         seed: int = 0,
-        labelled: Sequence[Example] = (),
+        labeled: Sequence[Example] = (),
         threshold: float = 0.7,
     ) -> Understander:
         """Returns an understander that has learned from sentences of the domain's own grammar.
@@ -92,7 +92,7 @@ class Understander:
             folder: where the domain's ``language.yaml`` is, if it has one.
             sentences: how many to learn from.
             seed: chooses them, and the net's first weights.
-            labelled: sentences of people, learned beside the own ones.
+            labeled: sentences of people, learned beside the own ones.
             threshold: the confidence below which the caller should ask again.
         """
         phrases = load_phrases(domain, folder)
@@ -101,7 +101,7 @@ class Understander:
         torch.set_num_threads(1)
         try:
             own = make_examples(domain, phrases, lexicon, sentences, seed)
-            examples = [*own, *labelled]
+            examples = [*own, *labeled]
             model = fit(domain, phrases, lexicon, examples, seed=seed, steps=60, epochs=14)
             others = make_examples(
                 domain, phrases, lexicon, max(sentences // 8, 200), seed + 1, noise=_CALM

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
+from bbq_torchrl.networks.flat_mlp import FlatMLP
 from bbq_torchrl.networks.growth import grow, reset_inactive_
-from bbq_torchrl.networks.mlp import MLP
 from bbq_torchrl.networks.noisy_mlp import NoisyMLP, StackedNoisyLinear
-from bbq_torchrl.networks.q_actor import q_network
+from bbq_torchrl.networks.q_actor import q_actor
 from bbq_torchrl.networks.vote import VoteModule, bootstrap_actor
 
 __all__ = [
-    "MLP",
     "BootstrapMLP",
+    "FlatMLP",
     "NoisyMLP",
     "StackedNoisyLinear",
     "VoteModule",
     "bootstrap_actor",
     "grow",
-    "q_network",
+    "q_actor",
     "reset_inactive_",
 ]

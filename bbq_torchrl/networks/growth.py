@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from bbq_torchrl.bayes.bayes_mlp import BayesMLP
 from bbq_torchrl.bayes.functional import FlatLayout
 from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
-from bbq_torchrl.networks.mlp import MLP
+from bbq_torchrl.networks.flat_mlp import FlatMLP
 from bbq_torchrl.networks.noisy_mlp import NoisyMLP, noisy_layers
 
 __all__ = ["grow", "grow_flat", "growth_index", "reset_inactive_"]
@@ -64,13 +64,13 @@ def grow_flat(old: Tensor, new: Tensor, index: Tensor) -> Tensor:
 
 
 def grow(
-    network: BayesMLP | MLP,
+    network: BayesMLP | FlatMLP,
     in_features: int,
     out_features: int,
     *,
     inputs: Tensor | None = None,
     outputs: Tensor | None = None,
-) -> BayesMLP | MLP:
+) -> BayesMLP | FlatMLP:
     """Returns a larger copy of a network; outputs it had stay as they are where new inputs are 0.
 
     New input weights start at 0, in a Bayesian network at the prior (mean 0, std prior_std).
@@ -78,7 +78,7 @@ def grow(
     ``nn.Linear``'s. The prior itself stays (with "fan_in": that of the sizes at first).
 
     Args:
-        network: a BayesMLP or MLP; not changed.
+        network: a BayesMLP or FlatMLP; not changed.
         in_features: new size of the input.
         out_features: new size of the output.
 
@@ -92,8 +92,8 @@ def grow(
 
     Example:
         >>> import torch
-        >>> from bbq_torchrl.networks import MLP, grow
-        >>> small = MLP(2, 3, (8,))
+        >>> from bbq_torchrl.networks import FlatMLP, grow
+        >>> small = FlatMLP(2, 3, (8,))
         >>> large = grow(small, 4, 5, inputs=torch.tensor([0, 3]))
         >>> x = torch.randn(7, 2)
         >>> zeros = torch.zeros(7, 1)
@@ -101,9 +101,10 @@ def grow(
         >>> y.shape, torch.allclose(y[:, :3], small(x))
         (torch.Size([7, 5]), True)
     """
-    if not isinstance(network, (BayesMLP, MLP)):
+    if not isinstance(network, (BayesMLP, FlatMLP)):
         raise ValueError(
-            f"network must be a BayesMLP or MLP to grow, got a {type(network).__name__}: give it "
+            f"network must be a BayesMLP or FlatMLP to grow, got a "
+            f"{type(network).__name__}: give it "
             "its full size and use reset_inactive_"
         )
     layout = FlatLayout((in_features, *network.layout.sizes[1:-1], out_features))
@@ -136,7 +137,7 @@ def grow(
 
 @torch.no_grad()
 def reset_inactive_(
-    network: BayesMLP | BootstrapMLP | MLP | NoisyMLP,
+    network: BayesMLP | BootstrapMLP | FlatMLP | NoisyMLP,
     *,
     inputs: Tensor | None = None,
     outputs: Tensor | None = None,
@@ -148,9 +149,9 @@ def reset_inactive_(
     weights away from the prior.
 
     Args:
-        network: a BayesMLP, BootstrapMLP, MLP or NoisyMLP; changed in place. To be called before
-            a loss copies the network, as a target updater leaves the copy of a prior function
-            alone.
+        network: a BayesMLP, BootstrapMLP, FlatMLP or NoisyMLP; changed in place. To be called
+            before a loss copies the network, as a target updater leaves the copy of a prior
+            function alone.
 
     Keyword Args:
         inputs: bool [in_features], True for the inactive ones: their weights become 0, in a

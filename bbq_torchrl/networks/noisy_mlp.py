@@ -22,7 +22,7 @@ class StackedNoisyLinear(NoisyLinear):
     """TorchRL's NoisyLinear with a stack dimension and noise that belongs to a call.
 
     Parameters, their names and their start are :class:`~torchrl.modules.NoisyLinear`'s, with the
-    stack in front: weights μ + σ ∘ (ε_out ⊗ ε_in) and biases μ + σ ∘ ε_out with the factorised
+    stack in front: weights μ + σ ∘ (ε_out ⊗ ε_in) and biases μ + σ ∘ ε_out with the factorized
     noise ε = sgn(z) √|z|, z ~ N(0, 1) (Fortunato et al., Noisy Networks for Exploration, 2018).
     TorchRL's layer keeps ε in buffers until ``reset_noise``; here each call draws its own from
     torch's global generator, so that states, copies and frozen targets hold no noise, a call
@@ -192,7 +192,7 @@ class NoisyMLP(nn.Module):
         Args:
             x: inputs, shape [*stack, *batch, in].
             mode: "draw" (one noise of each element of the stack for the whole call), "local"
-                (a draw of its own for each row: exact, as factorised noise needs no weights
+                (a draw of its own for each row: exact, as factorized noise needs no weights
                 for each), "mean" (μ), or None for what
                 :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
 

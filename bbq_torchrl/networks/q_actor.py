@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from torch import nn
     from torchrl.data import TensorSpec
 
-__all__ = ["q_network"]
+__all__ = ["q_actor"]
 
 
-def q_network(
+def q_actor(
     network: nn.Module,
     spec: TensorSpec,
     *,
@@ -42,8 +42,8 @@ def q_network(
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from bbq_torchrl.bayes import BayesMLP
-        >>> from bbq_torchrl.networks import q_network
-        >>> actor = q_network(BayesMLP(3, 4), Categorical(4))
+        >>> from bbq_torchrl.networks import q_actor
+        >>> actor = q_actor(BayesMLP(3, 4), Categorical(4))
         >>> td = TensorDict(observation=torch.ones(2, 3), batch_size=[2])
         >>> td["action_mask"] = torch.tensor([[False, True, True, True]] * 2)
         >>> actor(td)["action"]

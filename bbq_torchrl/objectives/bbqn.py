@@ -10,10 +10,10 @@ from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.bayes.held_std import held_std
 from bbq_torchrl.bayes.kl import collect_kl
+from bbq_torchrl.bayes.layers import bayesian_layers
 from bbq_torchrl.bayes.shared_noise import shared_noise
 from bbq_torchrl.bayes.stack_values import stack_values
 from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
-from bbq_torchrl.exploration.thompson import bayesian_layers
 from bbq_torchrl.objectives.held import Holds
 from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
@@ -94,9 +94,9 @@ class BBQNLoss(NumData, Holds, OneStepQLoss):
         >>> from torchrl.data import Categorical
         >>> from torchrl.objectives import HardUpdate
         >>> from bbq_torchrl.bayes import BayesMLP
-        >>> from bbq_torchrl.networks import q_network
+        >>> from bbq_torchrl.networks import q_actor
         >>> from bbq_torchrl.objectives import BBQNLoss
-        >>> actor = q_network(BayesMLP(3, 4, stack=(5,)), Categorical(4))
+        >>> actor = q_actor(BayesMLP(3, 4, stack=(5,)), Categorical(4))
         >>> loss = BBQNLoss(actor, num_data=1000)
         >>> freeze = HardUpdate(loss, value_network_update_interval=0)
         >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())

@@ -45,9 +45,9 @@ class DropoutDQNLoss(Holds, OneStepQLoss):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from torchrl.objectives import HardUpdate
-        >>> from bbq_torchrl.networks import MLP, q_network
+        >>> from bbq_torchrl.networks import FlatMLP, q_actor
         >>> from bbq_torchrl.objectives import DropoutDQNLoss
-        >>> actor = q_network(MLP(3, 4, stack=(5,), dropout=0.5), Categorical(4))
+        >>> actor = q_actor(FlatMLP(3, 4, stack=(5,), dropout=0.5), Categorical(4))
         >>> loss = DropoutDQNLoss(actor)
         >>> freeze = HardUpdate(loss, value_network_update_interval=0)
         >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())

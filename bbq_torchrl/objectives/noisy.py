@@ -52,9 +52,9 @@ class NoisyDQNLoss(OneStepQLoss):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from torchrl.objectives import HardUpdate
-        >>> from bbq_torchrl.networks import NoisyMLP, q_network
+        >>> from bbq_torchrl.networks import NoisyMLP, q_actor
         >>> from bbq_torchrl.objectives import NoisyDQNLoss
-        >>> actor = q_network(NoisyMLP(3, 4, stack=(5,)), Categorical(4))
+        >>> actor = q_actor(NoisyMLP(3, 4, stack=(5,)), Categorical(4))
         >>> loss = NoisyDQNLoss(actor, double_dqn=True)
         >>> freeze = HardUpdate(loss, value_network_update_interval=0)
         >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())

@@ -37,8 +37,8 @@ class OneStepQLoss(DQNLoss):
     that is True for the rows that count.
 
     Where the frozen network's values of the next states are at hand, computed by
-    :meth:`frozen_values` once a freeze for many batches, the loss takes them from the entry
-    ``frozen_value`` under "next" and runs the online network only.
+    :meth:`next_state_values` once a freeze for many batches, the loss takes them from the entry
+    ``next_state_value`` under "next" and runs the online network only.
 
     Differences from TorchRL's: the target is the one-step one (TD0) and computed without
     TensorDicts in between; only index and one-hot actions; the network's dropout and weight
@@ -65,14 +65,14 @@ class OneStepQLoss(DQNLoss):
         """The entries whose names ``set_keys`` changes.
 
         Attributes:
-            frozen_value (NestedKey): under "next", what :meth:`frozen_values` returned; may be
-                absent. Defaults to ``"frozen_value"``.
+            next_state_value (NestedKey): under "next", what :meth:`next_state_values` returned; may
+                be absent. Defaults to ``"next_state_value"``.
             row_weight (NestedKey): weights of the rows that add up to 1 over the batch, [*stack,
                 *batch]; where they are there, the loss mask is not read. May be absent. Defaults
                 to ``"row_weight"``.
         """
 
-        frozen_value: NestedKey = "frozen_value"
+        next_state_value: NestedKey = "next_state_value"
         row_weight: NestedKey = "row_weight"
 
     tensor_keys: _AcceptedKeys
@@ -157,10 +157,10 @@ class OneStepQLoss(DQNLoss):
         return bool(self.delay_value) and not self.double_dqn
 
     @torch.no_grad()
-    def frozen_values(self, tensordict: TensorDictBase) -> Tensor:
+    def next_state_values(self, tensordict: TensorDictBase) -> Tensor:
         """Returns max Q(s', ·) of the frozen network over legal actions, [*stack, *batch, 1].
 
-        To be handed to :meth:`forward` in the entry ``frozen_value`` under "next", until the
+        To be handed to :meth:`forward` in the entry ``next_state_value`` under "next", until the
         target network is updated.
 
         Args:
@@ -170,7 +170,7 @@ class OneStepQLoss(DQNLoss):
             RuntimeError: if ``has_fixed_targets`` is False.
         """
         if not self.has_fixed_targets:
-            raise RuntimeError("frozen_values needs targets that are the same for every batch")
+            raise RuntimeError("next_state_values needs targets that are the same for every batch")
         online, target = self._tensors()
         return self._next_values(tensordict.get("next"), online, target)
 
@@ -247,7 +247,7 @@ class OneStepQLoss(DQNLoss):
     ) -> Tensor:
         """Returns r + γ max Q(s', ·) over legal actions, r at an end, [*stack, *batch, 1]."""
         keys = self.tensor_keys
-        value = following.get(keys.frozen_value, None)
+        value = following.get(keys.next_state_value, None)
         if value is None:
             value = self._next_values(following, online, target)
         reward = self._beside_values(following.get(keys.reward))

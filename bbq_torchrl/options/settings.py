@@ -229,9 +229,9 @@ def check_settings(config: Any) -> None:
     Example:
         >>> from dataclasses import dataclass
         >>> @dataclass
-        ... class Optimiser:
+        ... class Optimizer:
         ...     lr: float = setting(1e-3, STEP_SIZE, "step size")
-        >>> check_settings(Optimiser(lr=-1.0))
+        >>> check_settings(Optimizer(lr=-1.0))
         Traceback (most recent call last):
         ...
         bbq_torchrl.options.settings.ConfigError: lr must be a number from 1e-30 to 1e30, got -1.0

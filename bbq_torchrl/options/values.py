@@ -28,7 +28,7 @@ __all__ = [
 
 
 def spread(value: Any, replicas: int) -> list[Any]:
-    """Returns what each replica has: neighbours share a value where there are fewer than replicas.
+    """Returns what each replica has: neighbors share a value where there are fewer than replicas.
 
     Args:
         value: one value, or a list whose length divides ``replicas``.

@@ -39,7 +39,7 @@ _DEFINITION = "search.yaml"
 def run_search(
     search: Search,
     runner: Runner,
-    clear_errors: tuple[type[Exception], ...] = (),
+    usage_errors: tuple[type[Exception], ...] = (),
     check: Callable[[Config], None] | None = None,
 ) -> dict[str, Any] | None:
     """Runs trials until there are as many as wanted. Returns the best; None if there is none.
@@ -50,7 +50,7 @@ def run_search(
     Args:
         search: what to search.
         runner: trains one trial: ``bbq_torchrl.run.run``.
-        clear_errors: errors of a trial that the search goes on after; any other one ends it, and
+        usage_errors: errors of a trial that the search goes on after; any other one ends it, and
             the trial is taken up when the search is started again.
         check: what else is checked of a trial's configuration; raises ``ConfigError``. Values that
             cannot be run together fail their trial, and the search goes on.
@@ -82,7 +82,7 @@ def run_search(
                 outcome = Outcome(optuna.trial.TrialState.FAIL, reason=sentence(error))
             else:
                 outcome = play_trial(
-                    trial, config, run_folder, search.settings, runner, clear_errors
+                    trial, config, run_folder, search.settings, runner, usage_errors
                 )
             _tell(study, trial, outcome)
         with FileLock(folder / ".tables.lock"):

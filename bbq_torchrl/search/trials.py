@@ -66,7 +66,7 @@ def play_trial(
     folder: Path,
     settings: SearchConfig,
     runner: Runner,
-    clear_errors: tuple[type[Exception], ...],
+    usage_errors: tuple[type[Exception], ...],
 ) -> Outcome:
     """Runs a trial from where it is: new, from its last checkpoint, or finished already.
 
@@ -76,7 +76,7 @@ def play_trial(
         folder: the trial's run folder.
         settings: of the search.
         runner: see :data:`Runner`.
-        clear_errors: errors that tell something of the values, such as a loss that is not finite;
+        usage_errors: errors that tell something of the values, such as a loss that is not finite;
             the search goes on after them.
     """
     states = optuna.trial.TrialState
@@ -90,7 +90,7 @@ def play_trial(
             result = runner(config, folder, [_Reports(trial, settings)])
     except optuna.TrialPruned:
         return Outcome(states.PRUNED)
-    except clear_errors as error:
+    except usage_errors as error:
         return Outcome(states.FAIL, reason=" ".join(str(error).split()))
     return Outcome(states.COMPLETE, _worth(result, settings))
 

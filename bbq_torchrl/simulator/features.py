@@ -49,8 +49,8 @@ class FeatureLayout:
         domain: the domain's tensors.
 
     Example:
-        >>> from bbq_torchrl.domains import movie_domain, tensorise
-        >>> layout = FeatureLayout(tensorise(movie_domain()))
+        >>> from bbq_torchrl.domains import movie_domain, tensorize
+        >>> layout = FeatureLayout(tensorize(movie_domain()))
         >>> layout.size
         268
         >>> layout["user_act"]

@@ -26,10 +26,10 @@ class Transcript:
         domain: the domain's tensors.
 
     Example:
-        >>> from bbq_torchrl.domains import movie_domain, tensorise
+        >>> from bbq_torchrl.domains import movie_domain, tensorize
         >>> import torch
         >>> from bbq_torchrl.simulator import Simulator
-        >>> domain = tensorise(movie_domain())
+        >>> domain = tensorize(movie_domain())
         >>> simulator, active = Simulator(domain), torch.ones(domain.n_slots, dtype=torch.bool)
         >>> draws = simulator.draw_reset((), torch.Generator().manual_seed(0))
         >>> Transcript(domain).lines(simulator.reset(draws, active))

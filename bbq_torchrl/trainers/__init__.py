@@ -8,7 +8,7 @@ from bbq_torchrl.trainers.checkpoint import (
     CheckpointFolder,
     CheckpointMismatchError,
 )
-from bbq_torchrl.trainers.collect import Outcomes, Policy, outcomes, play, play_dialogues
+from bbq_torchrl.trainers.collect import EpisodeStats, Policy, outcomes, play, play_dialogues
 from bbq_torchrl.trainers.errors import NonFiniteLossError, SpikeError
 from bbq_torchrl.trainers.loggers import LoggerName, check_logger, make_loggers
 from bbq_torchrl.trainers.memory import keep_freed_memory
@@ -24,12 +24,12 @@ __all__ = [
     "CheckpointDamagedError",
     "CheckpointFolder",
     "CheckpointMismatchError",
+    "EpisodeStats",
     "Evaluator",
     "LoggerName",
     "MetricRow",
     "MetricsFile",
     "NonFiniteLossError",
-    "Outcomes",
     "Policy",
     "ReplicaAdam",
     "ReplicaOptimizer",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
 __all__ = [
-    "Outcomes",
+    "EpisodeStats",
     "Policy",
     "outcomes",
     "play",
@@ -26,7 +26,7 @@ __all__ = [
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
-class Outcomes(NamedTuple):
+class EpisodeStats(NamedTuple):
     """How dialogues went, one entry for each, shape [*batch].
 
     Attributes:
@@ -110,7 +110,7 @@ def play_dialogues(
         yield rollout[..., : min(places, dialogues - begun), :]
 
 
-def outcomes(rollout: TensorDictBase, *, success_key: NestedKey = "success") -> Outcomes:
+def outcomes(rollout: TensorDictBase, *, success_key: NestedKey = "success") -> EpisodeStats:
     """Returns how the dialogues of a rollout of :func:`play` went, each entry of shape [*batch].
 
     Args:
@@ -121,7 +121,7 @@ def outcomes(rollout: TensorDictBase, *, success_key: NestedKey = "success") -> 
     after = rollout["next"]
     success = after.get(success_key).squeeze(-1) & valid
     reward = after["reward"].squeeze(-1).double() * valid
-    return Outcomes(success.any(-1), reward.sum(-1), valid.sum(-1))
+    return EpisodeStats(success.any(-1), reward.sum(-1), valid.sum(-1))
 
 
 def rows_per_replica(rollout: TensorDictBase, keys: tuple[NestedKey, ...]) -> list[TensorDictBase]:

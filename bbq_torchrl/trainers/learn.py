@@ -111,7 +111,7 @@ class Update:
     Args:
         loss (callable): returns ``loss``, the scalar to differentiate, and ``loss_value``
             [replicas]; whatever else it returns in shape [replicas] is averaged and reported.
-        optimiser (ReplicaOptimizer): of its parameters.
+        optimizer (ReplicaOptimizer): of its parameters.
 
     Attributes:
         sums (LossSums): takes in what the loss returns.
@@ -120,19 +120,19 @@ class Update:
     def __init__(
         self,
         loss: Callable[[TensorDictBase], TensorDictBase],
-        optimiser: ReplicaOptimizer,
+        optimizer: ReplicaOptimizer,
     ) -> None:
         self.loss = loss
-        self.optimiser = optimiser
-        self.sums = LossSums(optimiser.replicas)
+        self.optimizer = optimizer
+        self.sums = LossSums(optimizer.replicas)
 
     def __call__(self, batch: Batch) -> None:
         """Updates once."""
         everyone = all(batch.active)
         losses = self.loss(batch.transitions)
-        self.optimiser.zero_grad()
+        self.optimizer.zero_grad()
         losses["loss"].backward()
-        self.optimiser.step(None if everyone else batch.active)
+        self.optimizer.step(None if everyone else batch.active)
         self.sums.add(losses, None if everyone else batch.active_mask)
         self.sums.count(batch.active)
 
@@ -141,7 +141,7 @@ def learn_epoch(update: Update, batches: Iterable[Batch]) -> None:
     """Updates once for every batch.
 
     Args:
-        update (Update): loss, optimiser and sums.
+        update (Update): loss, optimizer and sums.
         batches (iterable of Batch): the epoch.
     """
     for batch in batches:

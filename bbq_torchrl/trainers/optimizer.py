@@ -79,9 +79,9 @@ class ReplicaAdam:
 
     Example:
         >>> weight = nn.Parameter(torch.zeros(2, 3))
-        >>> optimiser = ReplicaAdam([weight], replicas=2, lr=0.5)
+        >>> optimizer = ReplicaAdam([weight], replicas=2, lr=0.5)
         >>> weight.sum().backward()
-        >>> optimiser.step(active=(True, False))
+        >>> optimizer.step(active=(True, False))
         >>> weight.detach()
         tensor([[-0.5000, -0.5000, -0.5000],
                 [ 0.0000,  0.0000,  0.0000]])
@@ -120,7 +120,7 @@ class ReplicaAdam:
         return self.parameters[0].device
 
     def _groups(self, lr: float | Sequence[float]) -> list[dict[str, Any]]:
-        """Returns Adam's parameter groups: neighbours of the same rate are one, as a step is."""
+        """Returns Adam's parameter groups: neighbors of the same rate are one, as a step is."""
         rates = [lr] * self.replicas if isinstance(lr, (int, float)) else list(lr)
         if len(rates) != self.replicas:
             raise ValueError(

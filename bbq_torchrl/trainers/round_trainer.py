@@ -87,12 +87,12 @@ class RoundTrainer:
     not; and what one replica does never shifts another's random numbers.
 
     Optional hooks, used where an object has them: ``env.set_round(round)`` (domain extension),
-    ``loss.set_num_data(tensor)`` (the weight of a KL), ``loss.begin_epoch()`` (what does not happen
-    at every update), ``loss.has_fixed_targets`` with ``loss.frozen_values(transitions)`` (targets
-    that are computed once a freeze), for the modules of the policy ``module.resample()`` before
-    (weight draws) and ``module.step(1)`` after (schedules) each round, and for those of the
-    replay's transform ``module.pop_metrics()`` after playing (metrics by name, [replicas], of what
-    was stored).
+    ``loss.set_num_data(tensor)`` (the weight of a KL), ``loss.begin_epoch()`` (what is not done
+    every update), ``loss.has_fixed_targets`` with ``loss.next_state_values(transitions)``
+    (targets that are computed once a freeze), for the modules of the policy
+    ``module.resample()`` before (weight draws) and ``module.step(1)`` after (schedules) each
+    round, and for those of the replay's transform ``module.pop_metrics()`` after playing (metrics
+    by name, [replicas], of what was stored).
 
     Args:
         env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
@@ -100,7 +100,7 @@ class RoundTrainer:
         loss (LossModule): returns ``loss`` (scalar) and ``loss_value`` [replicas], and may return
             more of shape [replicas], which becomes a metric.
         replay (ReplicaReplay): the buffers, empty.
-        optimiser (ReplicaOptimizer): of the loss's parameters.
+        optimizer (ReplicaOptimizer): of the loss's parameters.
         target_updater (TargetUpdater): ``.step()`` freezes the target.
         settings (RoundSettings): the protocol.
         run_folder (Path): takes ``metrics.csv`` and ``checkpoint/``.
@@ -111,8 +111,8 @@ class RoundTrainer:
         callbacks (sequence of callable): called after every round.
         evaluator (Evaluator, optional): evaluates the policy at the end of a round, without a
             trace in the training: metrics and weights are bitwise those of one without it.
-        gauges (mapping): metrics read at the start of each round, such as an exploration rate:
-            each returns one number, or a tensor [replicas].
+        round_metrics (mapping): metrics read at the start of each round, such as an exploration
+            rate: each returns one number, or a tensor [replicas].
         described (mapping): what the training is, as JSON values by name; stands in every
             checkpoint, and one that says otherwise is refused.
         progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
@@ -127,7 +127,7 @@ class RoundTrainer:
         policy: nn.Module,
         loss: nn.Module,
         replay: ReplicaReplay,
-        optimiser: ReplicaOptimizer,
+        optimizer: ReplicaOptimizer,
         target_updater: TargetUpdater,
         settings: RoundSettings,
         run_folder: Path | str,
@@ -137,7 +137,7 @@ class RoundTrainer:
         loggers: Sequence[Logger] = (),
         callbacks: Sequence[RoundCallback] = (),
         evaluator: Evaluator | None = None,
-        gauges: Mapping[str, Callable[[], float | Tensor]] | None = None,
+        round_metrics: Mapping[str, Callable[[], float | Tensor]] | None = None,
         described: Mapping[str, Any] | None = None,
         success_key: NestedKey = "success",
         progress: bool | None = None,
@@ -148,9 +148,9 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(env.batch_size)}"
             )
-        if optimiser.replicas != replicas:
+        if optimizer.replicas != replicas:
             raise ValueError(
-                f"the optimiser must have {replicas} replicas, got {optimiser.replicas}"
+                f"the optimizer must have {replicas} replicas, got {optimizer.replicas}"
             )
         self.spike = spike if spike is not None else SpikeSettings(dialogues=0)
         if self.spike.dialogues and spike_policy is None:
@@ -159,7 +159,7 @@ class RoundTrainer:
         self.policy = policy
         self.loss = loss
         self.replay = replay
-        self.optimiser = optimiser
+        self.optimizer = optimizer
         self.target_updater = target_updater
         self.settings = settings
         self.run_folder = Path(run_folder)
@@ -167,13 +167,13 @@ class RoundTrainer:
         self.loggers = tuple(loggers)
         self.callbacks = tuple(callbacks)
         self.evaluator = evaluator
-        self.gauges = dict(gauges or {})
+        self.round_metrics = dict(round_metrics or {})
         self.success_key = success_key
         self.progress = progress
         self.described = {"seed": settings.seed, "replicas": replicas, **(described or {})}
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
-        self._update = Update(loss, optimiser)
+        self._update = Update(loss, optimizer)
         self.metrics = MetricsFile(self.run_folder / "metrics.csv")
         best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
         self.checkpoints = CheckpointFolder(
@@ -181,7 +181,7 @@ class RoundTrainer:
             keep=settings.keep_checkpoints,
             loss=loss,
             policy=policy,
-            optimiser=optimiser,
+            optimizer=optimizer,
             replay=replay,
             metrics=self.metrics,
             **best,
@@ -293,7 +293,9 @@ class RoundTrainer:
     def _round(self, round_number: int) -> list[MetricRow]:
         """Plays and learns one round. Returns its metrics, a row for each replica."""
         started = time.perf_counter()
-        gauges = {name: _of_each(read(), self.replicas) for name, read in self.gauges.items()}
+        metrics = {
+            name: _of_each(read(), self.replicas) for name, read in self.round_metrics.items()
+        }
         collected = self._collect(round_number)
         self._drop_spike(collected)
         collected_at = time.perf_counter()
@@ -326,7 +328,7 @@ class RoundTrainer:
                     **losses,
                     "buffer": length,
                     "updates": updates[replica],
-                    **{name: values[replica] for name, values in gauges.items()},
+                    **{name: values[replica] for name, values in metrics.items()},
                     **shared,
                 }
             )
@@ -388,7 +390,7 @@ class RoundTrainer:
         """Has the frozen network's values computed for the whole buffer, where a loss allows it."""
         loss: Any = self.loss
         if getattr(loss, "has_fixed_targets", False):
-            self.replay.compute(("next", loss.tensor_keys.frozen_value), loss.frozen_values)
+            self.replay.compute(("next", loss.tensor_keys.next_state_value), loss.next_state_values)
 
     def _step_schedules(self) -> None:
         """Moves the policy's schedules (epsilon, temperature) on by one round."""
@@ -428,7 +430,7 @@ class RoundTrainer:
 
 
 def _of_each(value: float | Tensor, replicas: int) -> list[float]:
-    """Returns a gauge's value for each replica."""
+    """Returns a metric's value for each replica."""
     return torch.as_tensor(value, dtype=torch.float64).expand(replicas).tolist()
 
 

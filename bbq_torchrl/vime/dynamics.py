@@ -20,9 +20,9 @@ __all__ = ["DynamicsModel"]
 class DynamicsModel(nn.Module):
     """A Bayesian network that predicts the next state (VIME, Houthooft et al. 2016).
 
-    The likelihood of the standardised next state is a Gaussian around the network's output, of
+    The likelihood of the standardized next state is a Gaussian around the network's output, of
     standard deviation ``noise_std`` in every feature and independent between features. States are
-    standardised by running statistics of each element of the stack, see :meth:`standardise`; what
+    standardized by running statistics of each element of the stack, see :meth:`standardize`; what
     stores transitions (:class:`~bbq_torchrl.vime.VIMEReward`) updates them, a loss never does. They
     are not TorchRL's ``RunningMeanStd``: that has one statistic for all leading dimensions, counts
     every row, and has no floor.
@@ -36,7 +36,7 @@ class DynamicsModel(nn.Module):
         stack: leading shape; an independent model for each element. Defaults to ().
         prior_std: standard deviation of the weights' prior, or "fan_in", as in
             :class:`~bbq_torchrl.bayes.BayesMLP`. Defaults to 0.1.
-        noise_std: standard deviation of the likelihood, in units of the standardised state.
+        noise_std: standard deviation of the likelihood, in units of the standardized state.
             Defaults to 1.
         std_floor: the least standard deviation that a feature is divided by. A feature that was
             constant until now and changes in one row in a thousand would have .03, and one that
@@ -158,7 +158,7 @@ class DynamicsModel(nn.Module):
         self.var.copy_(torch.where(is_new, merged, self.var))
         self.count.copy_(total.squeeze(-1))
 
-    def standardise(self, observation: Tensor) -> Tensor:
+    def standardize(self, observation: Tensor) -> Tensor:
         """Returns (observation - mean) / max(std, std_floor), shape [*stack, *rows, S].
 
         The identity before the first :meth:`update_statistics`.
@@ -209,13 +209,13 @@ class DynamicsModel(nn.Module):
         return (action.reshape(*rows, 1) == places).to(dtype)
 
     def inputs(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Returns what the network reads, [*stack, *rows, S + A]: standardised state and action.
+        """Returns what the network reads, [*stack, *rows, S + A]: standardized state and action.
 
         Args:
             observation: shape [*stack, *rows, S].
             action: as in :meth:`encode_action`.
         """
-        state = self.standardise(observation)
+        state = self.standardize(observation)
         return torch.cat([state, self.encode_action(action, state.shape[:-1])], -1)
 
     def forward(
@@ -225,7 +225,7 @@ class DynamicsModel(nn.Module):
         mode: WeightMode | None = None,
         weights: Tensor | None = None,
     ) -> Tensor:
-        """Returns the prediction of the standardised next state, [*stack, *rows, S].
+        """Returns the prediction of the standardized next state, [*stack, *rows, S].
 
         Args:
             observation: state, shape [*stack, *rows, S].

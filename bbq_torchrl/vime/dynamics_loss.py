@@ -31,7 +31,7 @@ class DynamicsLoss(NumData, LossModule):
         mean over the batch of Σ_features (s' - ŝ'(s, a; w))² / (2 noise_std²)
             + kl_temperature · KL / N
 
-    in standardised states, up to a constant, with one draw w of the weights a batch. Of a
+    in standardized states, up to a constant, with one draw w of the weights a batch. Of a
     terminated transition nothing is predicted: it adds 0 to the sum and counts as a row, so that
     N is the length of the buffer and data and KL weigh as Bayes' rule has it. Rows can be left
     out altogether: ``loss_mask_key`` (TorchRL's attribute, here "valid" by default, an optional
@@ -146,7 +146,7 @@ class DynamicsLoss(NumData, LossModule):
             inputs = torch.where(counts.unsqueeze(-1), inputs, 0)
         with collect_kl() as collector:
             output = self.dynamics.network(inputs, "draw")
-        error = output - self.dynamics.standardise(following)
+        error = output - self.dynamics.standardize(following)
         square = torch.where(predicted.unsqueeze(-1), error, 0).square().sum(-1)
         sums = self._flat(square).sum(-1) * (0.5 / self.dynamics.noise_std**2)
         batch = self._flat(predicted if counts is None else counts)

@@ -72,7 +72,7 @@ def information_gain(
     posterior = dynamics.network.posterior
     return mlp_information_gain(
         dynamics.inputs(observation, action),
-        dynamics.standardise(next_observation),
+        dynamics.standardize(next_observation),
         posterior.mu,
         posterior.rho,
         dynamics.network.layout,

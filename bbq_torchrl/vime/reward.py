@@ -72,7 +72,7 @@ class VIMEReward(Transform):
         weights: "map", the gain at the posterior's mean, or "mc", at one weight draw for each
             store, shared by its transitions. Defaults to "map".
         step_size: λ of the gain. Defaults to 0.01.
-        normalise: whether the gain is divided by m. Defaults to True.
+        normalize: whether the gain is divided by m. Defaults to True.
         median_window: how many stores m is taken over; more if each holds only a few
             transitions. Defaults to 10.
         clip: the greatest bonus. Defaults to 10.
@@ -125,7 +125,7 @@ class VIMEReward(Transform):
         eta: float | Tensor = 0.1,
         weights: GainWeights = "map",
         step_size: float = 0.01,
-        normalise: bool = True,
+        normalize: bool = True,
         median_window: int = 10,
         clip: float = 10.0,
         observation_key: NestedKey = "observation",
@@ -166,7 +166,7 @@ class VIMEReward(Transform):
             self.eta = eta
         self.weights = weights
         self.step_size = step_size
-        self.normalise = normalise
+        self.normalize = normalize
         self.clip = clip
         self.valid_key = valid_key
         self.median = RunningMedian(dynamics.stack, median_window, like=dynamics.mean)
@@ -264,7 +264,7 @@ class VIMEReward(Transform):
         ]
         gain = torch.cat(pieces, -1)[..., :count]
         is_predicted = predicted.squeeze(-1)
-        if self.normalise:
+        if self.normalize:
             median = self.median.update(gain, is_predicted).unsqueeze(-1)
             # where more than half of the gains are 0, any other is clipped
             gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)

@@ -24,7 +24,7 @@ __all__ = ["VIMELoss"]
 class VIMELoss(LossModule):
     """Runs a Q-learning loss and a :class:`DynamicsLoss` on the same batch.
 
-    The two have no parameter in common, so that an optimiser that works weight by weight (Adam)
+    The two have no parameter in common, so that an optimizer that works weight by weight (Adam)
     trains both by the sum exactly as if they were apart. Everything that a loss has besides
     (target parameters for TorchRL's target updaters, ``value_network``, keys, the value
     estimator) is the Q-learning loss's.
@@ -46,11 +46,11 @@ class VIMELoss(LossModule):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from torchrl.objectives import HardUpdate
-        >>> from bbq_torchrl.networks import MLP, q_network
+        >>> from bbq_torchrl.networks import FlatMLP, q_actor
         >>> from bbq_torchrl.vime import DynamicsModel
         >>> from bbq_torchrl.objectives import DropoutDQNLoss
         >>> from bbq_torchrl.vime import DynamicsLoss, VIMELoss
-        >>> q_loss = DropoutDQNLoss(q_network(MLP(3, 4), Categorical(4), action_mask_key=None))
+        >>> q_loss = DropoutDQNLoss(q_actor(FlatMLP(3, 4), Categorical(4), action_mask_key=None))
         >>> loss = VIMELoss(q_loss, DynamicsLoss(DynamicsModel(3, 4)))
         >>> freeze = HardUpdate(loss, value_network_update_interval=0)
         >>> loss.set_num_data(1000)

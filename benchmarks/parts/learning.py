@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 AGENTS: dict[str, tuple[str, ...]] = {
     "dqn": ("+experiment=agents/dqn",),
     "dqn without dropout": ("+experiment=agents/dqn", "agent.dropout=0"),
-    "double dqn": ("+experiment=rivals/double_dqn",),
-    "noisy dqn": ("+experiment=rivals/noisy_dqn",),
+    "double dqn": ("+experiment=baselines/double_dqn",),
+    "noisy dqn": ("+experiment=baselines/noisy_dqn",),
     "bootstrap, 10 heads": ("+experiment=agents/dqn_bootstrap",),
     "bbqn-map": ("+experiment=agents/bbqn_map",),
     "bbqn-mc": ("+experiment=agents/bbqn_mc",),
@@ -106,7 +106,7 @@ class Learner:
         return sum(updates)
 
     def update_ready_batch(self, updates: int) -> float:
-        """Updates again and again with one batch: loss, gradient and optimiser alone.
+        """Updates again and again with one batch: loss, gradient and optimizer alone.
 
         Returns:
             seconds of an update and replica.
@@ -116,9 +116,9 @@ class Learner:
 
         def update() -> None:
             loss = trainer.loss(batch.transitions)["loss"]
-            trainer.optimiser.zero_grad()
+            trainer.optimizer.zero_grad()
             loss.backward()
-            trainer.optimiser.step(batch.active)
+            trainer.optimizer.step(batch.active)
 
         seconds = self.timer.time(lambda: [update() for _ in range(updates)])
         return seconds / (updates * self.replicas)

@@ -56,4 +56,4 @@ def python(*arguments: str) -> Used:
 
 
 HELP = ("train.py", "--help")
-IMPORTS = ("bbq_torchrl.modules", "bbq_torchrl.objectives", "bbq_torchrl.envs", "bbq_torchrl.run")
+IMPORTS = ("bbq_torchrl.networks", "bbq_torchrl.objectives", "bbq_torchrl.envs", "bbq_torchrl.run")

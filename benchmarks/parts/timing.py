@@ -22,7 +22,7 @@ class Comparison(NamedTuple):
     Attributes:
         seconds: median time of a unit of the candidate.
         base: median time of a unit of what it is compared with.
-        ratio: median of candidate / base, each candidate beside its neighbours.
+        ratio: median of candidate / base, each candidate beside its neighbors.
     """
 
     seconds: float

@@ -23,7 +23,7 @@ def bare_update() -> Callable[[], None]:
         params.append(torch.nn.Parameter(torch.randn(inputs, outputs) * inputs**-0.5))
         params.append(torch.nn.Parameter(torch.zeros(outputs)))
     frozen = [p.detach().clone() for p in params]
-    optimiser = torch.optim.Adam(params, lr=1e-3, fused=True)
+    optimizer = torch.optim.Adam(params, lr=1e-3, fused=True)
     # about 27 of the 268 features of a dialogue state are active
     observation, following = ((torch.rand(BATCH, FEATURES) < 0.1).float() for _ in range(2))
     action = torch.randint(ACTIONS, (BATCH, 1))
@@ -43,9 +43,9 @@ def bare_update() -> Callable[[], None]:
             value = torch.where(mask, network(frozen, following), least).amax(-1)
             target = reward + discount * value
         loss = (chosen - target).square().mean()
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss.backward()
-        optimiser.step()
+        optimizer.step()
 
     return update
 

@@ -13,7 +13,7 @@ from torchrl.modules import EGreedyModule
 from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.data import BootstrapMask
 from bbq_torchrl.exploration import BootstrapSampling, Greedy, MajorityVote, ThompsonSampling
-from bbq_torchrl.networks import MLP, BootstrapMLP, bootstrap_actor, q_network
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP, bootstrap_actor, q_actor
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, OneStepQLoss
 
 if TYPE_CHECKING:
@@ -161,8 +161,8 @@ def _scaled(size: int, network: nn.Module) -> nn.Module:
 
 
 def _epsilon_greedy(size: int, replicas: int, settings: Settings) -> Agent:
-    network = _scaled(size, MLP(size**2, 2, settings.hidden, stack=(replicas,)))
-    actor = q_network(network, ACTION, action_mask_key=None)
+    network = _scaled(size, FlatMLP(size**2, 2, settings.hidden, stack=(replicas,)))
+    actor = q_actor(network, ACTION, action_mask_key=None)
     dither = EGreedyModule(
         ACTION, eps_init=1.0, eps_end=settings.eps_end, annealing_num_steps=settings.eps_episodes
     )
@@ -207,9 +207,9 @@ def _bbqn(
         mean_init=mean_init,
         std_init=settings.std_init,
     )
-    actor = q_network(_scaled(size, network), ACTION, action_mask_key=None)
+    actor = q_actor(_scaled(size, network), ACTION, action_mask_key=None)
     # One draw a dive: of all ways to sample from this posterior the one that can dive deepest.
-    explore = ThompsonSampling(actor, per="dialogue")
+    explore = ThompsonSampling(actor, per="episode")
     return Agent(
         explore=explore,
         greedy=Greedy(actor),

@@ -150,7 +150,7 @@ def train(
     torch.manual_seed(derive_seed(seed, name.removesuffix("_zero"), size))
     env = DeepSeaEnv(size, (replicas, 1), mapping_seed=range(seed, seed + replicas))
     agent = make_agent(name, size, replicas, settings)
-    optimiser = ReplicaAdam(agent.loss.parameters(), replicas, lr=settings.lr)
+    optimizer = ReplicaAdam(agent.loss.parameters(), replicas, lr=settings.lr)
     freeze = HardUpdate(agent.loss, value_network_update_interval=0)
     memory = DiveMemory(settings.capacity)
     treasures = torch.zeros(replicas, dtype=torch.int64)
@@ -167,9 +167,9 @@ def train(
             agent.loss.set_num_data(len(memory))
         due += settings.updates_per_step * size
         while updates < due:
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             agent.loss(memory.sample(settings.batch_size))["loss"].backward()
-            optimiser.step()
+            optimizer.step()
             updates += 1
             if updates % settings.freeze_every == 0:
                 freeze.step()

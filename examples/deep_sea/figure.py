@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "deep_sea.png"
 
-# Okabe and Ito's colours, told apart by colour-blind readers too.
+# Okabe and Ito's colors, told apart by color-blind readers too.
 LOOKS = {
     "epsilon_greedy": ("#000000", "s"),
     "bootstrap": ("#E69F00", "v"),
@@ -30,7 +30,7 @@ LOOKS = {
     "bbqn_independent": ("#56B4E9", "D"),
     "bbqn_shared": ("#D55E00", "P"),
 }
-"""Colour and marker; those of zero means look like their twins, but hollow and dashed."""
+"""Color and marker; those of zero means look like their twins, but hollow and dashed."""
 
 PANELS = {
     "The agents": [agent for agent in AGENT_NAMES if not agent.endswith("_zero")],
@@ -66,9 +66,9 @@ def _draw_agents(axes: Axes, lines: Sequence[Line], agents: Sequence[str]) -> No
     sizes = sorted({line.size for line in lines})
     unsolved_at = 1.6 * max(line.episodes for line in lines)
     for number, agent in enumerate(agents):
-        colour, marker = LOOKS[agent.removesuffix("_zero")]
+        color, marker = LOOKS[agent.removesuffix("_zero")]
         filled = not agent.endswith("_zero")
-        face = colour if filled else "white"
+        face = color if filled else "white"
         shift = 0.11 * (number - (len(agents) - 1) / 2)
         of_agent = [line for line in lines if line.agent == agent]
         solved = [line for line in of_agent if line.episodes_to_solve is not None]
@@ -76,7 +76,7 @@ def _draw_agents(axes: Axes, lines: Sequence[Line], agents: Sequence[str]) -> No
             [line.size + shift for line in solved],
             [line.episodes_to_solve for line in solved],
             marker,
-            color=colour,
+            color=color,
             ms=4.5,
             alpha=0.55,
             mew=0 if filled else 1,
@@ -89,7 +89,7 @@ def _draw_agents(axes: Axes, lines: Sequence[Line], agents: Sequence[str]) -> No
             [n + shift for n in sizes],
             medians,
             marker + ("-" if filled else "--"),
-            color=colour,
+            color=color,
             lw=1.8,
             ms=7,
             mfc=face,
@@ -99,14 +99,14 @@ def _draw_agents(axes: Axes, lines: Sequence[Line], agents: Sequence[str]) -> No
             unsolved = sum(line.episodes_to_solve is None for line in of_one)
             if unsolved:
                 height = unsolved_at * 1.3**number
-                axes.plot([n], [height], marker, color=colour, ms=5, mfc=face)
+                axes.plot([n], [height], marker, color=color, ms=5, mfc=face)
                 axes.annotate(
                     f"{unsolved}/{len(of_one)}",
                     (n, height),
                     (5, -3),
                     textcoords="offset points",
                     fontsize=7,
-                    color=colour,
+                    color=color,
                 )
     bottom, top = 1.0, unsolved_at * 1.3 ** len(agents)
     axes.axhspan(unsolved_at / 1.15, top, color="0.93", zorder=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import DONT_CARE, NONE, movie_domain, tensorise
+from bbq_torchrl.domains import DONT_CARE, NONE, movie_domain, tensorize
 from bbq_torchrl.simulator import FeatureLayout
 from scripts.docs_blocks.markdown import code, table
 
@@ -33,7 +33,7 @@ def _actions() -> str:
 
 
 def _features() -> str:
-    layout = FeatureLayout(tensorise(movie_domain()))
+    layout = FeatureLayout(tensorize(movie_domain()))
     rows = []
     for group in layout.groups:
         place = layout[group.name]
@@ -48,7 +48,7 @@ def _corpus() -> str:
     """Returns the sizes of the corpus in the package, and how often its slots are filled."""
     domain = movie_domain()
     records, goals = domain.records, domain.goals
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     held = tensors.goal_constraints * tensors.constrains
     wanted, have = held[:, None], tensors.records[None]
     can_be_met = ((wanted == NONE) | (wanted == DONT_CARE) | (wanted == have)).all(-1).any(-1)

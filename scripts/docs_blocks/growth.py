@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bbq_torchrl.evaluation.figures import COLOURS
+from bbq_torchrl.evaluation.figures import COLORS
 from benchmarks.parts.cells import GROWTH
 from scripts.docs_blocks.markdown import table
 from scripts.docs_blocks.speed import number
@@ -117,11 +117,11 @@ def draw_growth() -> list[Path]:
     figure = Figure(figsize=(2.6 * len(measured), 5.2), layout="constrained")
     axes = figure.subplots(2, len(measured), squeeze=False)
     for column, (what, (sizes, *kinds)) in enumerate(measured.items()):
-        for row, (values, unit, colour) in enumerate(
-            zip(kinds, ("seconds", "MB"), COLOURS, strict=False)
+        for row, (values, unit, color) in enumerate(
+            zip(kinds, ("seconds", "MB"), COLORS, strict=False)
         ):
             ax = axes[row, column]
-            ax.loglog(sizes, values, "o-", color=colour)
+            ax.loglog(sizes, values, "o-", color=color)
             # from the last point down: what a linear growth would have been
             ax.loglog(sizes, [values[-1] * size / sizes[-1] for size in sizes], ":", color="0.5")
             ax.set_ylim(min(values) / 3, max(values) * 3)

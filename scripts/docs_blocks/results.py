@@ -15,7 +15,7 @@ from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.groups import Group, Run, read_groups
 from bbq_torchrl.evaluation.pairs import pair, pairings
 from bbq_torchrl.evaluation.report import curves
-from bbq_torchrl.evaluation.statistics import summarise
+from bbq_torchrl.evaluation.statistics import summarize
 from bbq_torchrl.evaluation.tables import (
     improvement_table,
     learning_table,
@@ -119,8 +119,8 @@ def _readme_rows(kept: list[Group]) -> list[tuple[object, ...]]:
         (
             group.label,
             len(group.final),
-            summarise(group.final).t,
-            summarise(group.cumulative).t,
+            summarize(group.final).t,
+            summarize(group.cumulative).t,
         )
         for group in kept
     ]

@@ -136,7 +136,7 @@ def restored(trainer, folder):
         path, _ = built.checkpoints.restore(described)
     except (CheckpointDamagedError, CheckpointMismatchError):
         return None, None
-    parts = [built.loss.state_dict(), built.replay.state_dict(), built.optimiser.state_dict()]
+    parts = [built.loss.state_dict(), built.replay.state_dict(), built.optimizer.state_dict()]
     leaves = torch.utils._pytree.tree_leaves(parts)
     return path.name, [leaf.double().sum() for leaf in leaves if isinstance(leaf, torch.Tensor)]
 

@@ -1,8 +1,8 @@
-"""Bayesian linear regression, where the best factorised Gaussian is known in closed form.
+"""Bayesian linear regression, where the best factorized Gaussian is known in closed form.
 
 For y = x · w + noise the posterior is a Gaussian with precision Λ = XᵀX / noise_std² + I / p² and
-mean Λ⁻¹Xᵀy / noise_std². Of all factorised Gaussians the one nearest to it (in the KL that the
-evidence bound minimises) has the same mean and the standard deviations Λ_ii^(-1/2), which are
+mean Λ⁻¹Xᵀy / noise_std². Of all factorized Gaussians the one nearest to it (in the KL that the
+evidence bound minimizes) has the same mean and the standard deviations Λ_ii^(-1/2), which are
 smaller than the posterior's own.
 """
 
@@ -50,7 +50,7 @@ def optimum(data: Data) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", steps=200, pool=None):
-    """Returns mean and standard deviation of the weights that maximise the evidence bound.
+    """Returns mean and standard deviation of the weights that maximize the evidence bound.
 
     One network whose gradient is the average over draws (a stack of equal networks, each with a
     draw and a mini-batch of its own): one draw a step has the same optimum, later.
@@ -60,8 +60,8 @@ def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", ste
     )
     count = data.x.shape[0]
     num_data = count if num_data is None else num_data
-    optimiser = torch.optim.Adam(net.parameters(), 0.1, fused=True)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    optimizer = torch.optim.Adam(net.parameters(), 0.1, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for step in range(steps):
         if pool is not None and step % 10 == 0:
             pool.clear()
@@ -71,11 +71,11 @@ def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", ste
             error = net(x).squeeze(-1) - y
         # the loss of one transition, as BBQNLoss weighs it
         loss = error.square().mean(-1) / (2 * NOISE_STD**2) + collector.total() / num_data
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss.sum().backward()
         for parameter in net.parameters():
             parameter.grad.copy_(parameter.grad.mean(0))
-        optimiser.step()
+        optimizer.step()
         schedule.step()
     return net.posterior.mu.detach()[0], net.posterior.sigma.detach()[0]
 
@@ -100,7 +100,7 @@ def assert_optimal(found, expected):
     ],
     ids=["full", "full local", "full sampled KL", "batches", "batches local", "batches pool"],
 )
-def test_it_learns_the_best_factorised_gaussian(settings):
+def test_it_learns_the_best_factorized_gaussian(settings):
     data = regression()
     assert_optimal(learn(data, **settings), optimum(data))
 

@@ -8,7 +8,7 @@ from scipy import stats
 from torch import nn
 
 from bbq_torchrl.bayes import BayesLinear, BayesMLP, noise_pool, set_weight_mode, shared_noise
-from bbq_torchrl.networks import MLP
+from bbq_torchrl.networks import FlatMLP
 
 # A test of chance fails by chance with this probability.
 RARE = 1e-6
@@ -28,8 +28,8 @@ def test_a_draw_is_of_standard_normal_numbers(stack):
     assert noise.shape == (1, *stack, 61 * 50 + 51 * 40)
     assert stats.kstest(noise.flatten().double().numpy(), "norm").pvalue > RARE
     rows = noise.reshape(-1, noise.shape[-1]).double()
-    neighbours = (rows[:, 1:] * rows[:, :-1]).sum() / rows[:, 1:].numel() ** 0.5
-    assert abs(float(neighbours)) < 5
+    neighbors = (rows[:, 1:] * rows[:, :-1]).sum() / rows[:, 1:].numel() ** 0.5
+    assert abs(float(neighbors)) < 5
 
 
 def test_one_weight_has_normal_noise_from_draw_to_draw():
@@ -111,7 +111,7 @@ def test_a_pool_of_one_draw_is_refused():
 @pytest.mark.parametrize("dropout", [0.2, 0.5])
 def test_dropout_keeps_units_with_its_probability_and_changes_from_batch_to_batch(stack, dropout):
     # Inputs and weights of 1 leave the share of the units that are kept in the output.
-    net = MLP(1, 1, (200,), stack=stack, dropout=dropout)
+    net = FlatMLP(1, 1, (200,), stack=stack, dropout=dropout)
     with torch.no_grad():
         for parameter in net.parameters():
             parameter.fill_(1.0)
@@ -129,7 +129,7 @@ def test_dropout_keeps_units_with_its_probability_and_changes_from_batch_to_batc
 
 
 def test_networks_drop_units_of_their_own():
-    net = MLP(1, 1, (200,), stack=(2,), dropout=0.5)
+    net = FlatMLP(1, 1, (200,), stack=(2,), dropout=0.5)
     with torch.no_grad():
         for parameter in net.parameters():
             parameter.copy_(parameter[:1].expand_as(parameter))

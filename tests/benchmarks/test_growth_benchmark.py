@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bbq_torchrl.domains import Domain, tensorise
+from bbq_torchrl.domains import Domain, tensorize
 from benchmarks import growth
 from benchmarks.parts import cells
 from scripts.docs_blocks.growth import slope
@@ -53,12 +53,12 @@ def test_records_are_mixed_from_the_domains_own(movie: Domain) -> None:
     assert len(domain.records) == 150
     values = {(slot, text) for record in movie.records for slot, text in record.items()}
     assert {(slot, text) for record in domain.records for slot, text in record.items()} <= values
-    assert tensorise(domain).n_values.tolist() == tensorise(movie).n_values.tolist()
+    assert tensorize(domain).n_values.tolist() == tensorize(movie).n_values.tolist()
 
 
 def test_new_values_make_the_vocabulary_grow(movie: Domain) -> None:
     domain = cells.varied(movie, 100, new_every=10)
-    more = tensorise(domain).n_values - tensorise(movie).n_values
+    more = tensorize(domain).n_values - tensorize(movie).n_values
     assert more.sum() == 10
     assert more[movie.slots.index("theater")] == 10
 

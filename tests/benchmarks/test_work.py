@@ -1,4 +1,4 @@
-"""The work that the floor counts, against networks and optimisers that torch counts itself."""
+"""The work that the floor counts, against networks and optimizers that torch counts itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from bbq_torchrl.envs import DialogueEnv
-from bbq_torchrl.networks import MLP
+from bbq_torchrl.networks import FlatMLP
 from benchmarks.floor import KINDS, least_seconds
 from benchmarks.parts.work import PARAMETERS, UPDATES, Work, turn, valid_share
 from benchmarks.parts.yardstick import ACTIONS, BATCH, FEATURES, HIDDEN, bare_update
@@ -26,7 +26,7 @@ def test_operations_are_those_that_torch_counts() -> None:
 
 
 def test_parameters_are_those_of_the_network() -> None:
-    network = MLP(FEATURES, ACTIONS, HIDDEN)
+    network = FlatMLP(FEATURES, ACTIONS, HIDDEN)
     assert sum(p.numel() for p in network.parameters()) == PARAMETERS
     assert torch.Size([BATCH, FEATURES]) == torch.Size([32, 268])
 

@@ -87,6 +87,6 @@ def test_the_estimate_of_the_networks_is_what_a_loss_and_adam_hold(tmp_path):
     frozen = sum(
         buffer.numel() for name, buffer in agent.loss.named_buffers() if name.startswith("target_")
     )
-    assert trainer.optimiser is not None
+    assert trainer.optimizer is not None
     taken = torch.finfo(torch.float32).bits // 8 * (weights * 4 + frozen)
     assert training_needs(config, trainer.env.domain)[4].size == pytest.approx(taken, rel=0.05)

@@ -40,7 +40,7 @@ MC = ("agent=bbqn", "agent.target=mc")
 CASES: dict[str, tuple[tuple[str, ...], dict[str, list[float]]]] = {
     "prior_std": (MC, {"agent.prior_std": [0.05, 0.4]}),
     "prior_std, held draws": (
-        (*MC, "explore.per=dialogue", "agent.kl=sampled"),
+        (*MC, "explore.per=episode", "agent.kl=sampled"),
         {"agent.prior_std": [0.05, 0.4]},
     ),
     "prior_std, extension": (
@@ -87,7 +87,7 @@ def trained(command: list[str], folder: Path) -> tuple[list[torch.Tensor], list[
     trainer, _ = build_trainer(compose(command), folder)
     rows = trainer.train()
     plain = [{k: v for k, v in row.items() if not k.startswith("seconds")} for row in rows]
-    return [parameter.detach().clone() for parameter in trainer.optimiser.parameters], plain
+    return [parameter.detach().clone() for parameter in trainer.optimizer.parameters], plain
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -22,7 +22,7 @@ DOMAINS = sorted((ROOT / "bbq_torchrl" / "domains").rglob("*.py"))
     [
         (["options"], "torch"),
         (["domains", "simulator"], "torchrl"),
-        (["modules", "objectives", "data"], "bbq_torchrl.domains"),
+        (["bayes", "networks", "exploration", "objectives", "data", "vime"], "bbq_torchrl.domains"),
     ],
 )
 def test_import_does_not_load(packages: list[str], forbidden: str) -> None:

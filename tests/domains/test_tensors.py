@@ -18,7 +18,7 @@ from bbq_torchrl.domains import (
     DomainTensors,
     Goal,
     fold,
-    tensorise,
+    tensorize,
 )
 
 
@@ -43,12 +43,12 @@ def folded(values) -> dict[str, str]:
 def test_reserved_ids_come_first_in_every_slot(domain: Domain):
     assert (NONE, DONT_CARE, NO_MATCH, AVAILABLE, FIRST_VALUE) == (0, 1, 2, 3, 4)
     reserved = ("", *RESERVED_TEXT.values())
-    for texts in tensorise(domain).vocabulary:
+    for texts in tensorize(domain).vocabulary:
         assert texts[:FIRST_VALUE] == reserved
 
 
 def test_records_and_goals_read_back_as_they_were(domain: Domain):
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     for record, row in zip(domain.records, tensors.records, strict=True):
         assert decode(domain, tensors, row) == folded(record)
     for index, goal in enumerate(domain.goals):
@@ -59,7 +59,7 @@ def test_records_and_goals_read_back_as_they_were(domain: Domain):
 
 
 def test_error_values_read_back_as_they_were(domain: Domain):
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     for index, slot in enumerate(domain.slots):
         count = int(tensors.error_count[index])
         ids, padding = tensors.error_values[index, :count], tensors.error_values[index, count:]
@@ -70,7 +70,7 @@ def test_error_values_read_back_as_they_were(domain: Domain):
 
 
 def test_a_slots_ids_are_all_its_values_once(domain: Domain):
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     for index, slot in enumerate(domain.slots):
         texts = [fold(text) for text in tensors.vocabulary[index][FIRST_VALUE:]]
         known = {fold(text) for text in domain.error_values.get(slot, ())}
@@ -81,7 +81,7 @@ def test_a_slots_ids_are_all_its_values_once(domain: Domain):
 
 
 def test_actions_read_back_as_they_were(domain: Domain):
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     assert tensors.n_actions == len(domain.actions)
     for index, action in enumerate(domain.actions):
         assert domain.acts[tensors.action_act[index]] == action.act
@@ -95,7 +95,7 @@ def test_actions_read_back_as_they_were(domain: Domain):
 
 
 def test_special_and_active_slots_are_ids_of_the_domains_slots(domain: Domain):
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     assert domain.slots[tensors.ticket] == domain.ticket_slot
     assert domain.slots[tensors.complete] == domain.complete_slot
     assert [domain.slots[i] for i in tensors.extension_slots] == list(domain.extension_order)
@@ -110,7 +110,7 @@ def test_special_and_active_slots_are_ids_of_the_domains_slots(domain: Domain):
 @pytest.mark.parametrize("opening", ["moviename", ("city", "moviename"), (), None])
 def test_the_opening_slots_are_flags(movie: Domain, opening):
     domain = replace(movie, opening_slot=opening)
-    flags = tensorise(domain).opening.tolist()
+    flags = tensorize(domain).opening.tolist()
     named = {opening} if isinstance(opening, str) else set(opening or ())
     assert {slot for slot, flag in zip(movie.slots, flags, strict=True) if flag} == named
 
@@ -122,7 +122,7 @@ def test_spellings_that_differ_in_case_are_one_value_shown_as_first_met(restaura
         records=({"area": "NORTH"}, {"area": "south"}),
         goals=(Goal({"area": "north"}), Goal({"area": "i DO not care"})),
     )
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     area = tensors.slot["area"]
     assert tensors.vocabulary[area][FIRST_VALUE:] == ("North", "south")
     assert tensors.records[:, area].tolist() == [FIRST_VALUE, FIRST_VALUE + 1]
@@ -130,19 +130,19 @@ def test_spellings_that_differ_in_case_are_one_value_shown_as_first_met(restaura
 
 
 def test_a_value_listed_twice_is_drawn_twice_as_often(restaurant: Domain):
-    tensors = tensorise(replace(restaurant, error_values={"area": ("north", "south", "North")}))
+    tensors = tensorize(replace(restaurant, error_values={"area": ("north", "south", "North")}))
     area = tensors.slot["area"]
     assert tensors.error_values[area].tolist() == [FIRST_VALUE, FIRST_VALUE + 1, FIRST_VALUE]
 
 
 def test_a_domain_without_error_values_has_counts_of_zero(restaurant: Domain):
-    tensors = tensorise(replace(restaurant, error_values={}))
+    tensors = tensorize(replace(restaurant, error_values={}))
     assert tensors.error_count.sum() == 0
     assert tensors.error_values.shape == (len(restaurant.slots), 1)
 
 
 def test_ids_are_long_and_flags_are_bool(domain: Domain):
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     flags = {"goal_requests", "constrains", "essential_slots", "opening"}
     for field in fields(tensors):
         value = getattr(tensors, field.name)
@@ -151,7 +151,7 @@ def test_ids_are_long_and_flags_are_bool(domain: Domain):
 
 
 def test_moving_to_a_device_moves_every_tensor_and_nothing_else(restaurant: Domain):
-    tensors = tensorise(restaurant)
+    tensors = tensorize(restaurant)
     moved = tensors.to("meta")
     for field in fields(tensors):
         before, after = getattr(tensors, field.name), getattr(moved, field.name)

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import Goal, ScriptedPolicySpec
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.envs.scripted import CarefulPolicy, RandomPolicy, SequencePolicy
+from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
 
 
 def played(env, policy):
@@ -84,7 +84,7 @@ def test_every_domain_brings_its_own_policies(restaurant):
 def test_the_random_policy_plays_every_legal_action_alike():
     torch.manual_seed(0)
     mask = torch.tensor([True, False, True, True, False]).expand(30_000, 5)
-    action = RandomPolicy()(TensorDict(action_mask=mask, batch_size=[30_000]))["action"]
+    action = UniformPolicy()(TensorDict(action_mask=mask, batch_size=[30_000]))["action"]
     share = torch.bincount(action, minlength=5) / 30_000
     assert share[[1, 4]].sum() == 0
     sigma = (1 / 3 * 2 / 3 / 30_000) ** 0.5

@@ -6,7 +6,7 @@ import pytest
 import torch
 from host_waits import NeverWaits
 
-from bbq_torchrl.domains import tensorise
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
 from bbq_torchrl.simulator import ErrorModel, Simulator
 
@@ -64,7 +64,7 @@ def test_a_reset_never_waits_for_the_device(movie):
 def test_everything_that_a_turn_uses_is_on_its_device(movie, mode):
     # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
     # tensors of the CPU, fails.
-    tensors = tensorise(movie)
+    tensors = tensorize(movie)
     simulator = Simulator(tensors, errors=ErrorModel(tensors, 0.3, mode, 0.2)).to("meta")
     active = torch.ones(tensors.n_slots, dtype=torch.bool, device="meta")
     action = torch.zeros(7, dtype=torch.int64, device="meta")

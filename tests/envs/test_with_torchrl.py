@@ -1,4 +1,4 @@
-"""The environment beside TorchRL's collectors, vectorised environments and transforms."""
+"""The environment beside TorchRL's collectors, vectorized environments and transforms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from torchrl.envs import (
 from torchrl.modules import EGreedyModule, QValueActor
 
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.envs.scripted import RandomPolicy
+from bbq_torchrl.envs.scripted import UniformPolicy
 
 
 def test_transforms_count_and_add_up(movie):
@@ -61,23 +61,23 @@ def test_a_collector_gives_whole_dialogues_one_after_another(movie):
 
 
 @pytest.mark.parametrize(
-    "vectorised",
+    "vectorized",
     [
         SerialEnv,
         pytest.param(partial(ParallelEnv, mp_start_method="spawn"), marks=pytest.mark.slow),
     ],
     ids=["serial", "parallel"],
 )
-def test_several_environments_play_side_by_side(movie, vectorised):
+def test_several_environments_play_side_by_side(movie, vectorized):
     schedule = ExtensionSchedule(start=1, every=1)
     make = partial(DialogueEnv, movie, batch_size=(4,), schedule=schedule)
-    env = vectorised(2, make)
+    env = vectorized(2, make)
     try:
         env.set_seed(0)
         check_env_specs(env)
         torch.manual_seed(0)
         # Their spec has no mask, so that it takes a policy to act by it.
-        rollout = env.rollout(12, RandomPolicy(), break_when_any_done=False)
+        rollout = env.rollout(12, UniformPolicy(), break_when_any_done=False)
         assert rollout.shape == (2, 4, 12)
         assert rollout["action_mask"].gather(-1, rollout["action"][..., None]).all()
         assert not torch.equal(rollout["goal_id"][0], rollout["goal_id"][1])

@@ -95,16 +95,16 @@ def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path,
 
 
 @pytest.mark.parametrize("count", [2, 9])
-def test_a_run_with_several_values_has_a_colour_for_each(tmp_path, drawn, count):
+def test_a_run_with_several_values_has_a_color_for_each(tmp_path, drawn, count):
     groups = [Curves(f"std={n}", curves(2).success, np.array([0.5])) for n in range(count)]
     draw_run(tmp_path / "curve.png", groups, title="a run")
     (axes,) = drawn[0].axes
     # Of each group: two replicas, their mean, the final points, their mean.
     lines = axes.get_lines()
     assert len(lines) == count * 5
-    colours = [{str(line.get_color()) for line in lines[n * 5 : n * 5 + 5]} for n in range(count)]
-    assert all(len(own) == 1 for own in colours)
-    assert len(set.union(*colours)) == count
+    colors = [{str(line.get_color()) for line in lines[n * 5 : n * 5 + 5]} for n in range(count)]
+    assert all(len(own) == 1 for own in colors)
+    assert len(set.union(*colors)) == count
 
 
 def test_a_run_of_one_replica_shows_its_raw_rounds(tmp_path, drawn):
@@ -134,7 +134,7 @@ def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer(tmp_path, dra
 
 
 @pytest.mark.parametrize("count", [0, 8])
-def test_more_groups_than_colours_are_refused(tmp_path, count):
+def test_more_groups_than_colors_are_refused(tmp_path, count):
     with pytest.raises(ValueError, match=f"between 1 and 7 groups can be drawn, got {count}"):
         draw_comparison(tmp_path / "figure.png", [curves(1)] * count, title="too many")
     assert not list(tmp_path.iterdir())

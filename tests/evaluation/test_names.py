@@ -19,8 +19,8 @@ NAMES = {
     "agents/bbqn_mc": "BBQN-MC",
     "agents/bbqn_vime_map": "BBQN-VIME-MAP",
     "agents/bbqn_vime_mc": "BBQN-VIME-MC",
-    "rivals/double_dqn": "Double DQN",
-    "rivals/noisy_dqn": "Noisy DQN",
+    "baselines/double_dqn": "Double DQN",
+    "baselines/noisy_dqn": "Noisy DQN",
 }
 
 

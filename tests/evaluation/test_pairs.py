@@ -14,7 +14,7 @@ from scipy import stats
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
-from bbq_torchrl.evaluation import estimate, paired_differences, summarise
+from bbq_torchrl.evaluation import estimate, paired_differences, summarize
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.pairs import NO_PARTNER, pair, pairings
 from bbq_torchrl.evaluation.report import main
@@ -61,8 +61,8 @@ def test_t_interval_of_differences_is_that_of_scipys_paired_test(both):
 @given(agents)
 def test_swapping_the_agents_turns_the_signs(both):
     one, other = ({key: pair[side] for key, pair in both.items()} for side in (0, 1))
-    there = summarise(paired_differences(one, other))
-    back = summarise(paired_differences(other, one))
+    there = summarize(paired_differences(one, other))
+    back = summarize(paired_differences(other, one))
     for name in ("t", "bootstrap", "iqm"):
         found, mirrored = getattr(there, name), getattr(back, name)
         assert found.value == pytest.approx(-mirrored.value, abs=1e-12)
@@ -77,7 +77,7 @@ def test_the_order_of_the_pairs_does_not_matter(both, random):
     shuffled = list(both)
     random.shuffle(shuffled)
     in_order, mixed = (
-        summarise(
+        summarize(
             paired_differences(
                 {k: both[k][0] for k in keys}, {k: both[k][1] for k in reversed(keys)}
             )
@@ -152,7 +152,7 @@ def test_replicas_of_a_seed_are_paired_by_number_whatever_the_folders_order(tmp_
     found = compared(*folders)
     assert (found.label, found.pairs, found.remark) == ("BBQN-MAP minus DQN", 4, "")
     expected = [0.3 - 0.1, 0.6 - 0.2, 0.5 - 0.4, 0.9 - 0.7]
-    assert found.differences["final_success"] == summarise(pytest.approx(expected).expected)
+    assert found.differences["final_success"] == summarize(pytest.approx(expected).expected)
     half = [value / 2 for value in expected]
     assert found.differences["training_success"].t.value == pytest.approx(sum(half) / 4)
     assert "evaluation_area" not in found.differences

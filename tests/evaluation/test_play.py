@@ -9,7 +9,7 @@ from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.evaluation.transcripts import transcripts
 from bbq_torchrl.exploration import Greedy
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 
 PLACES = 6
 
@@ -54,8 +54,8 @@ def test_a_seed_decides_all_dialogues_whatever_was_played_before(env):
 
 def network(env):
     torch.manual_seed(0)
-    layers = MLP(env.layout.size, 39, [32], stack=(2,), dropout=0.5)
-    return Greedy(q_network(layers, env.action_spec_unbatched))
+    layers = FlatMLP(env.layout.size, 39, [32], stack=(2,), dropout=0.5)
+    return Greedy(q_actor(layers, env.action_spec_unbatched))
 
 
 # The network is handed over as it comes out of training, with its dropout switched on.

@@ -45,7 +45,7 @@ SMALL = (
 )
 AGENTS = {
     "mean network": ("agent=bbqn",),
-    "new draws, by the dialogue": ("agent=bbqn", "agent.evaluate=thompson", "explore.per=dialogue"),
+    "new draws, by the dialogue": ("agent=bbqn", "agent.evaluate=thompson", "explore.per=episode"),
     "dropout and epsilon": ("agent=dqn",),
     "majority vote": ("agent=bootstrap", "agent.heads=3"),
     "domain extension": ("env=domain_ext", "env.start=1", "env.every=2"),

@@ -51,7 +51,7 @@ def test_the_short_form_runs(short_run):
 
 def test_nothing_of_dialogue_is_imported(short_run):
     packages = {name.split(".")[1] for name in json.loads(short_run[-1]) if "." in name}
-    assert packages == {"modules", "objectives"}
+    assert packages == {"bayes", "exploration", "networks", "objectives"}
 
 
 def test_the_dqn_learns_in_the_same_loop():

@@ -183,7 +183,7 @@ def test_state_is_saved_and_restored():
         DeepSeaEnv(6, (3,)).load_state_dict(env.state_dict())
 
 
-def test_torchrl_s_transforms_and_vectorised_environments_take_it():
+def test_torchrl_s_transforms_and_vectorized_environments_take_it():
     env = TransformedEnv(DeepSeaEnv(4, (3,)), StepCounter()).append_transform(RewardSum())
     check_env_specs(env)
     rollout = env.rollout(4)

@@ -30,7 +30,7 @@ from bbq_torchrl.cli.store import compose, explorations_table
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import report
 from bbq_torchrl.evaluation.results import read_metrics
-from bbq_torchrl.networks import q_network
+from bbq_torchrl.networks import q_actor
 from bbq_torchrl.options import ConfigError, EvaluateConfig, registry
 from bbq_torchrl.run import run
 
@@ -217,7 +217,7 @@ def test_the_upper_bound_is_the_mean_without_a_coefficient_and_prefers_spread_wi
         ((weight, bias),) = network.layout.unflatten(layer.rho)
         weight.fill_(-20), bias.fill_(-20)
         weight[:, 1] = 1.0
-    actor = q_network(network, Categorical(2), action_mask_key=None)
+    actor = q_actor(network, Categorical(2), action_mask_key=None)
     rows = TensorDict(observation=torch.ones(50, 2), batch_size=[50])
     policy = UpperConfidence(actor, coefficient=5.0, draws=30)
     assert (policy(rows.clone())["action"] == 1).all()
@@ -268,7 +268,7 @@ def test_langevin_noise_is_for_the_agent_and_not_for_the_model_of_an_intrinsic_r
     trainer, agent = build_trainer(
         compose(["agent=langevin", *SHRUNKEN, "intrinsic=vime"]), tmp_path
     )
-    optimizer = trainer.optimiser
+    optimizer = trainer.optimizer
     pairs = zip(optimizer.parameters, optimizer.is_noisy, strict=True)
     noisy = {id(parameter) for parameter, is_noisy in pairs if is_noisy}
     assert noisy == {id(parameter) for parameter in agent.actor.parameters()}

@@ -10,7 +10,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import given_weights
 from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 
 
 def values(policy, td):
@@ -103,7 +103,7 @@ def test_settings_that_make_no_policy_are_refused():
         EvaluationPolicy(actor, mode="median")
     with pytest.raises(ValueError, match="num_draws must be at least 1, got 0"):
         EvaluationPolicy(actor, mode="average", num_draws=0)
-    plain = q_network(MLP(5, ACTIONS), Categorical(ACTIONS))
+    plain = q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS))
     assert EvaluationPolicy(plain)(observations(3))["action"].shape == (3,)
     with pytest.raises(ValueError, match="network with Bayesian layers"):
         EvaluationPolicy(plain, mode="draw")

@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule
 
 from bbq_torchrl.exploration import Boltzmann, Greedy, ThompsonSampling
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 STACKS = [(), (3,)]
@@ -37,8 +37,8 @@ def is_one_number(rows):
     [
         ("step", False, False, False),
         ("step", True, True, False),
-        ("dialogue", False, False, True),
-        ("dialogue", True, True, True),
+        ("episode", False, False, True),
+        ("episode", True, True, True),
         ("round", False, False, True),
         ("round", True, True, True),
     ],
@@ -61,13 +61,13 @@ def test_draws_are_the_papers_by_default():
     actor = bayes_actor()
     assert ThompsonSampling(actor).per == "step"
     assert not ThompsonSampling(actor).shared
-    assert not ThompsonSampling(actor, per="dialogue").shared
+    assert not ThompsonSampling(actor, per="episode").shared
     assert ThompsonSampling(actor, per="round").shared
 
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_dialogue_keeps_its_draw_until_the_next_one_begins(stack):
-    policy = ThompsonSampling(bayes_actor(stack), per="dialogue")
+    policy = ThompsonSampling(bayes_actor(stack), per="episode")
     td = observations(*stack, 4)
     td["is_init"] = torch.ones(*stack, 4, 1, dtype=torch.bool)
     first = values(policy, td)
@@ -83,7 +83,7 @@ def test_a_dialogue_keeps_its_draw_until_the_next_one_begins(stack):
 
 
 def test_a_shared_dialogue_draw_changes_where_any_row_of_the_element_begins():
-    policy = ThompsonSampling(bayes_actor((3,)), per="dialogue", shared=True)
+    policy = ThompsonSampling(bayes_actor((3,)), per="episode", shared=True)
     td = observations(3, 4)
     td["is_init"] = torch.zeros(3, 4, 1, dtype=torch.bool)
     first = values(policy, td)
@@ -96,7 +96,7 @@ def test_a_shared_dialogue_draw_changes_where_any_row_of_the_element_begins():
 
 def test_a_single_dialogue_keeps_its_draw_until_the_next_one_begins():
     for shared in (False, True):
-        policy = ThompsonSampling(bayes_actor(), per="dialogue", shared=shared)
+        policy = ThompsonSampling(bayes_actor(), per="episode", shared=shared)
         td = observations()
         td["is_init"] = torch.zeros(1, dtype=torch.bool)
         first = values(policy, td)
@@ -106,7 +106,7 @@ def test_a_single_dialogue_keeps_its_draw_until_the_next_one_begins():
 
 
 def test_new_rows_are_new_dialogues():
-    policy = ThompsonSampling(bayes_actor(), per="dialogue")
+    policy = ThompsonSampling(bayes_actor(), per="episode")
     values(policy, observations(4))
     assert torch.unique(values(policy, observations(7))).numel() == 7
 
@@ -116,14 +116,14 @@ def test_own_draws_of_rows_are_uncorrelated_and_spread_as_the_posterior():
     n, td = 4000, observations(4000)
     weights = actor[0].module.draw_weights((n,))
     expected = actor[0].module(td["observation"], weights=weights)[:, 2].detach()
-    policies = [ThompsonSampling(actor), ThompsonSampling(actor, per="dialogue")]
+    policies = [ThompsonSampling(actor), ThompsonSampling(actor, per="episode")]
     for rows in [values(policy, td) for policy in policies]:
         assert abs(torch.corrcoef(torch.stack([rows[1:], rows[:-1]]))[0, 1]) < 5 * n**-0.5
         # kurtosis of a sum of products of Gaussians over 16 units: below 8
         assert rows.std() / expected.std() == pytest.approx(1, abs=5 * (2 * 8 / (4 * n)) ** 0.5)
 
 
-@pytest.mark.parametrize("per", ["step", "dialogue", "round"])
+@pytest.mark.parametrize("per", ["step", "episode", "round"])
 def test_thompson_sampling_explores_under_random_and_outside_of_a_context_only(per):
     policy = ThompsonSampling(bayes_actor(), per=per)
     td = observations(4)
@@ -150,7 +150,7 @@ def policies(stack):
     eps = {"eps_init": 0.5, "eps_end": 0.5, "action_mask_key": "action_mask"}
     made = {
         f"thompson {per} {shared}": ThompsonSampling(actor, per=per, shared=shared)
-        for per in ("step", "dialogue", "round")
+        for per in ("step", "episode", "round")
         for shared in (False, True)
     }
     made["greedy"] = Greedy(actor)
@@ -192,8 +192,8 @@ def test_epsilon_greedy_explores_its_share_of_rows():
 
 
 def test_greedy_is_greedy_under_every_exploration_type_and_without_dropout():
-    net = MLP(5, ACTIONS, (32,), dropout=0.5)
-    td, policy = observations(20), Greedy(q_network(net, Categorical(ACTIONS)))
+    net = FlatMLP(5, ACTIONS, (32,), dropout=0.5)
+    td, policy = observations(20), Greedy(q_actor(net, Categorical(ACTIONS)))
     expected = net(td["observation"], "mean")
     for exploration in (RANDOM, DETERMINISTIC, None):
         with set_exploration_type(exploration):
@@ -256,8 +256,8 @@ def test_a_temperature_that_is_no_schedule_is_refused(init, end):
 
 def test_thompson_sampling_needs_a_posterior():
     with pytest.raises(ValueError, match="network with Bayesian layers"):
-        ThompsonSampling(q_network(MLP(5, ACTIONS), Categorical(ACTIONS)))
-    with pytest.raises(ValueError, match=r"per must be one of \['step', 'dialogue', 'round'\]"):
+        ThompsonSampling(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)))
+    with pytest.raises(ValueError, match=r"per must be one of \['step', 'episode', 'round'\]"):
         ThompsonSampling(bayes_actor(), per="episode")
 
 

@@ -19,7 +19,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule, QValueActor
 
 from bbq_torchrl.exploration import BootstrapSampling, EvaluationPolicy, Greedy, MajorityVote
-from bbq_torchrl.networks import MLP, BootstrapMLP, VoteModule, bootstrap_actor, q_network
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP, VoteModule, bootstrap_actor, q_actor
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 HEADS = 7
@@ -139,7 +139,7 @@ def test_sampling_votes_where_it_does_not_explore(mode):
 
 
 @pytest.mark.parametrize("stack", STACKS)
-@pytest.mark.parametrize("per", ["step", "dialogue", "round"])
+@pytest.mark.parametrize("per", ["step", "episode", "round"])
 def test_how_long_a_head_is_acted_on(stack, per):
     policy, td = BootstrapSampling(fixed(), per=per), bare(*stack, 40)
     first, again = heads_used(policy, td), heads_used(policy, td)
@@ -204,7 +204,7 @@ def test_other_rows_are_other_dialogues():
 @pytest.mark.parametrize("redrawn", ["first", "at the beginning", "every step"])
 def test_heads_are_uniform_and_independent_between_rows_and_dialogues(redrawn):
     n = 20_000
-    policy = BootstrapSampling(fixed(), per="step" if redrawn == "every step" else "dialogue")
+    policy = BootstrapSampling(fixed(), per="step" if redrawn == "every step" else "episode")
     td = bare(n)
     before = heads_used(policy, td)
     if redrawn == "at the beginning":
@@ -254,7 +254,7 @@ def test_it_acts_greedily_on_its_head_among_legal_actions():
 def test_no_forbidden_action_is_taken(stack, exploration, spec):
     actor = actor_on(BootstrapMLP(FEATURES, ACTIONS, (8,), heads=3, stack=stack), spec)
     policies = [MajorityVote(actor)]
-    policies += [BootstrapSampling(actor, per=per) for per in ("step", "dialogue", "round")]
+    policies += [BootstrapSampling(actor, per=per) for per in ("step", "episode", "round")]
     explore = EGreedyModule(spec, 0.5, 0.5, action_mask_key="action_mask")
     policies.append(TensorDictSequential(MajorityVote(actor), explore))
     with set_exploration_type(exploration):
@@ -288,7 +288,9 @@ def test_what_they_read_and_write():
 
 
 def test_dropout_is_off():
-    net = nn.Sequential(MLP(FEATURES, 2 * ACTIONS, (32,), dropout=0.5), nn.Unflatten(-1, (2, -1)))
+    net = nn.Sequential(
+        FlatMLP(FEATURES, 2 * ACTIONS, (32,), dropout=0.5), nn.Unflatten(-1, (2, -1))
+    )
     td = observations(20)
     for policy in (MajorityVote(actor_on(net)), BootstrapSampling(actor_on(net))):
         with set_exploration_type(RANDOM):
@@ -308,9 +310,9 @@ def test_copies_act_on_networks_of_their_own():
 
 
 def test_arguments_outside_of_what_is_listed_are_refused():
-    with pytest.raises(ValueError, match=r"per must be one of \['step', 'dialogue', 'round'\]"):
+    with pytest.raises(ValueError, match=r"per must be one of \['step', 'episode', 'round'\]"):
         BootstrapSampling(fixed(), per="episode")
-    single = q_network(MLP(FEATURES, ACTIONS), Categorical(ACTIONS))
+    single = q_actor(FlatMLP(FEATURES, ACTIONS), Categorical(ACTIONS))
     for policy in (MajorityVote, BootstrapSampling):
         with pytest.raises(ValueError, match="actor must be one that bootstrap_actor returns"):
             policy(single)

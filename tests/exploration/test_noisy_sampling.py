@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule
 
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, NoisySampling
-from bbq_torchrl.networks import MLP, NoisyMLP, q_network
+from bbq_torchrl.networks import FlatMLP, NoisyMLP, q_actor
 
 RANDOM = ExplorationType.RANDOM
 EXPLORATIONS = [None, *ExplorationType]
@@ -21,7 +21,7 @@ STACKS = [(), (3,)]
 
 
 def noisy_actor(stack=(), hidden=(16,)):
-    return q_network(NoisyMLP(FEATURES, ACTIONS, hidden, stack=stack), Categorical(ACTIONS))
+    return q_actor(NoisyMLP(FEATURES, ACTIONS, hidden, stack=stack), Categorical(ACTIONS))
 
 
 def values(policy, td):
@@ -125,4 +125,4 @@ def test_the_mean_network_can_be_evaluated():
 
 def test_it_needs_noisy_layers():
     with pytest.raises(ValueError, match="NoisyNet needs a network with noisy layers"):
-        NoisySampling(q_network(MLP(FEATURES, ACTIONS), Categorical(ACTIONS)))
+        NoisySampling(q_actor(FlatMLP(FEATURES, ACTIONS), Categorical(ACTIONS)))

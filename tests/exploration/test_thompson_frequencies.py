@@ -15,13 +15,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesLinear, BayesMLP
 from bbq_torchrl.exploration import ThompsonSampling
-from bbq_torchrl.networks import q_network
+from bbq_torchrl.networks import q_actor
 
 FEATURES, ACTIONS, DRAWS = 4, 5, 4000
 LEAST_P = 1e-6
 # How the draws of one posterior are had: as rows with draws of their own, or (where a batch
 # shares one) as elements of a stack of equal networks.
-WAYS = [("step", False), ("step", True), ("dialogue", False), ("round", False), ("round", True)]
+WAYS = [("step", False), ("step", True), ("episode", False), ("round", False), ("round", True)]
 
 
 def away_from_the_prior(net):
@@ -43,7 +43,7 @@ def actions(make, per, shared, x, mask=None):
         mask: the legal actions, bool [N].
     """
     net = make((DRAWS,) if shared else ())
-    policy = ThompsonSampling(q_network(net, Categorical(ACTIONS)), per=per, shared=shared)
+    policy = ThompsonSampling(q_actor(net, Categorical(ACTIONS)), per=per, shared=shared)
     batch = (DRAWS, 1) if shared else (DRAWS,)
     mask = torch.ones(ACTIONS, dtype=torch.bool) if mask is None else mask
     td = TensorDict(

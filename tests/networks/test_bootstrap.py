@@ -133,11 +133,11 @@ def test_priors_never_move(trunk_layers):
     priors = {name: tensor.clone() for name, tensor in net.named_buffers()}
     assert len(priors) == (1 if trunk_layers == 0 else 2)
     before = [parameter.detach().clone() for parameter in net.parameters()]
-    optimiser = torch.optim.Adam(net.parameters(), 0.1, weight_decay=0.1)
+    optimizer = torch.optim.Adam(net.parameters(), 0.1, weight_decay=0.1)
     for _ in range(3):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         net(torch.randn(2, 8, FEATURES, dtype=torch.double)).square().sum().backward()
-        optimiser.step()
+        optimizer.step()
     net.reset_parameters()
     net.train(False)
     for name, tensor in net.named_buffers():
@@ -178,11 +178,11 @@ def test_a_feature_that_appears_late_changes_nothing_when_it_does(stack, trunk_l
     x = torch.randn(*stack, 8, FEATURES, dtype=torch.double)
     early = x.masked_fill(inactive, 0)
     assert torch.equal(net(x), net(early))
-    optimiser = torch.optim.Adam(net.parameters(), 0.01)
+    optimizer = torch.optim.Adam(net.parameters(), 0.01)
     for _ in range(5):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         net(early).square().sum().backward()
-        optimiser.step()
+        optimizer.step()
     assert torch.equal(net(x), net(early))
     net(x).square().sum().backward()
     (matrix,) = net.input_matrices()[:1]

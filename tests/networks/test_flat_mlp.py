@@ -1,4 +1,4 @@
-"""The MLP on a flat weight vector against one written with torch's own layers."""
+"""FlatMLP, on a flat weight vector against one written with torch's own layers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 
 from bbq_torchrl.bayes import set_weight_mode
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp, mlp_local
-from bbq_torchrl.networks import MLP
+from bbq_torchrl.networks import FlatMLP
 
 LAYOUT = FlatLayout((5, 7, 6, 3))
 STACKS = [(), (1,), (4,), (2, 3)]
@@ -102,7 +102,7 @@ def test_dropout_drops_the_given_share_and_keeps_the_mean():
 
 
 def test_dropout_masks_differ_between_rows_and_elements():
-    net = MLP(1, 64, (64,), stack=(3,), dropout=0.5)
+    net = FlatMLP(1, 64, (64,), stack=(3,), dropout=0.5)
     out = net(torch.ones(3, 5, 1), "draw").flatten(0, 1)
     assert torch.unique(out, dim=0).shape[0] == 15
 
@@ -121,7 +121,7 @@ def test_a_start_like_torch_linear():
 
 
 def test_mlp_drops_in_training_mode_and_never_in_mode_mean():
-    net, x = MLP(4, 3, (32,), dropout=0.5), torch.randn(6, 4)
+    net, x = FlatMLP(4, 3, (32,), dropout=0.5), torch.randn(6, 4)
     assert not torch.equal(net(x), net(x))
     assert torch.equal(net(x, "mean"), net(x, "mean"))
     with set_weight_mode("mean"):
@@ -132,7 +132,7 @@ def test_mlp_drops_in_training_mode_and_never_in_mode_mean():
 
 
 def test_mlp_without_dropout_draws_no_random_number():
-    net, x = MLP(4, 3, (32,)), torch.randn(6, 4)
+    net, x = FlatMLP(4, 3, (32,)), torch.randn(6, 4)
     state = torch.get_rng_state()
     net(x, "draw")
     assert torch.equal(torch.get_rng_state(), state)
@@ -141,7 +141,7 @@ def test_mlp_without_dropout_draws_no_random_number():
 @pytest.mark.parametrize("dropout", [-0.1, 1.0, 2.0])
 def test_a_dropout_outside_of_its_range_is_refused(dropout):
     with pytest.raises(ValueError, match=r"dropout must be in \[0, 1\), got"):
-        MLP(3, 2, dropout=dropout)
+        FlatMLP(3, 2, dropout=dropout)
 
 
 @pytest.mark.parametrize("shape", [(7, 5), (4, 8), (5,)])

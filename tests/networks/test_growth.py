@@ -7,7 +7,7 @@ import torch
 
 from bbq_torchrl.bayes import BayesMLP, GaussianPosterior, kl_divergence
 from bbq_torchrl.bayes.functional import FlatLayout
-from bbq_torchrl.networks import MLP, NoisyMLP, grow, reset_inactive_
+from bbq_torchrl.networks import FlatMLP, NoisyMLP, grow, reset_inactive_
 from bbq_torchrl.networks.growth import grow_flat, growth_index
 
 STACKS = [(), (2,)]
@@ -22,7 +22,7 @@ def wide(x):
 
 
 @pytest.mark.parametrize("stack", STACKS)
-@pytest.mark.parametrize("kind", [MLP, BayesMLP])
+@pytest.mark.parametrize("kind", [FlatMLP, BayesMLP])
 def test_a_grown_network_gives_the_old_outputs_where_new_inputs_are_zero(kind, stack):
     net = kind(3, 2, (8, 8), stack=stack)
     if kind is BayesMLP:
@@ -69,7 +69,7 @@ def test_new_weights_add_no_kl(stack, prior_std):
 
 
 def test_new_input_weights_of_a_plain_network_start_at_zero():
-    grown = grow(MLP(3, 2, (8,), stack=(2,)), 5, 4, inputs=INPUTS, outputs=OUTPUTS)
+    grown = grow(FlatMLP(3, 2, (8,), stack=(2,)), 5, 4, inputs=INPUTS, outputs=OUTPUTS)
     (first, _), (last, bias) = grown.layout.unflatten(grown.weight)
     assert not first[:, [1, 3]].any()
     assert first[:, INPUTS].all()
@@ -78,7 +78,7 @@ def test_new_input_weights_of_a_plain_network_start_at_zero():
 
 
 @pytest.mark.parametrize("stack", STACKS)
-@pytest.mark.parametrize("kind", [MLP, BayesMLP])
+@pytest.mark.parametrize("kind", [FlatMLP, BayesMLP])
 def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
     """The proof: both ways see the same data, a feature and an action appear half-way."""
     options = {"stack": stack, "dtype": torch.double}
@@ -109,10 +109,10 @@ def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
 
     monkeypatch.setattr(GaussianPosterior, "fill_noise_", fill)
 
-    def optimiser_of(network):
+    def optimizer_of(network):
         return torch.optim.Adam(network.parameters(), 1e-2)
 
-    def step(network, optimiser, x, action, y):
+    def step(network, optimizer, x, action, y):
         noise["row"] = 0
         if kind is BayesMLP:
             weights, kl = network.posterior.sample_with_kl()
@@ -120,21 +120,21 @@ def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
         else:
             out, kl = network(x), torch.zeros(())
         chosen = out.gather(-1, action.unsqueeze(-1)).squeeze(-1)
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         ((chosen - y).square().sum() + 0.01 * kl.sum()).backward()
-        optimiser.step()
+        optimizer.step()
 
     def data():
         noise["full"] = torch.randn(*stack, masked.layout.numel, dtype=torch.double)
         y = torch.randn(*stack, 9, dtype=torch.double)
         return torch.randn(*stack, 9, 5, dtype=torch.double), y
 
-    small_optimiser, masked_optimiser = optimiser_of(small), optimiser_of(masked)
+    small_optimizer, masked_optimizer = optimizer_of(small), optimizer_of(masked)
     for _ in range(40):
         x, y = data()
         action = torch.randint(2, (*stack, 9))
-        step(small, small_optimiser, x[..., INPUTS], action, y)
-        step(masked, masked_optimiser, wide(x[..., INPUTS]), OUTPUTS[action], y)
+        step(small, small_optimizer, x[..., INPUTS], action, y)
+        step(masked, masked_optimizer, wide(x[..., INPUTS]), OUTPUTS[action], y)
 
     # until the feature appears its weights are bitwise untouched
     is_new = torch.ones(masked.layout.numel, dtype=torch.bool)
@@ -147,22 +147,22 @@ def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
         assert torch.equal(masked.weight[..., is_new], start["weight"][..., is_new])
 
     grown = grow(small, 5, 4, inputs=INPUTS, outputs=OUTPUTS)
-    grown_optimiser = optimiser_of(grown)
+    grown_optimizer = optimizer_of(grown)
     for old, new in zip(small.parameters(), grown.parameters(), strict=True):
-        state = small_optimiser.state[old]
-        grown_optimiser.state[new] = {
+        state = small_optimizer.state[old]
+        grown_optimizer.state[new] = {
             "step": state["step"].clone(),
             "exp_avg": grow_flat(state["exp_avg"], torch.zeros_like(new), index),
             "exp_avg_sq": grow_flat(state["exp_avg_sq"], torch.zeros_like(new), index),
         }
-    if kind is MLP:  # new outputs start at random in both
+    if kind is FlatMLP:  # new outputs start at random in both
         with torch.no_grad():
             grown.weight[..., is_new] = masked.weight[..., is_new]
     for _ in range(40):
         x, y = data()
         action = torch.randint(4, (*stack, 9))
-        step(grown, grown_optimiser, x, action, y)
-        step(masked, masked_optimiser, x, action, y)
+        step(grown, grown_optimizer, x, action, y)
+        step(masked, masked_optimizer, x, action, y)
     for ours, theirs in zip(grown.parameters(), masked.parameters(), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=1e-9, atol=1e-10)
 
@@ -181,7 +181,7 @@ def test_inactive_weights_of_a_masked_network_start_where_growth_puts_them():
         assert (first[:, ~inputs] != inactive).all()
         assert (last[..., ~outputs] != inactive).all()
         assert (bias != inactive).all()
-    plain = MLP(3, 2, (4,))
+    plain = FlatMLP(3, 2, (4,))
     reset_inactive_(plain, inputs=inputs, outputs=outputs)
     (first, _), (last, _) = plain.layout.unflatten(plain.weight)
     assert not first[inputs].any()
@@ -190,7 +190,7 @@ def test_inactive_weights_of_a_masked_network_start_where_growth_puts_them():
 
 
 def test_growth_that_does_not_fit_is_refused():
-    net = MLP(3, 2, (8,))
+    net = FlatMLP(3, 2, (8,))
     with pytest.raises(ValueError, match="inputs must not shrink: from 3 to 2"):
         grow(net, 2, 2)
     for bad in ([0, 0, 1], [0, 1, 5], [-1, 0, 1], [0, 1]):
@@ -230,15 +230,15 @@ def test_inactive_weights_of_a_noisy_network_are_bitwise_untouched_and_then_lear
     outputs = torch.tensor([False, False, True, False])
     reset_inactive_(net, inputs=inputs, outputs=outputs)
     start = {k: v.clone() for k, v in net.state_dict().items()}
-    optimiser = torch.optim.Adam(net.parameters(), 1e-2)
+    optimizer = torch.optim.Adam(net.parameters(), 1e-2)
 
     def learn(active_inputs, actions):
         for _ in range(40):
             x = torch.randn(2, 9, 5) * active_inputs
             action = actions[torch.randint(len(actions), (2, 9, 1))]
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             (net(x, "draw").gather(-1, action) - x.sum(-1, keepdim=True)).square().sum().backward()
-            optimiser.step()
+            optimizer.step()
 
     def is_as_before():
         first, last = net.layers
@@ -261,7 +261,7 @@ def test_inactive_weights_of_a_noisy_network_are_bitwise_untouched_and_then_lear
 
 
 def test_growing_a_noisy_network_is_refused():
-    with pytest.raises(ValueError, match="network must be a BayesMLP or MLP to grow, got a Noisy"):
+    with pytest.raises(ValueError, match="must be a BayesMLP or FlatMLP to grow, got a Noisy"):
         grow(NoisyMLP(3, 2), 4, 2)
     with pytest.raises(ValueError, match=r"outputs must be a bool mask of shape \[2\], got"):
         reset_inactive_(NoisyMLP(3, 2), outputs=torch.ones(3, dtype=torch.bool))

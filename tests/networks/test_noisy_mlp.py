@@ -123,7 +123,7 @@ def test_parameters_start_as_torchrls(stack):
 
 
 @pytest.mark.parametrize("mode", ["draw", "local"])
-def test_a_layers_output_has_the_moments_of_factorised_noise(mode):
+def test_a_layers_output_has_the_moments_of_factorized_noise(mode):
     # y_i = b_i + Σ_j w_ij x_j, with E ε = 0 and E ε² = E|z| = (2/π)^½ for ε = sgn(z) |z|^½:
     # var y_i = (2/π) Σ_j σ_ij² x_j² + (2/π)^½ σ_i². Layers side by side are independent draws.
     n, rows = (20_000, 1) if mode == "draw" else (1, 20_000)

@@ -9,19 +9,19 @@ from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.networks import q_network
+from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
 
 def test_inactive_weights_stay_bitwise_at_the_prior_under_adam():
     # features and actions that are masked, hundreds of steps, every parameter under Adam; the
-    # sizes leave remainders in every vectorised loop
+    # sizes leave remainders in every vectorized loop
     for stack in [(), (2,)]:
         net = BayesMLP(11, 7, (13,), stack=stack, prior_std=0.1)
         start = {k: v.clone() for k, v in net.state_dict().items()}
-        loss = BBQNLoss(q_network(net, Categorical(7)), num_data=50)
+        loss = BBQNLoss(q_actor(net, Categorical(7)), num_data=50)
         update = HardUpdate(loss, value_network_update_interval=0)
-        optimiser = torch.optim.Adam(loss.parameters(), 1e-2)
+        optimizer = torch.optim.Adam(loss.parameters(), 1e-2)
         mask = torch.tensor([True, False, True, True, False, True, False])
         features = torch.rand(11) < 0.6
         features[0], features[-1] = True, False
@@ -33,9 +33,9 @@ def test_inactive_weights_stay_bitwise_at_the_prior_under_adam():
             td = transitions(stack, (16,))
             td.update({**state, "action": action})
             td["next"] = {**td["next"].to_dict(), **state}
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             loss(td)["loss"].backward()
-            optimiser.step()
+            optimizer.step()
             if step % 50 == 0:
                 update.step()
         for name in ("mu", "rho"):
@@ -53,17 +53,17 @@ def test_inactive_weights_stay_bitwise_at_the_prior_under_adam():
 def test_the_sampled_kl_moves_weights_that_no_data_reach():
     # why the closed form is the default
     net = BayesMLP(3, 2, ())
-    loss = BBQNLoss(q_network(net, Categorical(2), action_mask_key=None), kl="sampled", num_data=50)
+    loss = BBQNLoss(q_actor(net, Categorical(2), action_mask_key=None), kl="sampled", num_data=50)
     HardUpdate(loss, value_network_update_interval=0)
-    optimiser = torch.optim.Adam(loss.parameters(), 1e-3)
+    optimizer = torch.optim.Adam(loss.parameters(), 1e-3)
     td = transitions()
     zeros = torch.zeros(32, 3)
     td["observation"], td["next", "observation"] = zeros, zeros
     td["action"] = torch.zeros(32, dtype=torch.int64)
     for _ in range(20):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss(td)["loss"].backward()
-        optimiser.step()
+        optimizer.step()
     assert (net.layout.unflatten(flat(loss, "mu"))[0][0] != 0).all()
 
 
@@ -74,7 +74,7 @@ def exact_posterior(x, y, noise_std, prior_std):
 
 
 def test_more_data_narrow_the_posterior_as_bayes_rule_says():
-    # Linear regression with orthogonal features: the exact posterior is a factorised Gaussian.
+    # Linear regression with orthogonal features: the exact posterior is a factorized Gaussian.
     # One network learns from 24 rows, one from three copies of them: duplicating the data set
     # must have the effect of more data.
     signs = torch.tensor([[1.0, 1.0], [1.0, -1.0]], dtype=torch.double)
@@ -85,7 +85,7 @@ def test_more_data_narrow_the_posterior_as_bayes_rule_says():
     noise_std, prior_std = 0.5, 0.3
     net = BayesMLP(4, 1, (), stack=(2,), prior_std=prior_std, dtype=torch.double)
     loss = BBQNLoss(
-        q_network(net, Categorical(1), action_mask_key=None),
+        q_actor(net, Categorical(1), action_mask_key=None),
         noise_std=noise_std,
         num_data=torch.tensor([24, 72]),
     )
@@ -97,12 +97,12 @@ def test_more_data_narrow_the_posterior_as_bayes_rule_says():
     td["next", "reward"][:] = y.repeat(3).unsqueeze(-1)
     td["next", "terminated"].fill_(True)
     td["valid"] = torch.arange(72) < torch.tensor([[24], [72]])
-    optimiser = torch.optim.Adam(loss.parameters(), 5e-2)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, 800)
+    optimizer = torch.optim.Adam(loss.parameters(), 5e-2)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 800)
     for _ in range(800):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss(td)["loss"].backward()
-        optimiser.step()
+        optimizer.step()
         schedule.step()
     sigma = torch.nn.functional.softplus(flat(loss, "rho")).detach()
     for k, copies in enumerate((1, 3)):
@@ -123,9 +123,9 @@ def test_thompson_sampling_with_bbqn_solves_a_bandit():
     # tried. Arms are tried by Thompson sampling on the posterior itself.
     torch.manual_seed(0)
     net = BayesMLP(1, 2, (), prior_std=1.0)
-    loss = BBQNLoss(q_network(net, Categorical(2), action_mask_key=None), noise_std=0.5, gamma=0.0)
+    loss = BBQNLoss(q_actor(net, Categorical(2), action_mask_key=None), noise_std=0.5, gamma=0.0)
     HardUpdate(loss, value_network_update_interval=0)
-    optimiser = torch.optim.Adam(loss.parameters(), 0.05)
+    optimizer = torch.optim.Adam(loss.parameters(), 0.05)
     x, pays = torch.ones(1, 1), torch.tensor([0.0, 1.0])
     actions, rewards = [], []
     for pull in range(40):
@@ -139,9 +139,9 @@ def test_thompson_sampling_with_bbqn_solves_a_bandit():
         td["next", "reward"] = torch.tensor(rewards).unsqueeze(-1)
         loss.set_num_data(n)
         for _ in range(6):
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             loss(td)["loss"].backward()
-            optimiser.step()
+            optimizer.step()
     assert sum(actions[-15:]) >= 11
     q = net(x, "mean")[0]
     assert q[1] - q[0] > 0.3

@@ -22,7 +22,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.bayes import BayesLinear, GaussianPosterior
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
 
@@ -177,7 +177,7 @@ def test_a_network_of_several_layers_and_other_activations_works_the_same(noise)
         nn.Tanh(),
         BayesLinear(8, ACTIONS, stack=(2,), prior_std=0.3),
     )
-    loss = BBQNLoss(q_network(net, Categorical(ACTIONS)), num_data=70, gamma=0.0)
+    loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), num_data=70, gamma=0.0)
     HardUpdate(loss, value_network_update_interval=0)
     td = transitions((2,))
     out = loss(td)
@@ -249,4 +249,4 @@ def test_settings_outside_of_what_is_listed_are_refused(setting, message):
 
 def test_a_network_without_posterior_is_refused():
     with pytest.raises(ValueError, match="network with Bayesian layers"):
-        BBQNLoss(q_network(MLP(5, ACTIONS), Categorical(ACTIONS)))
+        BBQNLoss(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)))

@@ -20,7 +20,7 @@ from torchrl.data import Categorical, LazyTensorStorage, OneHot, TensorDictRepla
 from torchrl.objectives import HardUpdate, SoftUpdate
 
 from bbq_torchrl.data import BootstrapMask
-from bbq_torchrl.networks import MLP, BootstrapMLP, bootstrap_actor, q_network
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP, bootstrap_actor, q_actor
 from bbq_torchrl.objectives import BootstrapDQNLoss, DropoutDQNLoss
 
 DISTANCES = {"l2": nn.MSELoss, "l1": nn.L1Loss, "smooth_l1": nn.SmoothL1Loss}
@@ -140,11 +140,11 @@ def test_every_distance_is_torchs(distance):
 def test_one_head_without_masks_is_the_dqn_loss():
     td = transitions((2,), dtype=torch.double)
     net = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=1, stack=(2,), dtype=torch.double)
-    single = MLP(FEATURES, ACTIONS, (8,), stack=(2,), dtype=torch.double)
+    single = FlatMLP(FEATURES, ACTIONS, (8,), stack=(2,), dtype=torch.double)
     with torch.no_grad():
         single.weight.copy_(torch.cat([net.trunk, net.heads.squeeze(1)], -1))
     ours = BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)))
-    theirs = DropoutDQNLoss(q_network(single, Categorical(ACTIONS)))
+    theirs = DropoutDQNLoss(q_actor(single, Categorical(ACTIONS)))
     for loss in (ours, theirs):
         HardUpdate(loss, value_network_update_interval=0)
     other = td.clone()
@@ -240,11 +240,11 @@ def test_every_head_has_a_frozen_copy_with_the_same_prior():
         assert flat(loss, name).data_ptr() == getattr(net, name).data_ptr()
     priors = {name: flat(loss, name).clone() for name in ("prior_trunk", "prior_heads")}
     soft = SoftUpdate(loss, tau=0.5)
-    optimiser = torch.optim.SGD(loss.parameters(), 0.1, weight_decay=0.1)
+    optimizer = torch.optim.SGD(loss.parameters(), 0.1, weight_decay=0.1)
     for _ in range(3):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss(masked(transitions((2,))))["loss"].backward()
-        optimiser.step()
+        optimizer.step()
         soft.step()
         update.step()
     loss.reset_parameters_recursive()
@@ -334,7 +334,7 @@ def test_shapes_that_do_not_fit_are_refused():
         td["bootstrap_mask"] = torch.ones(shape, dtype=torch.bool)
         with pytest.raises(ValueError, match=f"'bootstrap_mask' must have shape {allowed}, got"):
             loss(td)
-    single = BootstrapDQNLoss(q_network(MLP(FEATURES, ACTIONS), Categorical(ACTIONS)))
+    single = BootstrapDQNLoss(q_actor(FlatMLP(FEATURES, ACTIONS), Categorical(ACTIONS)))
     HardUpdate(single, value_network_update_interval=0)
     with pytest.raises(ValueError, match=r"must return values \[\*batch, heads, actions\] with"):
         single(transitions())

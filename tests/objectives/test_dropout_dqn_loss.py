@@ -21,15 +21,15 @@ from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
 
 
 def torchrl_loss_like(ours, **settings):
     """TorchRL's own loss on a copy of the network and of its frozen copy."""
-    net = MLP(FEATURES, ACTIONS, (8, 8), dtype=flat(ours, "weight").dtype)
+    net = FlatMLP(FEATURES, ACTIONS, (8, 8), dtype=flat(ours, "weight").dtype)
     theirs = DQNLoss(
-        q_network(net, Categorical(ACTIONS)), delay_value=True, reduction="mean", **settings
+        q_actor(net, Categorical(ACTIONS)), delay_value=True, reduction="mean", **settings
     )
     theirs.make_value_estimator(gamma=0.9)
     HardUpdate(theirs, value_network_update_interval=0)
@@ -180,7 +180,7 @@ def test_a_mask_of_another_shape_is_refused():
         loss(td)
 
 
-def test_torchrls_padding_masks_are_honoured_too():
+def test_torchrls_padding_masks_are_honored_too():
     loss, _ = plain_loss()
     td = transitions(batch=(6,))
     expected = loss(td[:4])["loss"]
@@ -240,14 +240,14 @@ def test_settings_outside_of_what_is_listed_are_refused():
     with pytest.raises(ValueError, match="double_dqn=True requires delay_value=True"):
         plain_loss(double_dqn=True, delay_value=False)
     with pytest.raises(ValueError, match="action_space must be categorical or one-hot, got binary"):
-        DropoutDQNLoss(q_network(MLP(5, 4), Categorical(4)), action_space="binary")
-    mixed = nn.Sequential(MLP(5, 4, stack=(2,)), MLP(4, 4, stack=(3,)))
+        DropoutDQNLoss(q_actor(FlatMLP(5, 4), Categorical(4)), action_space="binary")
+    mixed = nn.Sequential(FlatMLP(5, 4, stack=(2,)), FlatMLP(4, 4, stack=(3,)))
     with pytest.raises(ValueError, match="must have one stack dimension in common"):
-        DropoutDQNLoss(q_network(mixed, Categorical(4)))
+        DropoutDQNLoss(q_actor(mixed, Categorical(4)))
 
 
 def test_without_a_frozen_copy_the_target_follows_the_network():
-    loss = DropoutDQNLoss(q_network(MLP(5, ACTIONS), Categorical(ACTIONS)), delay_value=False)
+    loss = DropoutDQNLoss(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)), delay_value=False)
     td = transitions()
     before = loss._td_target(td["next"], *loss._tensors())
     with torch.no_grad():

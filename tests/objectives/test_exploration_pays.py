@@ -17,7 +17,7 @@ from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.bayes import BayesLinear
 from bbq_torchrl.exploration import Greedy, ThompsonSampling
-from bbq_torchrl.networks import q_network
+from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
 REPLICAS, ACTIONS, EPISODES = 100, 4, 80
@@ -79,10 +79,10 @@ class Chain:
 def share_solved(explore) -> float:
     """Returns the share of replicas whose mean network solves the chain after learning."""
     net = BayesLinear(2, ACTIONS, stack=(REPLICAS,), prior_std=2.0)
-    actor = q_network(net, Categorical(ACTIONS), action_mask_key=None)
+    actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
     loss = BBQNLoss(actor, noise_std=0.5, gamma=0.9)
     freeze = HardUpdate(loss, value_network_update_interval=0)
-    optimiser = torch.optim.Adam(loss.parameters(), 0.05, fused=True)
+    optimizer = torch.optim.Adam(loss.parameters(), 0.05, fused=True)
     chain, policy, episodes = Chain(), explore(actor), []
     for _ in range(EPISODES):
         episodes.append(chain.play(policy))
@@ -90,13 +90,13 @@ def share_solved(explore) -> float:
         loss.set_num_data(data["valid"].sum(1).float())
         freeze.step()
         for _ in range(UPDATES):
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             loss(data)["loss"].backward()
-            optimiser.step()
+            optimizer.step()
     return float(chain.solved(Greedy(actor)).float().mean())
 
 
-@pytest.mark.parametrize("per", ["step", "dialogue"])
+@pytest.mark.parametrize("per", ["step", "episode"])
 def test_thompson_sampling_solves_the_chain(per):
     # In 99 of 100 replicas (measured), each of which is an independent experiment. Even at 95 of
     # 100 fewer than 80 would have a probability below 1e-7.

@@ -35,13 +35,13 @@ def gradients(loss, td):
 
 
 @pytest.mark.parametrize("stack", STACKS, ids=str)
-def test_frozen_values_are_the_best_legal_values_of_the_frozen_network(stack):
+def test_next_state_values_are_the_best_legal_values_of_the_frozen_network(stack):
     loss, _ = plain_loss(stack, dtype=torch.double)
     td = transitions(stack, dtype=torch.double)
     td["next", "reward"].zero_()
     td["next", "terminated"].zero_()
 
-    found = loss.frozen_values(td)
+    found = loss.next_state_values(td)
 
     assert found.shape == (*td.shape, 1)
     assert not found.requires_grad
@@ -55,11 +55,11 @@ def test_frozen_values_are_the_best_legal_values_of_the_frozen_network(stack):
 
 @pytest.mark.parametrize("name", FIXED)
 @pytest.mark.parametrize("stack", [(), (3,)], ids=str)
-def test_a_loss_with_frozen_values_at_hand_is_the_same_loss(name, stack):
+def test_a_loss_with_next_state_values_at_hand_is_the_same_loss(name, stack):
     loss, _ = FIXED[name](stack, dtype=torch.double)
     td = transitions(stack, dtype=torch.double)
     expected = gradients(loss, td)
-    td["next", "frozen_value"] = loss.frozen_values(td)
+    td["next", "next_state_value"] = loss.next_state_values(td)
     # Nothing of the next state is read any more.
     td["next", "observation"].fill_(torch.nan)
 
@@ -70,23 +70,23 @@ def test_a_loss_with_frozen_values_at_hand_is_the_same_loss(name, stack):
     torch.testing.assert_close(found[1], expected[1])
 
 
-def test_frozen_values_follow_the_freeze_and_not_the_network():
+def test_next_state_values_follow_the_freeze_and_not_the_network():
     loss, update = plain_loss((2,))
     td = transitions((2,))
-    before = loss.frozen_values(td)
+    before = loss.next_state_values(td)
     with torch.no_grad():
         for parameter in loss.parameters():
             parameter.add_(0.5)
-    assert torch.equal(loss.frozen_values(td), before)
+    assert torch.equal(loss.next_state_values(td), before)
     update.step()
-    assert not torch.allclose(loss.frozen_values(td), before)
+    assert not torch.allclose(loss.next_state_values(td), before)
 
 
 def test_the_entry_has_the_name_that_set_keys_gives_it():
     loss, _ = plain_loss()
-    loss.set_keys(frozen_value="held")
+    loss.set_keys(next_state_value="held")
     td = transitions()
-    td["next", "held"] = loss.frozen_values(td)
+    td["next", "held"] = loss.next_state_values(td)
     td["next", "observation"].fill_(torch.nan)
     assert loss(td)["loss"].isfinite()
 
@@ -105,15 +105,15 @@ def test_the_entry_has_the_name_that_set_keys_gives_it():
 def test_targets_that_change_from_batch_to_batch_are_not_frozen(loss):
     assert not loss[0].has_fixed_targets
     with pytest.raises(RuntimeError, match="the same for every batch"):
-        loss[0].frozen_values(transitions())
+        loss[0].next_state_values(transitions())
 
 
-def test_a_loss_with_vime_has_the_q_losss_frozen_values():
+def test_a_loss_with_vime_has_the_q_losss_next_state_values():
     q_loss, _ = plain_loss()
     loss = VIMELoss(q_loss, DynamicsLoss(DynamicsModel(5, 4)))
     td = transitions()
     assert loss.has_fixed_targets
-    assert torch.equal(loss.frozen_values(td), q_loss.frozen_values(td))
+    assert torch.equal(loss.next_state_values(td), q_loss.next_state_values(td))
     assert not VIMELoss(noisy_loss()[0], loss.dynamics_loss).has_fixed_targets
 
 

@@ -11,7 +11,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.exploration import NoisySampling
-from bbq_torchrl.networks import MLP, NoisyMLP, StackedNoisyLinear, q_network
+from bbq_torchrl.networks import FlatMLP, NoisyMLP, StackedNoisyLinear, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
 from bbq_torchrl.trainers import ReplicaAdam
 
@@ -160,14 +160,14 @@ def test_updates_freeze_parameters_and_leave_the_network_its_own():
     assert all(torch.equal(frozen[key], online[key]) for key in frozen.keys())  # noqa: SIM118
 
 
-def test_each_replica_has_an_optimiser_of_its_own():
+def test_each_replica_has_an_optimizer_of_its_own():
     loss, _ = noisy_loss((3,), hidden=(8,))
-    optimiser = ReplicaAdam(loss.parameters(), 3, lr=1e-2)
+    optimizer = ReplicaAdam(loss.parameters(), 3, lr=1e-2)
     before = [p.detach().clone() for p in loss.parameters()]
     for _ in range(3):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss(transitions((3,)))["loss"].backward()
-        optimiser.step(active=(True, False, True))
+        optimizer.step(active=(True, False, True))
     for ours, theirs in zip(loss.parameters(), before, strict=True):
         assert torch.equal(ours[1], theirs[1])
         assert not torch.equal(ours[0], theirs[0])
@@ -176,7 +176,7 @@ def test_each_replica_has_an_optimiser_of_its_own():
 
 def test_noisy_layers_with_other_activations_work_too():
     net = nn.Sequential(StackedNoisyLinear(FEATURES, 8), nn.Tanh(), StackedNoisyLinear(8, ACTIONS))
-    loss = NoisyDQNLoss(q_network(net, Categorical(ACTIONS)))
+    loss = NoisyDQNLoss(q_actor(net, Categorical(ACTIONS)))
     HardUpdate(loss, value_network_update_interval=0)
     loss(transitions())["loss"].backward()
     assert all(p.grad.any() for p in net.parameters())
@@ -184,7 +184,7 @@ def test_noisy_layers_with_other_activations_work_too():
 
 def test_a_network_without_noise_is_refused():
     with pytest.raises(ValueError, match="NoisyNet needs a network with noisy layers"):
-        NoisyDQNLoss(q_network(MLP(5, ACTIONS), Categorical(ACTIONS)))
+        NoisyDQNLoss(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)))
     with pytest.raises(ValueError, match=r"gamma must be in \[0, 1\], got 2"):
         noisy_loss(gamma=2.0)
 
@@ -194,11 +194,11 @@ def test_acting_on_the_noise_solves_contextual_bandits():
     # Ten networks side by side; of 200 with these settings each one chose all arms right, and one
     # that misses an arm is at 2/3: more than half of the ten would have to fail.
     stack, rows = (10,), 16
-    actor = q_network(NoisyMLP(3, 3, (16,), stack=stack), Categorical(3), action_mask_key=None)
+    actor = q_actor(NoisyMLP(3, 3, (16,), stack=stack), Categorical(3), action_mask_key=None)
     policy = NoisySampling(actor)
     loss = NoisyDQNLoss(actor, gamma=0.0)
     HardUpdate(loss, value_network_update_interval=0)
-    optimiser = torch.optim.Adam(loss.parameters(), 1e-2)
+    optimizer = torch.optim.Adam(loss.parameters(), 1e-2)
 
     def pull(rows):
         context = torch.randint(3, (*stack, rows))
@@ -213,9 +213,9 @@ def test_acting_on_the_noise_solves_contextual_bandits():
             td, is_best = pull(rows)
             reward = is_best.float() + 0.1 * torch.randn(*stack, rows)
             td["next", "reward"] = reward.unsqueeze(-1)
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             loss(td)["loss"].backward()
-            optimiser.step()
+            optimizer.step()
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         _, is_best = pull(300)
     assert is_best.float().mean() > 0.8

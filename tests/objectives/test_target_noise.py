@@ -13,7 +13,7 @@ from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.bayes import BayesLinear
-from bbq_torchrl.networks import q_network
+from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
 
@@ -33,7 +33,7 @@ def several_layers(stack=(), **settings):
         nn.ReLU(),
         BayesLinear(8, ACTIONS, stack=stack, prior_std=0.5),
     )
-    loss = BBQNLoss(q_network(net, Categorical(ACTIONS)), num_data=100, target="mc", **settings)
+    loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), num_data=100, target="mc", **settings)
     return loss, HardUpdate(loss, value_network_update_interval=0)
 
 

@@ -267,11 +267,11 @@ def test_a_failing_network_leaves_its_parameters_in_place(case):
 def test_the_observation_may_have_another_name():
     from torchrl.data import Categorical
 
-    from bbq_torchrl.networks import MLP, q_network
+    from bbq_torchrl.networks import FlatMLP, q_actor
     from bbq_torchrl.objectives import DropoutDQNLoss
 
-    actor = q_network(
-        MLP(FEATURES, 4), Categorical(4), in_keys=[("agent", "state")], action_mask_key=None
+    actor = q_actor(
+        FlatMLP(FEATURES, 4), Categorical(4), in_keys=[("agent", "state")], action_mask_key=None
     )
     loss = DropoutDQNLoss(actor)
     HardUpdate(loss, value_network_update_interval=0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl.domains import tensorise
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.simulator import ErrorModel, Simulator
 
 from .agents import StrayingAgent
@@ -121,7 +121,7 @@ class Comparison:
         seed: int,
         device: torch.device | str = "cpu",
     ) -> None:
-        tensors = tensorise(domain)
+        tensors = tensorize(domain)
         errors = ErrorModel(
             tensors,
             slot_error_prob=setting.slot_error_prob,

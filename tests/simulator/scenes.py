@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from bbq_torchrl.domains import Action, Domain, Goal, tensorise
+from bbq_torchrl.domains import Action, Domain, Goal, tensorize
 from bbq_torchrl.simulator import ErrorModel, Simulator
 
 SLOTS = ("movie", "city", "date", "theater", "genre", "people", "ticket", "done")
@@ -72,7 +72,7 @@ class Scene:
         **errors: Any,
     ) -> None:
         goal = Goal(constraints or {}, requests)
-        self.domain = tensorise(cinema(goal, showings=showings, opening=opening))
+        self.domain = tensorize(cinema(goal, showings=showings, opening=opening))
         self.simulator = Simulator(
             self.domain, errors=ErrorModel(self.domain, **errors), max_turn=max_turn
         )

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bbq_torchrl.domains import tensorise
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.simulator import ErrorModel, Simulator
 from bbq_torchrl.simulator.choices import index_below, one_of, pick_slot
 
 
 def simulator_of(domain, mode="mixed"):
-    tensors = tensorise(domain)
+    tensors = tensorize(domain)
     errors = ErrorModel(tensors, slot_error_prob=0.3, slot_error_mode=mode, intent_error_prob=0.2)
     return Simulator(tensors, errors=errors)
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.domains import Goal, tensorise
+from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.simulator import ErrorModel
 
 from .scenes import ACTS, NEVER, SLOTS, Scene, cinema
@@ -113,7 +113,7 @@ def test_a_mixed_value_error_spares_a_slot_without_values():
 
 
 def test_slots_are_hit_as_often_as_the_probability_says():
-    domain = tensorise(cinema(Goal({"city": "boston"})))
+    domain = tensorize(cinema(Goal({"city": "boston"})))
     count, prob = 200_000, 0.3
     model = ErrorModel(domain, prob, "delete")
     generator = torch.Generator().manual_seed(1)
@@ -169,4 +169,4 @@ def test_an_error_reaches_tracker_and_history_but_never_the_goal():
 )
 def test_settings_out_of_range_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
-        ErrorModel(tensorise(cinema(Goal({}))), **settings)
+        ErrorModel(tensorize(cinema(Goal({}))), **settings)

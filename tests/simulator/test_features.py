@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bbq_torchrl.domains import tensorise
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.simulator import FeatureLayout
 
 from .scenes import ACTS, SLOTS, Scene
@@ -105,7 +105,7 @@ def test_the_turn_is_clamped_at_the_end_of_its_one_hot():
 
 
 def test_the_layout_of_the_movies_has_the_papers_268_features(movie):
-    domain = tensorise(movie)
+    domain = tensorize(movie)
     layout = FeatureLayout(domain)
     assert layout.size == len(layout.names) == 268
     assert len(set(layout.names)) == 268
@@ -133,7 +133,7 @@ def test_the_layout_of_the_movies_has_the_papers_268_features(movie):
 
 
 def test_an_unknown_feature_is_refused(movie):
-    layout = FeatureLayout(tensorise(movie))
+    layout = FeatureLayout(tensorize(movie))
     with pytest.raises(KeyError, match="'user' is no group of features; there are user_act, "):
         layout["user"]
     with pytest.raises(KeyError, match="'cinema' is no feature of 'filled', which has actor, "):

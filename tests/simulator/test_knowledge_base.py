@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bbq_torchrl.domains import Goal, tensorise
+from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.simulator import KnowledgeBase
 from bbq_torchrl.simulator.bits import byte_counts, pack, popcount
 
@@ -51,7 +51,7 @@ def shelves(draw):
 @given(shelf=shelves(), slot=st.sampled_from(INFORMED))
 def test_look_ups_agree_with_going_through_the_records_one_by_one(shelf, slot):
     showings, held = shelf
-    domain = tensorise(cinema(Goal({}), showings=showings))
+    domain = tensorize(cinema(Goal({}), showings=showings))
     knowledge_base = KnowledgeBase(domain)
     ids = torch.tensor(
         [
@@ -119,7 +119,7 @@ def test_a_fill_takes_the_most_frequent_value_and_of_equals_the_first():
 
 
 def test_many_dialogues_at_once_fill_as_one_does(movie):
-    domain = tensorise(movie)
+    domain = tensorize(movie)
     shelf = KnowledgeBase(domain)
     generator = torch.Generator().manual_seed(0)
     count = 5_000  # more than are filled in one block
@@ -141,7 +141,7 @@ def test_memory_grows_with_the_records_and_not_with_their_square(movie):
         shelf = KnowledgeBase(replace(domain, records=domain.records.repeat(n_records, 1)))
         return 64 * (shelf.sets.numel() + shelf.ordered_sets.numel())
 
-    domain = tensorise(movie)
+    domain = tensorize(movie)
     assert bits(4) < 5 * bits(1)
 
 
@@ -150,7 +150,7 @@ def test_a_look_up_does_not_grow_with_values_that_no_record_has(restaurant):
         s: (*v, *(f"{s} {n}" for n in range(2_000))) for s, v in restaurant.error_values.items()
     }
     shelves = [
-        KnowledgeBase(tensorise(domain))
+        KnowledgeBase(tensorize(domain))
         for domain in (restaurant, replace(restaurant, error_values=long))
     ]
     held = torch.zeros(3, len(restaurant.slots), dtype=torch.long)
@@ -161,7 +161,7 @@ def test_a_look_up_does_not_grow_with_values_that_no_record_has(restaurant):
 
 
 def test_a_knowledge_base_without_records_or_deciding_slots_is_refused():
-    domain = tensorise(cinema(Goal({})))
+    domain = tensorize(cinema(Goal({})))
     with pytest.raises(ValueError, match="at least one record, got none"):
         KnowledgeBase(replace(domain, records=domain.records[:0]))
     with pytest.raises(ValueError, match="at least one slot must constrain"):

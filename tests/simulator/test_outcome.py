@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bbq_torchrl.domains import tensorise
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.simulator import Rewards, Simulator
 
 from .scenes import ACTS, Scene
@@ -93,7 +93,7 @@ def test_a_dialogue_that_has_ended_stays_as_it_is():
 
 
 def test_no_dialogue_outlasts_its_turns(movie):
-    domain = tensorise(movie)
+    domain = tensorize(movie)
     simulator = Simulator(domain, max_turn=10)
     active = torch.ones(domain.n_slots, dtype=torch.bool)
     state = simulator.reset(simulator.draw_reset((64,)), active)
@@ -117,4 +117,4 @@ def test_rewards_are_what_they_were_set_to():
 
 def test_a_dialogue_must_have_a_turn(movie):
     with pytest.raises(ValueError, match="max_turn must be at least 2, got 1"):
-        Simulator(tensorise(movie), max_turn=1)
+        Simulator(tensorize(movie), max_turn=1)

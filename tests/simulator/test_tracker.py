@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bbq_torchrl.domains import Goal, tensorise
+from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.simulator import Simulator
 
 from .scenes import ACTIONS, ACTS, Scene, cinema
@@ -83,7 +83,7 @@ def test_a_multiple_choice_is_held_by_nobody():
 
 
 def test_only_domains_with_multiple_choices_have_values_to_choose_from(movie):
-    domain = tensorise(movie)
+    domain = tensorize(movie)
     tracker = Simulator(domain).tracker
     agent = tracker.complete(torch.zeros(domain.n_slots, dtype=torch.long), torch.tensor(0))
     with pytest.raises(ValueError, match="no action of kind 'multiple_choice'"):
@@ -91,7 +91,7 @@ def test_only_domains_with_multiple_choices_have_values_to_choose_from(movie):
 
 
 def test_the_tracker_knows_every_action_by_its_kind():
-    domain = tensorise(cinema(Goal({})))
+    domain = tensorize(cinema(Goal({})))
     tracker = Simulator(domain).tracker
     actions = torch.arange(len(ACTIONS))
     agent = tracker.complete(torch.zeros(len(ACTIONS), domain.n_slots, dtype=torch.long), actions)

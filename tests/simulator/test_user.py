@@ -50,10 +50,10 @@ def test_a_goal_is_restricted_to_the_active_slots_but_keeps_the_ticket():
 
 
 def test_first_turns_draw_goals_constraints_and_requests_evenly(movie):
-    from bbq_torchrl.domains import tensorise
+    from bbq_torchrl.domains import tensorize
     from bbq_torchrl.simulator import Simulator
 
-    domain = tensorise(movie)
+    domain = tensorize(movie)
     simulator, count = Simulator(domain), 40_000
     generator = torch.Generator().manual_seed(0)
     state = simulator.reset(

@@ -79,7 +79,7 @@ def test_one_agent_needs_no_pair(write):
         ({"goals": "all"}, "goals must be attainable or a list of numbers"),
         ({"domain": "nowhere"}, "domain must be movie or a domain's folder: "),
         ({"domain": "7"}, "domain must be movie or a domain's folder, got 7"),
-        ({"colour": "red"}, "'colour' is not a key of a study; allowed are name, consent"),
+        ({"color": "red"}, "'color' is not a key of a study; allowed are name, consent"),
     ],
 )
 def test_each_fault_is_a_sentence_with_key_value_and_what_is_allowed(write, changed, sentence):
@@ -98,7 +98,7 @@ def test_goals_that_no_record_can_meet_are_refused_by_number(tmp_path, movie, wr
 
 
 def test_all_faults_come_at_once(write):
-    found = faults(write(name="''", participants="no", pairs="[[one, three]]", colour="red"))
+    found = faults(write(name="''", participants="no", pairs="[[one, three]]", color="red"))
     assert len(found) == 4
 
 

@@ -14,7 +14,7 @@ from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
 from bbq_torchrl.exploration import Boltzmann, Greedy, ThompsonSampling
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
 from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer, SpikeSettings
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 HIDDEN = (12, 12)
 AGENTS = {
     "BBQN-MAP, Thompson sampling a step": ("map", "closed", "step"),
-    "BBQN-MC, Thompson sampling a dialogue": ("mc", "closed", "dialogue"),
+    "BBQN-MC, Thompson sampling a dialogue": ("mc", "closed", "episode"),
     "BBQN-MAP, sampled KL, Thompson sampling a round": ("map", "sampled", "round"),
     "DQN with dropout, epsilon-greedy": ("epsilon",),
     "DQN with dropout, Boltzmann": ("boltzmann",),
@@ -46,11 +46,11 @@ def make_trainer(domain: Domain, agent: str, folder: Path, rounds: int = 3) -> R
     kind = AGENTS[agent]
     if len(kind) == 3:
         target, kl, per = kind
-        actor = q_network(BayesMLP(features, spec.n, HIDDEN, stack=(replicas,)), spec)
+        actor = q_actor(BayesMLP(features, spec.n, HIDDEN, stack=(replicas,)), spec)
         loss = BBQNLoss(actor, target=target, kl=kl, hold=per != "step")
         policy = ThompsonSampling(actor, per=per)
     else:
-        actor = q_network(MLP(features, spec.n, HIDDEN, stack=(replicas,), dropout=0.5), spec)
+        actor = q_actor(FlatMLP(features, spec.n, HIDDEN, stack=(replicas,), dropout=0.5), spec)
         loss = DropoutDQNLoss(actor)
         explore = (
             EGreedyModule(spec, 0.5, 0.1, annealing_num_steps=4, action_mask_key="action_mask")
@@ -74,7 +74,7 @@ def make_trainer(domain: Domain, agent: str, folder: Path, rounds: int = 3) -> R
 
 
 def weights(trainer: RoundTrainer) -> list[Tensor]:
-    return [parameter.detach().clone() for parameter in trainer.optimiser.parameters]
+    return [parameter.detach().clone() for parameter in trainer.optimizer.parameters]
 
 
 @pytest.mark.parametrize("agent", AGENTS)
@@ -82,7 +82,7 @@ def test_what_one_replica_does_leaves_the_others_bitwise_alone(restaurant, tmp_p
     plain = make_trainer(restaurant, agent, tmp_path / "plain")
     changed = make_trainer(restaurant, agent, tmp_path / "changed")
     with torch.no_grad():
-        changed.optimiser.parameters[0][0] += torch.randn_like(changed.optimiser.parameters[0][0])
+        changed.optimizer.parameters[0][0] += torch.randn_like(changed.optimizer.parameters[0][0])
 
     plain.train()
     changed.train()
@@ -127,7 +127,7 @@ def test_targets_computed_once_a_freeze_are_those_of_every_batch(restaurant, tmp
     forward = once.loss.forward
 
     def watched(batch: TensorDictBase) -> TensorDictBase:
-        read.append(("next", "frozen_value") in batch.keys(include_nested=True))
+        read.append(("next", "next_state_value") in batch.keys(include_nested=True))
         return forward(batch)
 
     monkeypatch.setattr(once.loss, "forward", watched)

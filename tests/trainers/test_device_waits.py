@@ -45,8 +45,8 @@ AGENTS = {
             "dqn_vime_mc",
         )
     },
-    "noisy_dqn": ("+experiment=rivals/noisy_dqn",),
-    "double_dqn": ("+experiment=rivals/double_dqn",),
+    "noisy_dqn": ("+experiment=baselines/noisy_dqn",),
+    "double_dqn": ("+experiment=baselines/double_dqn",),
     "shared target noise": ("agent=bbqn", "agent.target=mc", "agent.target_noise=shared"),
     "sampled KL": ("agent=bbqn", "agent.kl=sampled"),
     "separate heads with priors": (

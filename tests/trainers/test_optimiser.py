@@ -30,13 +30,13 @@ FLAGS = [(True, True, True), (True, False, True), (False, False, True), (True, T
 
 def test_every_replica_moves_as_with_an_adam_of_its_own():
     parameters = stacked_parameters()
-    optimiser = ReplicaAdam(parameters, 3, lr=1e-2)
+    optimizer = ReplicaAdam(parameters, 3, lr=1e-2)
     alone = [[nn.Parameter(p.detach()[r].clone()) for p in parameters] for r in range(3)]
     adams = [torch.optim.Adam(a, lr=1e-2, fused=True) for a in alone]
 
     for step, active in enumerate(FLAGS):
         give_gradients(parameters, step)
-        optimiser.step(active)
+        optimizer.step(active)
         for r in range(3):
             if active[r]:
                 for own, stacked in zip(alone[r], parameters, strict=True):
@@ -52,13 +52,13 @@ def test_every_replica_moves_as_with_an_adam_of_its_own():
 def test_every_replica_moves_at_its_own_rate(rates):
     def moved(lr):
         parameters = stacked_parameters()
-        optimiser = ReplicaAdam(parameters, 3, lr=lr)
+        optimizer = ReplicaAdam(parameters, 3, lr=lr)
         for step, active in enumerate(FLAGS[:6]):
             give_gradients(parameters, step)
-            optimiser.step(active)
-        # The rest by an optimiser that takes the state over.
+            optimizer.step(active)
+        # The rest by an optimizer that takes the state over.
         other = ReplicaAdam(parameters, 3, lr=lr)
-        other.load_state_dict(optimiser.state_dict())
+        other.load_state_dict(optimizer.state_dict())
         for step, active in enumerate(FLAGS[6:]):
             give_gradients(parameters, step)
             other.step(active)
@@ -77,15 +77,15 @@ def test_as_many_rates_as_replicas_or_one():
 
 def test_an_inactive_replica_is_bitwise_untouched():
     parameters = stacked_parameters()
-    optimiser = ReplicaAdam(parameters, 3, lr=1e-2)
+    optimizer = ReplicaAdam(parameters, 3, lr=1e-2)
     give_gradients(parameters, 0)
-    optimiser.step()
+    optimizer.step()
     before = [p.detach().clone() for p in parameters]
     give_gradients(parameters, 1)
     for parameter in parameters:
         parameter.grad[1] = torch.nan
 
-    optimiser.step((True, False, True))
+    optimizer.step((True, False, True))
 
     for old, parameter in zip(before, parameters, strict=True):
         assert torch.equal(old[1], parameter[1])
@@ -95,26 +95,26 @@ def test_an_inactive_replica_is_bitwise_untouched():
 
 def test_a_parameter_without_a_gradient_stays():
     used, unused = stacked_parameters()
-    optimiser = ReplicaAdam([used, unused], 3)
+    optimizer = ReplicaAdam([used, unused], 3)
     before = unused.detach().clone()
     used.grad = torch.ones_like(used)
 
-    optimiser.step()
+    optimizer.step()
 
     assert torch.equal(unused, before)
 
 
 def test_the_state_continues_where_it_was_saved():
     parameters = stacked_parameters()
-    optimiser = ReplicaAdam(parameters, 3)
+    optimizer = ReplicaAdam(parameters, 3)
     for step, active in enumerate(FLAGS[:4]):
         give_gradients(parameters, step)
-        optimiser.step(active)
+        optimizer.step(active)
     copies = [nn.Parameter(p.detach().clone()) for p in parameters]
     copied = ReplicaAdam(copies, 3)
-    copied.load_state_dict(optimiser.state_dict())
+    copied.load_state_dict(optimizer.state_dict())
 
-    for ps, opt in ((parameters, optimiser), (copies, copied)):
+    for ps, opt in ((parameters, optimizer), (copies, copied)):
         for step, active in enumerate(FLAGS[4:]):
             give_gradients(ps, step)
             opt.step(active)
@@ -137,18 +137,18 @@ def test_parameters_that_are_not_stacked_are_refused():
 
 def test_a_restored_state_is_a_copy():
     parameters = [nn.Parameter(torch.ones(3, 4))]
-    optimiser = ReplicaAdam(parameters, 3)
-    start = optimiser.state_dict()
+    optimizer = ReplicaAdam(parameters, 3)
+    start = optimizer.state_dict()
 
     def step(active):
         parameters[0].grad = torch.ones(3, 4)
-        optimiser.step(active)
+        optimizer.step(active)
 
     step((True, True, False))
-    saved = copy.deepcopy(optimiser.state_dict())
+    saved = copy.deepcopy(optimizer.state_dict())
     for state, expected in ((saved, {0: 1.0, 1: 1.0}), (start, {})):
-        optimiser.load_state_dict(state)
-        steps = {n: float(s["step"]) for n, s in optimiser.state_dict()["state"].items()}
+        optimizer.load_state_dict(state)
+        steps = {n: float(s["step"]) for n, s in optimizer.state_dict()["state"].items()}
         assert steps == expected
         step((True, True, True))
     assert [float(s["step"]) for s in saved["state"].values()] == [1.0, 1.0]

@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 
 
 def weights(trainer: RoundTrainer) -> Tensor:
-    (weight,) = trainer.optimiser.parameters
+    (weight,) = trainer.optimizer.parameters
     return weight.detach().clone()
 
 
 def other_weights(trainer: RoundTrainer) -> None:
     """Replica 0 acts differently from the start: other dialogues, other lengths."""
     with torch.no_grad():
-        trainer.optimiser.parameters[0][0] += torch.randn(6, 4)
+        trainer.optimizer.parameters[0][0] += torch.randn(6, 4)
 
 
 def never_ends_early(trainer: RoundTrainer) -> None:
     """Replica 0 never guesses: its dialogues are the longest, and so are its epochs."""
     with torch.no_grad():
-        trainer.optimiser.parameters[0][0, :, 0] -= 100.0
+        trainer.optimizer.parameters[0][0, :, 0] -= 100.0
 
 
 def other_rewards(trainer: RoundTrainer) -> None:
@@ -46,7 +46,7 @@ def other_rewards(trainer: RoundTrainer) -> None:
 def nan_weights(trainer: RoundTrainer) -> None:
     """Replica 0 breaks in the first round; the others are not to notice within it."""
     with torch.no_grad():
-        trainer.optimiser.parameters[0][0, 1, 1] = torch.nan
+        trainer.optimizer.parameters[0][0, 1, 1] = torch.nan
 
 
 @pytest.mark.parametrize("change", [other_weights, never_ends_early, other_rewards])
@@ -105,7 +105,7 @@ def test_dropping_one_replicas_spike_leaves_the_others_bitwise_alone(tmp_path):
 def test_replicas_are_independent_seeds(tmp_path):
     trainer = make_trainer(tmp_path, rounds=3)
     with torch.no_grad():
-        trainer.optimiser.parameters[0].copy_(trainer.optimiser.parameters[0][:1].expand(3, -1, -1))
+        trainer.optimizer.parameters[0].copy_(trainer.optimizer.parameters[0][:1].expand(3, -1, -1))
 
     trainer.train()
 

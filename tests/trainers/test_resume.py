@@ -86,7 +86,7 @@ def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
     assert ours.rounds_done == expected.rounds_done == killable.ROUNDS
     assert table(folder) == table(reference.run_folder)
     assert scalars(folder) == scalars(reference.run_folder)
-    for part in ("loss", "policy", "optimiser", "replay"):
+    for part in ("loss", "policy", "optimizer", "replay"):
         ours_state, expected_state = (getattr(t, part).state_dict() for t in (ours, expected))
         assert_equal(ours_state, expected_state, part)
 

@@ -12,7 +12,7 @@ from trainer_parts import ACTIONS, FEATURES, GuessEnv
 
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.exploration import Boltzmann, Greedy
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.trainers import CheckpointFolder, ReplicaAdam, RoundSettings, RoundTrainer
 
@@ -39,7 +39,7 @@ def explorer(kind):
 def make_trainer(kind, folder, rounds):
     replicas = 2
     env = GuessEnv(replicas, 4)
-    actor = q_network(MLP(FEATURES, ACTIONS, (8,), stack=(replicas,)), Categorical(ACTIONS))
+    actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,), stack=(replicas,)), Categorical(ACTIONS))
     explore, value = explorer(kind)
     loss = DropoutDQNLoss(actor)
     return RoundTrainer(
@@ -51,7 +51,7 @@ def make_trainer(kind, folder, rounds):
         HardUpdate(loss, value_network_update_interval=0),
         RoundSettings(rounds=rounds, dialogues=4, batch_size=32, epochs=1, checkpoint_every=1),
         folder,
-        gauges={"exploration": value},
+        round_metrics={"exploration": value},
         progress=False,
     )
 

@@ -225,7 +225,7 @@ def make_trainer(
         folder,
         spike_policy=random_policy,
         spike=spike if spike is not None else SpikeSettings(dialogues=5),
-        gauges={"epsilon": lambda: float(policy.explore.epsilon)},
+        round_metrics={"epsilon": lambda: float(policy.explore.epsilon)},
         progress=False,
         evaluator=None if rates is None else GivenRates(network, rates),
         **options,

@@ -179,7 +179,7 @@ def test_it_vanishes_with_the_width_and_grows_with_the_error():
     torch.testing.assert_close(far, 9 * near)
 
 
-def test_it_is_the_dynamics_models_in_standardised_states():
+def test_it_is_the_dynamics_models_in_standardized_states():
     dynamics = DynamicsModel(3, 2, (6,), stack=(2,), noise_std=NOISE_STD, dtype=torch.double)
     before, after = (4 + 3 * torch.randn(2, 8, 3, dtype=torch.double) for _ in range(2))
     action = torch.randint(2, (2, 8))

@@ -78,8 +78,8 @@ def test_the_bonus_is_the_gain_over_the_median_clipped():
         assert BONUS not in td.keys(True)  # what is stored is a copy
 
 
-def test_without_normalising_it_is_the_gain():
-    vime = transform(normalise=False, clip=1e9, step_size=0.5)
+def test_without_normalizing_it_is_the_gain():
+    vime = transform(normalize=False, clip=1e9, step_size=0.5)
     td = transitions(40, end=0.0)
     gain = vime.inv(td)[BONUS].squeeze(-1)
     state = (td["observation"], td["action"], td["next", "observation"])
@@ -155,7 +155,7 @@ def test_a_feature_that_appears_is_worth_more_but_not_everything():
 @pytest.mark.parametrize("weights", ["map", "mc"])
 def test_mc_is_one_draw_a_store_and_map_none(weights):
     td = transitions(30, end=0.0)
-    vime = transform(weights=weights, normalise=False, clip=1e9)
+    vime = transform(weights=weights, normalize=False, clip=1e9)
     torch.manual_seed(5)
     gain = vime.inv(td)[BONUS].squeeze(-1)
     state = (td["observation"], td["action"], td["next", "observation"])
@@ -248,7 +248,7 @@ def test_a_stack_is_transforms_side_by_side():
 
 
 def test_seeds_restart_the_noise_of_each_element():
-    vime = transform((2,), weights="mc", normalise=False)
+    vime = transform((2,), weights="mc", normalize=False)
     td = transitions(2, 20, end=0.0)
     vime.inv(td)  # the statistics change with the first store
     gains = []
@@ -375,10 +375,10 @@ def test_what_has_been_learned_is_worth_less():
         td["next", "observation"] = td["observation"] + step
         return td
 
-    vime = VIMEReward(DynamicsModel(2, A, (32,), noise_std=0.3), normalise=False, clip=1e9)
+    vime = VIMEReward(DynamicsModel(2, A, (32,), noise_std=0.3), normalize=False, clip=1e9)
     loss = DynamicsLoss(vime.dynamics, num_data=500)
-    optimiser = torch.optim.Adam(loss.parameters(), 1e-2)
-    # the statistics are those of both halves, so that standardising favours neither
+    optimizer = torch.optim.Adam(loss.parameters(), 1e-2)
+    # the statistics are those of both halves, so that standardizing favors neither
     vime.inv(torch.cat([region(500, -2, 0), region(500, 0, 2)]))
     inside, outside = region(200, -2, 0), region(200, 0.5, 2)
 
@@ -395,9 +395,9 @@ def test_what_has_been_learned_is_worth_less():
     before = gains()
     seen = region(500, -2, 0)
     for _ in range(150):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss(seen[torch.randint(500, (64,))])["loss"].backward()
-        optimiser.step()
+        optimizer.step()
     after = gains()
     assert after[0] < before[0] / 10
     assert after[0] < after[1] / 3

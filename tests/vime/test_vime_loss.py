@@ -1,4 +1,4 @@
-"""VIMELoss is the two losses that it runs, for optimisers, target updaters and states."""
+"""VIMELoss is the two losses that it runs, for optimizers, target updaters and states."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from q_transitions import ACTIONS, FEATURES, bayes_loss, plain_loss, transitions
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate, SoftUpdate
 
-from bbq_torchrl.networks import MLP, q_network
+from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.vime import VIMELoss
 
@@ -69,10 +69,10 @@ def test_adam_trains_both_as_if_they_were_apart(kind):
         together(td)["loss"].backward()
         one.step()
         torch.manual_seed(step)
-        for part, optimiser in zip((apart.q_loss, apart.dynamics_loss), others, strict=True):
-            optimiser.zero_grad()
+        for part, optimizer in zip((apart.q_loss, apart.dynamics_loss), others, strict=True):
+            optimizer.zero_grad()
             part(td)["loss"].backward()
-            optimiser.step()
+            optimizer.step()
     pairs = list(zip(together.parameters(), apart.parameters(), strict=True))
     assert len(pairs) == (4 if kind == "bbqn" else 3)
     assert all(torch.equal(a, b) for a, b in pairs)
@@ -98,7 +98,7 @@ def targets(loss):
 
 
 def test_torchrls_target_updaters_find_the_q_losss_targets():
-    q_loss = DropoutDQNLoss(q_network(MLP(FEATURES, ACTIONS), Categorical(ACTIONS)))
+    q_loss = DropoutDQNLoss(q_actor(FlatMLP(FEATURES, ACTIONS), Categorical(ACTIONS)))
     loss = VIMELoss(q_loss, dynamics_loss())
     td = transitions()
     with pytest.warns(UserWarning, match="No target network updater"):

@@ -98,7 +98,7 @@ class BBQN(AgentOption):
     def make_actor(self, task: Task) -> QValueActor:
         """A Gaussian posterior over all weights of a ReLU network."""
         from bbq_torchrl.bayes import BayesMLP
-        from bbq_torchrl.networks import q_network
+        from bbq_torchrl.networks import q_actor
 
         prior_std, std_init = self.prior_std, self.std_init
         network = BayesMLP(
@@ -112,7 +112,7 @@ class BBQN(AgentOption):
             device=task.device,
         )
         task.reset_inactive_(network)
-        return q_network(network, task.action_spec, action_mask_key=task.action_mask_key)
+        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The negative ELBO of a draw of the weights."""

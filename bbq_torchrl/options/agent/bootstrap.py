@@ -48,7 +48,7 @@ class Bootstrap(AgentOption):
         0.5, ABOVE_ZERO_TO_ONE, "probability that a head learns from a transition"
     )
     prior_scale: float = setting(
-        0.0, NON_NEGATIVE, "scale of the randomised prior functions; 0: none"
+        0.0, NON_NEGATIVE, "scale of the randomized prior functions; 0: none"
     )
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
 

@@ -52,17 +52,17 @@ class DQN(AgentOption):
 
     def make_actor(self, task: Task) -> QValueActor:
         """A ReLU network, its layers noisy if asked for."""
-        from bbq_torchrl.networks import MLP, NoisyMLP, q_network
+        from bbq_torchrl.networks import FlatMLP, NoisyMLP, q_actor
 
         sizes = (task.inputs, task.actions, self.hidden)
         stack = (task.replicas,)
-        network: MLP | NoisyMLP
+        network: FlatMLP | NoisyMLP
         if self.noisy:
             network = NoisyMLP(*sizes, stack=stack, device=task.device)
         else:
-            network = MLP(*sizes, stack=stack, dropout=self.dropout, device=task.device)
+            network = FlatMLP(*sizes, stack=stack, dropout=self.dropout, device=task.device)
         task.reset_inactive_(network)
-        return q_network(network, task.action_spec, action_mask_key=task.action_mask_key)
+        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The squared TD error, with dropout or noise in the prediction."""

@@ -68,11 +68,11 @@ class DialogueOption(EnvOption):
 
     def shape(self, domain: Domain | None) -> tuple[int, int]:
         """The numbers of features and of actions."""
-        from bbq_torchrl.domains import tensorise
+        from bbq_torchrl.domains import tensorize
         from bbq_torchrl.simulator import FeatureLayout
 
         assert domain is not None
-        return FeatureLayout(tensorise(domain)).size, len(domain.actions)
+        return FeatureLayout(tensorize(domain)).size, len(domain.actions)
 
     def policies(self, domain: Domain | None) -> tuple[str, ...]:
         """Those of the domain."""

@@ -25,7 +25,7 @@ class BootstrapActing(ExploreOption):
 
     name: str = option("bootstrap")
     per: str = setting(
-        "dialogue", one_of("step", "dialogue", "round"), "how long one draw of a head is kept"
+        "episode", one_of("step", "episode", "round"), "how long one draw of a head is kept"
     )
 
     needs: ClassVar[tuple[str, ...]] = ("heads",)

@@ -25,7 +25,7 @@ class Thompson(ExploreOption):
 
     name: str = option("thompson")
     per: str = setting(
-        "step", one_of("step", "dialogue", "round"), "how long one draw of the weights is kept"
+        "step", one_of("step", "episode", "round"), "how long one draw of the weights is kept"
     )
     shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
 

@@ -39,19 +39,19 @@ class VIME(IntrinsicOption):
     eta: Values = setting(
         0.1,
         per_replica(NON_NEGATIVE),
-        "factor of the normalised information gain, in units of reward",
+        "factor of the normalized information gain, in units of reward",
     )
     weights: str = setting(
         "map", one_of("map", "mc"), "information gain at the mean weights, or at one draw"
     )
     hidden: list[int] = setting([64, 64], COUNTS, "units of each hidden layer of the dynamics")
     prior_std: float = setting(0.1, POSITIVE, "std of the prior of the dynamics' weights")
-    noise_std: float = setting(1.0, POSITIVE, "std of the standardised next state")
+    noise_std: float = setting(1.0, POSITIVE, "std of the standardized next state")
     std_floor: float = setting(0.05, POSITIVE, "least std that a feature is divided by")
     step_size: float = setting(0.01, POSITIVE, "size of the second-order step that gains")
-    clip: float = setting(10.0, POSITIVE, "greatest normalised information gain")
+    clip: float = setting(10.0, POSITIVE, "greatest normalized information gain")
     median_window: int = setting(
-        10, integers(1, 10**6), "rounds that the normalising median is taken over"
+        10, integers(1, 10**6), "rounds that the normalizing median is taken over"
     )
     dynamics_every: int = setting(8, COUNT, "updates of Q for one of the dynamics")
 

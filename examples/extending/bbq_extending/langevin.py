@@ -50,13 +50,13 @@ class Langevin(AgentOption):
 
     def make_actor(self, task: Task) -> QValueActor:
         """A ReLU network."""
-        from bbq_torchrl.networks import MLP, q_network
+        from bbq_torchrl.networks import FlatMLP, q_actor
 
-        network = MLP(
+        network = FlatMLP(
             task.inputs, task.actions, self.hidden, stack=(task.replicas,), device=task.device
         )
         task.reset_inactive_(network)
-        return q_network(network, task.action_spec, action_mask_key=task.action_mask_key)
+        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The squared TD error."""

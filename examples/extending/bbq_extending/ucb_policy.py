@@ -34,8 +34,8 @@ class UpperConfidence(TensorDictModuleBase):
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from bbq_torchrl.bayes import BayesMLP
-        >>> from bbq_torchrl.networks import q_network
-        >>> actor = q_network(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
+        >>> from bbq_torchrl.networks import q_actor
+        >>> actor = q_actor(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
         >>> policy = UpperConfidence(actor, coefficient=2.0)
         >>> policy(TensorDict(observation=torch.ones(5, 3), batch_size=[5]))["action"].shape
         torch.Size([5])

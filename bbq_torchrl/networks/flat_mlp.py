@@ -19,10 +19,10 @@ from bbq_torchrl.bayes.weight_mode import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["MLP"]
+__all__ = ["FlatMLP"]
 
 
-class MLP(nn.Module):
+class FlatMLP(nn.Module):
     """A ReLU network, or a stack of independent ones, with dropout after each hidden layer.
 
     Args:
@@ -42,7 +42,7 @@ class MLP(nn.Module):
 
     Example:
         >>> import torch
-        >>> net = MLP(3, 2, (16,), stack=(5,), dropout=0.5)
+        >>> net = FlatMLP(3, 2, (16,), stack=(5,), dropout=0.5)
         >>> x = torch.ones(5, 7, 3)
         >>> net(x).shape, torch.equal(net(x, "mean"), net(x, "mean"))
         (torch.Size([5, 7, 2]), True)
