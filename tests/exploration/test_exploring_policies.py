@@ -258,7 +258,7 @@ def test_thompson_sampling_needs_a_posterior():
     with pytest.raises(ValueError, match="network with Bayesian layers"):
         ThompsonSampling(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)))
     with pytest.raises(ValueError, match=r"per must be one of \['step', 'episode', 'round'\]"):
-        ThompsonSampling(bayes_actor(), per="episode")
+        ThompsonSampling(bayes_actor(), per="game")
 
 
 @pytest.mark.parametrize("name", list(policies(())))

@@ -311,7 +311,7 @@ def test_copies_act_on_networks_of_their_own():
 
 def test_arguments_outside_of_what_is_listed_are_refused():
     with pytest.raises(ValueError, match=r"per must be one of \['step', 'episode', 'round'\]"):
-        BootstrapSampling(fixed(), per="episode")
+        BootstrapSampling(fixed(), per="game")
     single = q_actor(FlatMLP(FEATURES, ACTIONS), Categorical(ACTIONS))
     for policy in (MajorityVote, BootstrapSampling):
         with pytest.raises(ValueError, match="actor must be one that bootstrap_actor returns"):
