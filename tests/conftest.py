@@ -6,12 +6,16 @@ import os
 import random
 import zlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import torch
 
 from bbq_torchrl.domains import Domain, load_domain, load_miulab, movie_domain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 TESTS = Path(__file__).parent
 DEFAULT_TCBOT = TESTS.parent.parent / "shared" / "data" / "tcbot"
@@ -27,6 +31,14 @@ def _seeded_by_its_name(request: pytest.FixtureRequest) -> None:
     torch.manual_seed(seed)
     np.random.seed(seed)
     random.seed(seed)
+
+
+@pytest.fixture(scope="module")
+def without_curves() -> Iterator[None]:
+    """Curves are empty files: drawing one takes as long as a short training."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bbq_torchrl.run.draw_run", lambda file, *_, **__: file.touch())
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from bbq_torchrl import evaluate
-from bbq_torchrl.cli.store import compose, options
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.results import read_metrics
 from bbq_torchrl.options import EvaluateConfig, explorations, schemas
@@ -19,7 +19,9 @@ from bbq_torchrl.run import run
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bbq_torchrl.evaluation import RunResult
     from bbq_torchrl.options import Config
+    from bbq_torchrl.trainers import RoundTrainer
 
 SHRUNKEN = (
     "protocol.rounds=2",
@@ -34,7 +36,7 @@ SHRUNKEN = (
     "spike.dialogues=4",
     "spike.policy=random",
     "agent.hidden=[8,8]",
-    "env.max_turn=12",
+    "env.max_turn=8",
     "replicas=2",
 )
 EXTENSION = ("env.start=1", "env.every=1")
@@ -56,10 +58,13 @@ VARIANTS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def without_curves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes as long as training here, and is tested elsewhere."""
-    monkeypatch.setattr("bbq_torchrl.run._draw", lambda *_: None)
+pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+@pytest.fixture(scope="module")
+def evaluation() -> EvaluateConfig:
+    """An evaluation of a few dialogues, of which only the run is not given yet."""
+    return compose(["policy=rule", "dialogues=6", "batch=6"], EvaluateConfig)
 
 
 def command(*choices: str, domain: Path) -> list[str]:
@@ -67,27 +72,32 @@ def command(*choices: str, domain: Path) -> list[str]:
     return [*choices, *SHRUNKEN, *extension, "domain=folder", f"domain.path={domain}"]
 
 
-def weights(config: Config, folder: Path) -> list[torch.Tensor]:
-    trainer, _ = build_trainer(dataclasses.replace(config, resume=str(folder)), folder)
-    trainer.begin(resume=True)
-    assert trainer.rounds_done == config.protocol.rounds
-    return list(trainer.loss.state_dict().values())
+def trained(config: Config, folder: Path) -> tuple[RunResult, dict[int, list[torch.Tensor]]]:
+    """Runs a configuration. Returns its result, and what the loss holds after each round."""
+    learned = {}
+
+    def keep(trainer: RoundTrainer, rows: object) -> None:
+        state = trainer.loss.state_dict().values()
+        learned[trainer.rounds_done] = [tensor.clone() for tensor in state]
+
+    return run(config, folder, [keep]), learned
 
 
-def check_run(overrides: list[str], tmp_path: Path) -> None:
+def check_run(overrides: list[str], evaluation: EvaluateConfig, tmp_path: Path) -> None:
     """Trains at once and in two parts, which must end bitwise the same, and evaluates the run."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     config = compose(overrides)
     for folder in (whole, parts):
         folder.mkdir()
-    result = run(config, whole)
+    result, at_once = trained(config, whole)
     one_round = dataclasses.replace(config.protocol, rounds=1)
-    run(dataclasses.replace(config, protocol=one_round), parts)
-    resumed = run(dataclasses.replace(config, resume=str(parts)), parts)
+    trained(dataclasses.replace(config, protocol=one_round), parts)
+    resumed, later = trained(dataclasses.replace(config, resume=str(parts)), parts)
 
     assert len(result.per_replica) == 2
     assert resumed.success_rate == result.success_rate
-    for one, other in zip(weights(config, whole), weights(config, parts), strict=True):
+    assert (list(at_once), list(later)) == ([1, 2], [2])
+    for one, other in zip(at_once[2], later[2], strict=True):
         assert torch.equal(one, other)
     assert [item.while_training for item in resumed.per_replica] == [
         item.while_training for item in result.per_replica
@@ -97,27 +107,24 @@ def check_run(overrides: list[str], tmp_path: Path) -> None:
         assert (read_metrics(whole)[name] == read_metrics(parts)[name]).all(), name
 
     for kept in ("last", "best"):
-        line = evaluate.evaluation(
-            compose(
-                [f"policy={parts}", "dialogues=6", "batch=3", f"weights={kept}"], EvaluateConfig
-            )
-        )
+        line = evaluate.evaluation(dataclasses.replace(evaluation, policy=str(parts), weights=kept))
         assert line["dialogues"] == 12
         assert 0 <= line["success_rate"] <= 1
 
 
 @pytest.mark.parametrize(("agent", "explore", "env", "intrinsic"), CELLS)
 def test_a_cell_trains_resumes_and_evaluates(
-    agent, explore, env, intrinsic, restaurant_folder, tmp_path
+    agent, explore, env, intrinsic, evaluation, restaurant_folder, tmp_path
 ):
     choices = (f"agent={agent}", f"explore={explore}", f"env={env}", f"intrinsic={intrinsic}")
     needed = NEEDED.get((agent, explore), ())
-    check_run(command(*choices, *needed, domain=restaurant_folder), tmp_path)
+    check_run(command(*choices, *needed, domain=restaurant_folder), evaluation, tmp_path)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_a_variant_trains_resumes_and_evaluates(variant, restaurant_folder, tmp_path):
-    check_run(command(*VARIANTS[variant], "env=domain_ext", domain=restaurant_folder), tmp_path)
+def test_a_variant_trains_resumes_and_evaluates(variant, evaluation, restaurant_folder, tmp_path):
+    choices = (*VARIANTS[variant], "env=domain_ext")
+    check_run(command(*choices, domain=restaurant_folder), evaluation, tmp_path)
 
 
 def test_an_intrinsic_reward_is_learned_from_and_never_reported(restaurant_folder, tmp_path):
@@ -161,13 +168,3 @@ def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(restaurant_fo
     assert not first[..., inactive, :].any()
     assert (rho[..., inactive, :] == network.posterior.prior_rho).all()
     assert first[..., ~inactive, :].any()
-
-
-RECIPES = [name for name in options("experiment") if "/" in name]
-
-
-@pytest.mark.parametrize("recipe", RECIPES)
-def test_a_recipe_of_an_agent_goes_with_either_environment(recipe, restaurant_folder):
-    for env in schemas()["env"]:
-        config = compose(command(f"+experiment={recipe}", f"env={env}", domain=restaurant_folder))
-        assert config.env.name == env

@@ -1,4 +1,8 @@
-"""The commands as a person types them, on a protocol that is shrunk to seconds."""
+"""The commands as a person types them, on a protocol that is shrunk to seconds.
+
+Training runs in children of this process; processes of their own are in the slow tests of
+``test_launchers.py``, ``test_values.py`` and ``tests/adversary``.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 from bbq_torchrl import evaluate
+from bbq_torchrl.cli.train import main as train_main
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -20,38 +26,33 @@ SMALL = (
     "protocol.dialogues=6",
     "protocol.capacity=400",
     "protocol.eval_dialogues=30",
-    "protocol.eval_batch=20",
+    "protocol.eval_batch=30",
     "protocol.eval_every=1",
     "protocol.eval_every_dialogues=10",
     "protocol.checkpoint_every=1",
     "protocol.keep_checkpoints=last",
     "spike.dialogues=8",
     "agent.hidden=[16,16]",
+    "env.max_turn=12",
 )
 
 
-def start(*arguments, cwd):
-    paths = os.pathsep.join([str(ROOT), str(Path(__file__).parent)])
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
-    return subprocess.Popen(
+def train(*overrides, cwd, code=0):
+    return forked.call(train_main, *overrides, cwd=cwd, code=code)
+
+
+def python(*arguments, cwd, code=0):
+    """Runs Python in a process of its own."""
+    done = subprocess.run(
         [sys.executable, *arguments],
         cwd=cwd,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        capture_output=True,
         text=True,
+        timeout=300,
     )
-
-
-def call(*arguments, cwd, code=0):
-    process = start(*arguments, cwd=cwd)
-    out, err = process.communicate(timeout=300)
-    assert process.returncode == code, out + err
-    return out, err
-
-
-def train(*overrides, cwd, code=0):
-    return call(str(ROOT / "train.py"), *overrides, cwd=cwd, code=code)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout, done.stderr
 
 
 def rows(folder, without=("seconds", "seconds_collect", "seconds_learn", "seconds_eval")):
@@ -124,18 +125,13 @@ def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, c
     assert [answers[mode]["mode"] for mode in answers] == ["mean", "average", "thompson"]
 
 
-def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(tmp_path):
-    out, _ = call(
-        "-m",
-        "bbq_torchrl.evaluate",
-        "policy=rule",
-        "dialogues=300",
-        "batch=128",
-        "log=dialogues.txt",
-        "log_dialogues=4",
-        cwd=tmp_path,
-    )
-    answer = json.loads(out)
+def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    arguments = "policy=rule dialogues=300 batch=128 log=dialogues.txt log_dialogues=4"
+    assert evaluate.main(arguments.split()) == 0
+    answer = json.loads(capsys.readouterr().out)
     assert answer["dialogues"] == 300
     assert answer["turns"] == 8
     rate = answer["success_rate"]
@@ -181,7 +177,8 @@ def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
 
 def test_what_cannot_run_is_refused_in_a_line_and_leaves_nothing_behind(tmp_path):
     # All else that is refused is tested in process; here the way the command ends.
-    out, message = train("agent=dqn", "explore=thompson", cwd=tmp_path, code=2)
+    refused = ("agent=dqn", "explore=thompson")
+    out, message = python(str(ROOT / "train.py"), *refused, cwd=tmp_path, code=2)
     assert message.startswith("error: agent=dqn cannot be combined with explore=thompson")
     assert len(message.strip().splitlines()) == 1, message
     assert not out
@@ -189,7 +186,7 @@ def test_what_cannot_run_is_refused_in_a_line_and_leaves_nothing_behind(tmp_path
 
 
 def test_help_shows_groups_and_pairs_without_importing_torch(tmp_path):
-    out, imported = call("-X", "importtime", str(ROOT / "train.py"), "--help", cwd=tmp_path)
+    out, imported = python("-X", "importtime", str(ROOT / "train.py"), "--help", cwd=tmp_path)
     assert "agent=dqn        explore=epsilon_greedy (default)" in out
     assert "experiment=" in out
     assert "hydra" in imported

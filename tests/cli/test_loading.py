@@ -28,15 +28,11 @@ SMALL = (
 
 
 @pytest.fixture(scope="module")
-def folder(restaurant_folder, tmp_path_factory):
+def folder(without_curves, restaurant_folder, tmp_path_factory):
     folder = tmp_path_factory.mktemp("loading") / "run"
     folder.mkdir()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bbq_torchrl.run._draw", lambda *_: None)
-        run(
-            compose([*SMALL, "env=domain_ext", "env.start=1", f"domain.path={restaurant_folder}"]),
-            folder,
-        )
+    command = [*SMALL, "env=domain_ext", "env.start=1", f"domain.path={restaurant_folder}"]
+    run(compose(command), folder)
     return folder
 
 

@@ -30,6 +30,7 @@ from planted import plant
 TINY = (
     "agent=dqn",
     "explore=greedy",  # no schedule, which would fall over the share of other rounds
+    "env.max_turn=8",
     "agent.hidden=[8]",
     "protocol.rounds=3",
     "protocol.dialogues=2",
@@ -39,6 +40,9 @@ TINY = (
     "protocol.eval_every=0",
     "spike.dialogues=2",
 )
+
+
+pytestmark = pytest.mark.usefixtures("without_curves")
 
 
 class Killed(BaseException):

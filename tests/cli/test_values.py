@@ -34,7 +34,7 @@ SHRUNKEN = (
     "protocol.checkpoint_every=1",
     "spike.dialogues=4",
     "agent.hidden=[8,8]",
-    "env.max_turn=12",
+    "env.max_turn=8",
 )
 MC = ("agent=bbqn", "agent.target=mc")
 CASES: dict[str, tuple[tuple[str, ...], dict[str, list[float]]]] = {

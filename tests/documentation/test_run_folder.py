@@ -26,6 +26,7 @@ TINY = [
     "protocol.eval_dialogues=2",
     "protocol.eval_every=1",
     "protocol.eval_every_dialogues=2",
+    "env.max_turn=8",
 ]
 
 
@@ -49,7 +50,11 @@ OF_A_CHOICE = {
 
 
 @pytest.fixture(scope="module", params=CHOICES, ids=" ".join)
-def run_folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run_folder(
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    without_curves: None,
+) -> Path:
     """The folder of a tiny run; between them, the two have every column there is."""
     folder = tmp_path_factory.mktemp("run")
     run(compose([*request.param, *TINY]), folder)

@@ -81,12 +81,7 @@ def installed(tmp_path_factory):
         yield
 
 
-@pytest.fixture(autouse=True, scope="module")
-def without_curves():
-    """Drawing takes as long as training here, and is tested elsewhere."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bbq_torchrl.run._draw", lambda *_: None)
-        yield
+pytestmark = pytest.mark.usefixtures("without_curves")
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,69 @@
+"""Runs a command's main function in a child of this process, which has imported everything already.
+
+A process of its own would import torch and TorchRL again, which takes seconds. The child has its own
+working directory, arguments, output and exit code; what only a fresh interpreter shows (what is
+imported, say) needs a real one.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+from typing import IO, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+SECONDS = 300
+"""After so long a child is ended: it hangs."""
+
+
+def call(main: Callable[[], object], *arguments: str, cwd: Path, code: int = 0) -> tuple[str, str]:
+    """Calls ``main`` with these command line arguments, which must end with the exit code.
+
+    Returns:
+        what it wrote to its standard output, and to its standard error.
+    """
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python 3.12 warns where there are threads
+            child = os.fork()
+        if child == 0:
+            _run(main, arguments, cwd, out, err)
+        _, status = os.waitpid(child, 0)
+        for file in (out, err):
+            file.seek(0)
+        written = out.read(), err.read()
+    assert os.waitstatus_to_exitcode(status) == code, written
+    return written
+
+
+def _run(
+    main: Callable[[], object], arguments: tuple[str, ...], cwd: Path, out: IO, err: IO
+) -> None:
+    """Becomes the command; never returns."""
+    signal.alarm(SECONDS)
+    for number, file in ((1, out), (2, err)):
+        os.dup2(file.fileno(), number)
+    sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))
+    warnings.resetwarnings()
+    warnings.simplefilter("ignore")  # pytest's filters make errors of them
+    logging.getLogger().handlers.clear()  # pytest's
+    code: object = 1
+    try:
+        os.chdir(cwd)
+        sys.argv = ["train.py", *arguments]
+        code = main() or 0
+    except SystemExit as end:
+        code = end.code or 0
+    except BaseException:
+        traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code if isinstance(code, int) else 1)
