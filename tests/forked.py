@@ -1,8 +1,8 @@
-"""Runs a command's main function in a child of this process, which has imported everything already.
+"""Runs a command's main function in a child of this process, which has imported all already.
 
-A process of its own would import torch and TorchRL again, which takes seconds. The child has its own
-working directory, arguments, output and exit code; what only a fresh interpreter shows (what is
-imported, say) needs a real one.
+A process of its own would import torch and TorchRL again, which takes seconds. The child has a
+working directory, arguments, output and an exit code of its own; what only a fresh interpreter
+shows (what is imported, say) needs a real one.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _run(
     signal.alarm(SECONDS)
     for number, file in ((1, out), (2, err)):
         os.dup2(file.fileno(), number)
-    sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))
+    sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
     warnings.resetwarnings()
     warnings.simplefilter("ignore")  # pytest's filters make errors of them
     logging.getLogger().handlers.clear()  # pytest's

@@ -24,6 +24,8 @@ SETTINGS = (
     Setting(slot_error_prob=0.3, slot_error_mode="slot", extension=0),
     Setting(slot_error_prob=0.3, slot_error_mode="mixed", extension=4),
 )
+FEW = SETTINGS[2::3]
+"""Slots and acts that are misheard, a short dialogue, domain extension."""
 
 ENOUGH = 10
 """How often each rule must have been at work for an agreement to mean something."""
@@ -98,26 +100,23 @@ RARE_RULES = {
 
 
 def test_the_simulator_agrees_with_the_oracle_on_our_movies(movie):
-    played = play(movie, 580, seed=0)
-    assert played.dialogues >= 5_000
+    played = play(movie, 240, seed=0)
+    assert played.dialogues >= 2_000
     assert_at_work(RULES, played)
 
 
 def test_the_simulator_agrees_with_the_oracle_on_the_public_corpus(miulab):
-    played = play(miulab, 580, seed=100)
-    assert played.dialogues >= 5_000
-    assert_at_work(RULES, played)
+    assert_at_work({"offer: thanks, available"}, play(miulab, 80, seed=100))
 
 
 def test_the_simulator_agrees_with_the_oracle_on_the_public_corpus_with_its_first_goals(tcbot):
     goals = "user_goals_first_turn_template.part.movie.v1.p"
-    assert_at_work(
-        {"offer: thanks, available"}, play(load_miulab(tcbot, goals=goals), 80, seed=200)
-    )
+    played = play(load_miulab(tcbot, goals=goals), 40, seed=200, settings=FEW)
+    assert_at_work({"offer: thanks, available"}, played)
 
 
 def test_the_simulator_agrees_with_the_oracle_on_restaurants(restaurant):
-    assert_at_work({"offer: thanks, available"}, play(restaurant, 200, seed=300))
+    assert_at_work({"offer: thanks, available"}, play(restaurant, 80, seed=300))
 
 
 def test_the_simulator_agrees_with_the_oracle_where_goals_and_errors_are_odd():
@@ -128,9 +127,9 @@ def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogu
     movie, restaurant
 ):
     several = replace(movie, opening_slot=("date", "moviename", "city"))
-    assert_at_work({"open: the opening slot"}, play(several, 60, seed=600))
+    assert_at_work({"open: the opening slot"}, play(several, 40, seed=600, settings=FEW))
     none = replace(restaurant, opening_slot=())
-    assert play(none, 20, seed=700).fired["open: the opening slot"] == 0
+    assert play(none, 20, seed=700, settings=FEW).fired["open: the opening slot"] == 0
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
@@ -145,9 +144,9 @@ def test_the_simulator_agrees_with_the_oracle_over_many_dialogues(movie, miulab,
         assert_at_work(RULES, play(domain, 1_000, seed))
 
 
-def play(domain, dialogues, seed, device="cpu"):
+def play(domain, dialogues, seed, device="cpu", settings=SETTINGS):
     total = Played()
-    for number, setting in enumerate(SETTINGS):
+    for number, setting in enumerate(settings):
         played = Comparison(domain, setting, dialogues, seed + number, device).play()
         total.dialogues += played.dialogues
         total.turns += played.turns
