@@ -8,7 +8,7 @@ import torch
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.simulator import FeatureLayout
 
-from .scenes import ACTS, SLOTS, Scene
+from .scenes import Scene
 
 
 def seen(scene, state):
@@ -23,45 +23,6 @@ def seen(scene, state):
     }
 
 
-def test_the_first_state_shows_the_users_act_and_what_matches_it():
-    scene = Scene({"city": "boston", "date": "today"}, ("theater",))
-    state = scene.start(constraint="city")
-    matches = {f"kb_match:{slot}": 1 for slot in (*SLOTS, "all")}
-    counts = {f"kb_count:{slot}": 0.02 for slot in (*SLOTS, "all")}
-    assert seen(scene, state) == {
-        "user_act:request": 1,
-        "user_informed:city": 1,
-        "user_requested:theater": 1,
-        "filled:city": 1,
-        "turn:scaled": 0.1,
-        "turn_onehot:1": 1,
-        **matches,
-        **counts,
-    }
-
-
-def test_a_later_state_shows_both_sides_and_literal_counts_of_what_is_held():
-    scene = Scene({"city": "boston", "date": "today"}, ("theater",), intent_error_prob=0.5)
-    before = scene.start(constraint="city")
-    deny = ACTS.index("deny") / len(ACTS) + 0.01
-    state = scene.say(before, "inform(theater)", agenda="date", intent=0.1, intent_act=deny)
-    assert scene.values(state["held"]) == {"city": "boston", "date": "today", "theater": "odeon"}
-    rest = {"movie", "genre", "people", "ticket", "done", "all"}
-    assert seen(scene, state) == {
-        "user_act:deny": 1,
-        "user_informed:date": 1,
-        "user_requested:ticket": 1,
-        "agent_act:inform": 1,
-        "agent_informed:theater": 1,
-        **{f"filled:{slot}": 1 for slot in ("city", "date", "theater")},
-        "turn:scaled": 0.3,
-        "turn_onehot:3": 1,
-        **{f"kb_match:{slot}": 1 for slot in rest | {"city", "date", "theater"}},
-        **{f"kb_count:{slot}": 0.01 for slot in rest},
-        **{f"kb_count:{slot}": 0.02 for slot in ("city", "date", "theater")},
-    }
-
-
 def test_reserved_values_and_free_slots_count_no_record():
     scene = Scene({})
     state = scene.situation(held={"city": "I do not care", "people": "9", "ticket": "no match"})
@@ -71,21 +32,6 @@ def test_reserved_values_and_free_slots_count_no_record():
         assert f"kb_count:{slot}" not in features
         assert f"kb_match:{slot}" not in features
     assert features["kb_count:all"] == 0.04
-
-
-def test_nothing_matches_where_no_match_is_held():
-    scene = Scene({})
-    features = seen(scene, scene.situation(held={"genre": "no match", "city": "boston"}))
-    assert {name for name in features if name.startswith("kb_")} == {
-        "kb_match:city",
-        "kb_count:city",
-    }
-
-
-def test_the_agents_request_is_seen():
-    scene = Scene({"city": "boston"})
-    features = seen(scene, scene.say(scene.start(), "request(date)"))
-    assert features["agent_act:request"] == features["agent_requested:date"] == 1
 
 
 def test_slots_that_are_not_active_are_seen_nowhere():
