@@ -4,7 +4,7 @@
     python examples/regression.py --steps 200 --out quick.png
 
 A curve is learned from noisy points in [0, 0.5] by :class:`~bbq_torchrl.bayes.BayesMLP`, trained
-on the evidence bound with :class:`~bbq_torchrl.bayes.collect_kl`, and by a plain network of the
+on the evidence bound with :class:`~bbq_torchrl.bayes.weight_scope`, and by a plain network of the
 same size. Where there are no points the plain network extrapolates one curve as if it were sure of
 it; the weight draws of the Bayesian one fan out. This is what Thompson sampling explores by.
 Nothing of reinforcement learning or of dialogue is needed.
@@ -20,7 +20,7 @@ import matplotlib as mpl
 import torch
 from torch import Tensor
 
-from bbq_torchrl.bayes import BayesMLP, collect_kl
+from bbq_torchrl.bayes import BayesMLP, KLSum, weight_scope
 from bbq_torchrl.networks import FlatMLP
 
 if TYPE_CHECKING:
@@ -53,8 +53,9 @@ def train_bayesian(x: Tensor, y: Tensor, steps: int) -> BayesMLP:
     optimizer = torch.optim.Adam(net.parameters(), 3e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for _ in range(steps):
-        with collect_kl() as kl:
-            error = net(standardized(x), "draw") - y
+        kl = KLSum()
+        with weight_scope("draw", kl=kl):
+            error = net(standardized(x)) - y
         loss = error.square().mean() / (2 * NOISE_STD**2) + kl.total() / len(x)
         optimizer.zero_grad()
         loss.backward()

@@ -6,7 +6,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from bbq_torchrl.objectives.held import Holds
+from bbq_torchrl.objectives import BBQNLoss
 
 # Operations whose result's shape or whose value the host has to know.
 WAITING = {
@@ -62,5 +62,5 @@ def _has_place(tensor: object) -> bool:
 def draw_as_on_a_device(monkeypatch) -> None:
     """Has noise drawn by torch's generator and nothing held or put off, as on a CUDA device."""
     monkeypatch.setattr("bbq_torchrl.bayes.posterior.fill_normal_", lambda out: out.normal_())
-    monkeypatch.setattr(Holds, "_holds", lambda loss, tensors: False)
+    monkeypatch.setattr(BBQNLoss, "_holds", lambda loss, tensors: False)
     monkeypatch.setattr("bbq_torchrl.trainers.learn._AT_ONCE", 1)

@@ -27,6 +27,7 @@ def observations(*batch, same=True):
         {
             "observation": torch.randn(*shape, FEATURES).expand(*batch, FEATURES).clone(),
             "action_mask": mask.expand(*batch, ACTIONS).clone(),
+            "is_init": torch.zeros(*batch, 1, dtype=torch.bool),
         },
         batch,
     )

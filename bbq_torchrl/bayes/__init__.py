@@ -4,30 +4,32 @@ from __future__ import annotations
 
 from bbq_torchrl.bayes.bayes_mlp import BayesLinear, BayesMLP
 from bbq_torchrl.bayes.functional import FlatLayout
-from bbq_torchrl.bayes.held_std import held_std
-from bbq_torchrl.bayes.kl import collect_kl, kl_divergence
-from bbq_torchrl.bayes.noise_pool import noise_pool
+from bbq_torchrl.bayes.kl import kl_divergence, posteriors
+from bbq_torchrl.bayes.layers import BayesLayer
+from bbq_torchrl.bayes.noise_sources import NoisePool, NoiseSource, SharedNoise
 from bbq_torchrl.bayes.posterior import GaussianPosterior
-from bbq_torchrl.bayes.shared_noise import shared_noise
-from bbq_torchrl.bayes.weight_mode import (
-    given_weights,
+from bbq_torchrl.bayes.scope import (
+    KLSum,
+    WeightScope,
+    current_scope,
     resolve_weight_mode,
-    set_weight_mode,
-    weight_mode,
+    weight_scope,
 )
 
 __all__ = [
+    "BayesLayer",
     "BayesLinear",
     "BayesMLP",
     "FlatLayout",
     "GaussianPosterior",
-    "collect_kl",
-    "given_weights",
-    "held_std",
+    "KLSum",
+    "NoisePool",
+    "NoiseSource",
+    "SharedNoise",
+    "WeightScope",
+    "current_scope",
     "kl_divergence",
-    "noise_pool",
+    "posteriors",
     "resolve_weight_mode",
-    "set_weight_mode",
-    "shared_noise",
-    "weight_mode",
+    "weight_scope",
 ]

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from math import sqrt
-from typing import TYPE_CHECKING, Literal, get_args
-
-import torch
-from torch import Tensor, nn
+from typing import TYPE_CHECKING, Literal
 
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp, mlp_local
-from bbq_torchrl.bayes.kl import collect_kl
-from bbq_torchrl.bayes.posterior import GaussianPosterior
-from bbq_torchrl.bayes.weight_mode import (
-    WeightMode,
-    check_weight_mode,
-    resolve_weight_mode,
-    weights_given_to,
-)
+from bbq_torchrl.bayes.layers import BayesLayer, MeanInit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["BayesLinear", "BayesMLP", "MeanInit"]
+    import torch
+    from torch import Tensor
 
-MeanInit = Literal["zero", "kaiming"]
+__all__ = ["BayesLinear", "BayesMLP"]
 
 
-class BayesMLP(nn.Module):
+class BayesMLP(BayesLayer):
     """A ReLU network with a Gaussian over every weight and bias (Blundell et al. 2015).
 
     The paper's start is μ = 0, σ = prior_std: an agent that knows nothing acts uniformly.
@@ -75,28 +65,17 @@ class BayesMLP(nn.Module):
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
-        super().__init__()
         self.layout = FlatLayout((in_features, *hidden, out_features))
-        if mean_init not in get_args(MeanInit):
-            raise ValueError(
-                f"mean_init must be one of {list(get_args(MeanInit))}, got {mean_init!r}"
-            )
-        if (isinstance(prior_std, str) and prior_std != "fan_in") or (
-            isinstance(prior_std, (int, float)) and not prior_std > 0
-        ):
-            raise ValueError(f"prior_std must be positive or 'fan_in', got {prior_std!r}")
-        self.mean_init = mean_init
-        self.std_init = std_init
-        self.posterior = GaussianPosterior(
+        super().__init__(
             self.layout.layer_sizes,
-            [sqrt(2 / inputs) for inputs, _ in self.layout.shapes]
-            if isinstance(prior_std, str)
-            else prior_std,
+            [inputs for inputs, _ in self.layout.shapes],
             stack=stack,
+            prior_std=prior_std,
+            mean_init=mean_init,
+            std_init=std_init,
             device=device,
             dtype=dtype,
         )
-        self.reset_parameters()
 
     @property
     def in_features(self) -> int:
@@ -108,56 +87,17 @@ class BayesMLP(nn.Module):
         """Size of the output."""
         return self.layout.sizes[-1]
 
-    @property
-    def stack(self) -> torch.Size:
-        """Leading shape of the weights."""
-        return self.posterior.stack
+    def init_means_(self) -> None:
+        """Draws the means like ``nn.Linear``'s weights: uniform in ±1/√inputs."""
+        init_linear_(self.posterior.mu, self.layout)
 
-    def reset_parameters(self) -> None:
-        """Starts again as ``mean_init`` and ``std_init`` say."""
-        self.posterior.reset_parameters()
-        if self.mean_init == "kaiming":
-            init_linear_(self.posterior.mu, self.layout)
-        if self.std_init is not None:
-            self.posterior.reset_std_(self.std_init)
+    def run(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Returns the outputs with these weights, shape [*stack, *batch, out]."""
+        return mlp(x, weights, self.layout)
 
-    def draw_weights(self, rows: Sequence[int] = ()) -> Tensor:
-        """Returns draws of all weights, [*stack, *rows, P], to hand to :meth:`forward`."""
-        return self.posterior.sample(rows)
-
-    def forward(
-        self, x: Tensor, mode: WeightMode | None = None, weights: Tensor | None = None
-    ) -> Tensor:
-        """Returns the outputs, shape [*stack, *batch, out].
-
-        Args:
-            x: inputs, shape [*stack, *batch, in].
-            mode: "draw" (one weight draw of each element of the stack for the whole call),
-                "local" (local reparameterisation: independent rows), "mean", or None for what
-                :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
-            weights: weights to use instead, [*stack, *rows, P] where rows are the first
-                dimensions of batch: each of these rows then has weights of its own.
-
-        Raises:
-            ValueError: for another mode, or a shape that does not fit.
-        """
-        if weights is None:
-            weights = weights_given_to(self)
-        elif mode is not None:
-            check_weight_mode(mode)
-        if weights is not None:
-            return mlp(x, weights, self.layout)
-        mode = resolve_weight_mode(mode)
-        posterior = self.posterior
-        collector = collect_kl.active()
-        if mode == "draw":
-            weights = posterior.sample() if collector is None else collector.draw(posterior)
-            return mlp(x, weights, self.layout)
-        if collector is not None:
-            collector.note(posterior)
-        if mode == "mean":
-            return mlp(x, posterior.mu, self.layout)
-        return mlp_local(x, posterior.mu, posterior.sigma, self.layout)
+    def run_local(self, x: Tensor) -> Tensor:
+        """Returns the outputs by local reparameterisation, shape [*stack, *batch, out]."""
+        return mlp_local(x, self.posterior.mu, self.posterior.sigma, self.layout)
 
     def extra_repr(self) -> str:
         """Returns the layer sizes for ``repr``."""

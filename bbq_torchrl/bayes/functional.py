@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl.bayes.noise import fill_kept_
-from bbq_torchrl.bayes.noise_pool import noise_pool
+from bbq_torchrl.bayes.noise import fill_kept_, is_in_torch_func
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -139,7 +138,7 @@ def _run(
     for k, (matrix, bias) in enumerate(layers[:-1]):
         scale = _dropout_scale(dropout) if k > 0 else 1.0
         hidden = _affine(inputs[-1], matrix, bias, scale).relu_()
-        inputs.append(hidden.mul_(kept[k]) if kept else hidden)
+        inputs.append(hidden * kept[k] if kept else hidden)
     scale = _dropout_scale(dropout) if widths else 1.0
     out = _affine(inputs[-1], *layers[-1], scale)
     return out, inputs, [matrix for matrix, _ in layers]
@@ -147,9 +146,7 @@ def _run(
 
 def _kept_units(x: Tensor, units: int, dropout: float) -> Tensor:
     """Returns 1 with probability 1 - dropout, else 0, for all hidden units: [*rows, units]."""
-    pool = noise_pool.active()
-    kept = None if pool is None else pool.kept_units(x, units, dropout)
-    return fill_kept_(x.new_empty((*x.shape[:-1], units)), dropout) if kept is None else kept
+    return fill_kept_(x.new_empty((*x.shape[:-1], units)), dropout)
 
 
 def _dropout_scale(dropout: float) -> float:
@@ -203,7 +200,11 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
     rows = as_rows(x, lead, layout.sizes[0])
     if len(lead) > 1:
         flat = flat.reshape(-1, layout.numel)
-    if torch.is_grad_enabled() and (flat.requires_grad or rows.requires_grad):
+    if (
+        torch.is_grad_enabled()
+        and (flat.requires_grad or rows.requires_grad)
+        and not is_in_torch_func()
+    ):
         out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
     else:
         out = _run(rows, flat, layout, dropout)[0]

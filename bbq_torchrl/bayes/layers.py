@@ -1,27 +1,179 @@
-"""Which Bayesian layers a module has."""
+"""What a Bayesian layer is made of; a layer of one's own starts here."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from math import sqrt
+from typing import TYPE_CHECKING, Literal, get_args
 
-from bbq_torchrl.bayes.bayes_mlp import BayesMLP
+import torch
+from torch import Tensor, nn
+
+from bbq_torchrl.bayes.posterior import GaussianPosterior
+from bbq_torchrl.bayes.scope import (
+    WeightMode,
+    check_weight_mode,
+    current_scope,
+    resolve_weight_mode,
+)
 
 if TYPE_CHECKING:
-    import torch
+    from collections.abc import Sequence
 
-__all__ = ["bayesian_layers"]
+__all__ = ["BayesLayer", "MeanInit"]
+
+MeanInit = Literal["zero", "kaiming"]
 
 
-def bayesian_layers(module: torch.nn.Module) -> list[BayesMLP]:
-    """Returns the Bayesian layers and networks in ``module``.
+class BayesLayer(nn.Module):
+    """A layer whose weights have a Gaussian posterior; a subclass says what it does with weights.
+
+    A subclass calls this constructor and implements :meth:`run`; where independent draws for
+    each row can be had without a batch of weights, also :meth:`run_local`. Mode, given weights,
+    noise and KL are then the same for it as for the layers of this package. (A module that only
+    holds a :class:`GaussianPosterior` and calls its ``weights()`` follows a
+    :class:`weight_scope` too.)
+
+    Args:
+        group_sizes: how many weights each group has; P is their sum.
+        fan_in: how many inputs a unit of each group has: its scale for "fan_in" and "kaiming".
+
+    Keyword Args:
+        stack: leading shape of the weights; with (R,) these are R independent layers, whose
+            inputs have R as their first dimension. Defaults to (), one layer.
+        prior_std: standard deviation of the prior, a number, a tensor [*stack], or "fan_in" for
+            √(2/fan_in) a group. Defaults to 0.1.
+        mean_init: "zero", or "kaiming" (uniform in ±1/√fan_in, what torch's layers start with).
+        std_init: standard deviation to start with, a number or a tensor [*stack]. Defaults to
+            None, the prior's.
+        device: of the parameters.
+        dtype: of the parameters.
+
+    Attributes:
+        posterior: the :class:`GaussianPosterior` of the weights.
 
     Raises:
-        ValueError: if there are none.
+        ValueError: for an argument outside of what is listed.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.bayes import BayesLayer, kl_divergence, weight_scope
+        >>> class BayesScale(BayesLayer):
+        ...     def __init__(self, features, **settings):
+        ...         super().__init__([features], [1], **settings)
+        ...
+        ...     def run(self, x, weights):
+        ...         return x * weights
+        >>> layer = BayesScale(3, prior_std=0.5)
+        >>> with weight_scope("draw", kl="closed") as scope:
+        ...     y = layer(torch.ones(4, 3))
+        >>> torch.allclose(scope.kl.total(), kl_divergence(layer))
+        True
     """
-    layers = [m for m in module.modules() if isinstance(m, BayesMLP)]
-    if not layers:
-        raise ValueError(
-            "Thompson sampling and weight draws need a network with Bayesian layers (BayesMLP, "
-            "BayesLinear), got one without"
+
+    def __init__(
+        self,
+        group_sizes: Sequence[int],
+        fan_in: Sequence[int],
+        *,
+        stack: Sequence[int] = (),
+        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
+        mean_init: MeanInit = "zero",
+        std_init: float | Tensor | None = None,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        if mean_init not in get_args(MeanInit):
+            raise ValueError(
+                f"mean_init must be one of {list(get_args(MeanInit))}, got {mean_init!r}"
+            )
+        if (isinstance(prior_std, str) and prior_std != "fan_in") or (
+            isinstance(prior_std, (int, float)) and not prior_std > 0
+        ):
+            raise ValueError(f"prior_std must be positive or 'fan_in', got {prior_std!r}")
+        self.fan_in = tuple(fan_in)
+        self.mean_init = mean_init
+        self.std_init = std_init
+        self.posterior = GaussianPosterior(
+            group_sizes,
+            [sqrt(2 / inputs) for inputs in fan_in] if isinstance(prior_std, str) else prior_std,
+            stack=stack,
+            device=device,
+            dtype=dtype,
         )
-    return layers
+        self.reset_parameters()
+
+    @property
+    def stack(self) -> torch.Size:
+        """Leading shape of the weights."""
+        return self.posterior.stack
+
+    def reset_parameters(self) -> None:
+        """Starts again as ``mean_init`` and ``std_init`` say."""
+        self.posterior.reset_parameters()
+        if self.mean_init == "kaiming":
+            self.init_means_()
+        if self.std_init is not None:
+            self.posterior.reset_std_(self.std_init)
+
+    @torch.no_grad()
+    def init_means_(self) -> None:
+        """Draws the means uniformly in ±1/√fan_in."""
+        parts = self.posterior.mu.split(self.posterior.group_sizes, -1)
+        for part, inputs in zip(parts, self.fan_in, strict=True):
+            part.uniform_(-1 / sqrt(inputs), 1 / sqrt(inputs))
+
+    def draw_weights(self, rows: Sequence[int] = ()) -> Tensor:
+        """Returns draws of all weights, [*stack, *rows, P], to hand to :meth:`forward`."""
+        return self.posterior.sample(rows)
+
+    def run(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Returns the outputs with these weights.
+
+        Args:
+            x: inputs, [*stack, *batch, *features].
+            weights: [*stack, *rows, P] where rows are the first dimensions of batch: each of
+                these rows has weights of its own.
+        """
+        raise NotImplementedError
+
+    def run_local(self, x: Tensor) -> Tensor:
+        """Returns the outputs where each row has weights of its own, without drawing them all.
+
+        Raises:
+            ValueError: as long as a subclass does not implement it.
+        """
+        raise ValueError(
+            f'{type(self).__name__} has no local reparameterization: use mode "draw", or give '
+            "each row weights of its own by draw_weights(rows)"
+        )
+
+    def forward(
+        self, x: Tensor, mode: WeightMode | None = None, weights: Tensor | None = None
+    ) -> Tensor:
+        """Returns the outputs, shape [*stack, *batch, *features].
+
+        Args:
+            x: inputs, shape [*stack, *batch, *features].
+            mode: "draw" (one weight draw of each element of the stack for the whole call),
+                "local" (a draw of its own for each row), "mean", or None for what
+                :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
+            weights: weights to use instead, [*stack, *rows, P] where rows are the first
+                dimensions of batch: each of these rows then has weights of its own.
+
+        Raises:
+            ValueError: for another mode, or a shape that does not fit.
+        """
+        if weights is None:
+            weights = current_scope().weights.get(self.posterior)
+        elif mode is not None:
+            check_weight_mode(mode)
+        if weights is not None:
+            return self.run(x, weights)
+        mode = resolve_weight_mode(mode)
+        if mode != "local":
+            return self.run(x, self.posterior.weights(mode))
+        kl = current_scope().kl
+        if kl is not None:
+            kl.add([self.posterior])
+        return self.run_local(x)

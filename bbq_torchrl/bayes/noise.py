@@ -15,10 +15,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["fill_kept_", "fill_normal_"]
+__all__ = ["fill_kept_", "fill_normal_", "is_transformed"]
 
 _LEVELS = 2**16  # 16 random bits a number
 _WORTHWHILE = 2**13  # below this many numbers torch's own generator is as fast
+
+
+def is_transformed() -> bool:
+    """Returns whether torch.compile traces the caller, or a transform of torch.func runs it.
+
+    What fills memory by hand, or has a gradient written by hand that knows no ``vmap``, has to
+    leave the work to torch's own operations there.
+    """
+    return torch.compiler.is_compiling() or is_in_torch_func()
+
+
+def is_in_torch_func() -> bool:
+    """Returns whether a transform of torch.func (vmap, grad, ...) is active."""
+    return bool(torch._C._are_functorch_transforms_active())
 
 
 @cache
@@ -81,6 +95,8 @@ def fill_kept_(out: Tensor, dropout: float) -> Tensor:
         >>> bool(abs(fill_kept_(torch.empty(5, 100_000), 0.2).mean() - 0.8) < 0.01)
         True
     """
+    if is_transformed():
+        return (torch.rand(out.shape, device=out.device) >= dropout).to(out.dtype)
     count = out.numel()
     bits = torch.empty(-(-count // 4), dtype=torch.int64, device=out.device)
     uniform = bits.random_(-(2**63), None).view(torch.int16)[:count].view(out.shape)

@@ -8,9 +8,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from bbq_torchrl.bayes.held_std import std_of
-from bbq_torchrl.bayes.noise import fill_normal_
-from bbq_torchrl.bayes.shared_noise import noise_for
+from bbq_torchrl.bayes.noise import fill_normal_, is_transformed
+from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
 from bbq_torchrl.bayes.stack_values import stack_values
 from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind, closed_kl, draw_with_kl
 
@@ -134,17 +133,61 @@ class GaussianPosterior(nn.Module):
         """Fills ``noise`` [*, P] with standard normal numbers from torch's global generator."""
         fill_normal_(noise)
 
+    def new_noise(self, shape: Sequence[int]) -> Tensor:
+        """Returns standard normal numbers of the parameters' dtype from torch's generator."""
+        if is_transformed():
+            return torch.randn(shape, dtype=self.mu.dtype, device=self.mu.device)
+        noise = self.mu.new_empty(shape)
+        self.fill_noise_(noise)
+        return noise
+
+    def weights(self, mode: WeightMode | None = None) -> Tensor:
+        """Returns the weights that a layer is to use, [*stack, *rows, P].
+
+        Those that the :class:`weight_scope` around the call gives to this posterior, else a draw
+        or the mean, whose KL goes into the scope's sum if it has one.
+
+        Args:
+            mode: "draw", "mean", or None for what :func:`resolve_weight_mode` says.
+
+        Raises:
+            ValueError: for another mode, "local" too.
+        """
+        scope = current_scope()
+        given = scope.weights.get(self)
+        if given is not None:
+            return given
+        mode = resolve_weight_mode(mode)
+        if mode == "local":
+            raise ValueError(
+                'mode "local" needs a layer with local reparameterization: use mode "draw" or '
+                "give the weights"
+            )
+        if mode == "draw":
+            return self.sample() if scope.kl is None else scope.kl.draw(self)
+        if scope.kl is not None:
+            scope.kl.add([self])
+        return self.mu
+
     def sample(self, rows: Sequence[int] = ()) -> Tensor:
         """Returns a draw of the weights for each of ``rows``, [*stack, *rows, P].
 
         Differentiable in mu and rho.
         """
-        count = self.mu.shape[-1]
-        noise, is_filled = noise_for(self, torch.Size((*self.stack, *rows, count)))
-        if not is_filled:
-            self.fill_noise_(noise)
-        shape = (*self.stack, *(1 for _ in rows), count)
-        return torch.addcmul(self.mu.reshape(shape), std_of(self).reshape(shape), noise)
+        scope = current_scope()
+        whole = torch.Size((*self.stack, *rows, self.mu.shape[-1]))
+        noise = self.new_noise(whole) if scope.noise is None else scope.noise.normal(self, whole)
+        shape = (*self.stack, *(1 for _ in rows), whole[-1])
+        sigma = self._sigma_held(scope.sigma)
+        return torch.addcmul(self.mu.reshape(shape), sigma.reshape(shape), noise)
+
+    def _sigma_held(self, held: dict[GaussianPosterior, Tensor] | None) -> Tensor:
+        """Returns the standard deviations; those held, without a gradient, where there are any."""
+        if held is None:
+            return self.sigma
+        if self not in held:
+            held[self] = self.sigma.detach()
+        return held[self]
 
     @torch.no_grad()
     def redraw_(self, draws: Tensor, where: Tensor) -> None:
@@ -181,8 +224,14 @@ class GaussianPosterior(nn.Module):
         check_kl_kind(kind)
         if known_kl is not None and kind != "closed":
             raise ValueError(f"known_kl needs kl='closed', got {kind!r}")
-        noise, is_filled = noise_for(self, self.mu.shape)
-        fill_noise_ = None if is_filled else self.fill_noise_
+        source = current_scope().noise
+        fill_noise_ = None
+        if source is not None:
+            noise = source.normal(self, self.mu.shape)
+        elif is_transformed():
+            noise = self.new_noise(self.mu.shape)
+        else:  # filled a part at a time, along with the draw
+            noise, fill_noise_ = self.mu.new_empty(self.mu.shape), self.fill_noise_
         return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_, known_kl)
 
     def kl(self) -> Tensor:

@@ -13,6 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from bbq_torchrl.bayes.noise import is_in_torch_func
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
@@ -189,6 +191,19 @@ def _sum_square(x: Tensor, factor: Tensor | None, scratch: Tensor) -> Tensor:
     return (norm if factor is None else norm * factor.squeeze(-1)).square()
 
 
+def _plain_kl(
+    mu: Tensor, rho: Tensor, prior_std: Tensor, weights: Tensor | None, noise: Tensor
+) -> Tensor:
+    """Returns the KL [*stack] by torch's own operations: closed, or sampled at ``weights``."""
+    ratio = (F.softplus(rho) / prior_std).clamp_min(_LEAST_RATIO)
+    # where σ = p it is 1, without a gradient: see _SAME_STD
+    is_same = (ratio - ratio.reciprocal()).abs() <= _SAME_STD * torch.finfo(rho.dtype).eps
+    ratio = torch.where(is_same, 1.0, ratio) if weights is None else ratio
+    if weights is None:
+        return (0.5 * (ratio.square() - 1 + (mu / prior_std).square()) - ratio.log()).sum(-1)
+    return (0.5 * ((weights / prior_std).square() - noise.square()) - ratio.log()).sum(-1)
+
+
 def draw_with_kl(
     mu: Tensor,
     rho: Tensor,
@@ -215,6 +230,9 @@ def draw_with_kl(
             all the same: the gradient is the closed KL's own, and computing the value is a good
             part of the draw. None to compute it.
     """
+    if is_in_torch_func():
+        weights = torch.addcmul(mu, F.softplus(rho), noise)
+        return weights, _plain_kl(mu, rho, prior_std, weights if kind == "sampled" else None, noise)
     weights, kl = _Draw.apply(mu, rho, prior_std, kind, noise, fill_noise_, known_kl)
     return weights, kl
 
@@ -224,5 +242,7 @@ def closed_kl(mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
 
     Differentiable in mu and rho (once); arguments as those of :func:`draw_with_kl`.
     """
+    if is_in_torch_func():
+        return _plain_kl(mu, rho, prior_std, None, mu)
     out: Tensor = _ClosedKL.apply(mu, rho, prior_std)
     return out

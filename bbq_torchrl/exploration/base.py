@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-__all__ = ["Per", "explores"]
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
+    from torch import Tensor
+
+__all__ = ["Per", "begins", "explores"]
 
 Per = Literal["step", "episode", "round"]
 
@@ -17,3 +22,23 @@ def explores() -> bool:
     None counts as RANDOM, as it does for TorchRL's ``EGreedyModule``.
     """
     return exploration_type() in (ExplorationType.RANDOM, None)
+
+
+def begins(tensordict: TensorDictBase, init_key: NestedKey) -> Tensor:
+    """Returns which rows begin an episode, bool [*batch].
+
+    Args:
+        tensordict: what a policy acts on.
+        init_key: the entry that says so, bool [*batch, 1] or [*batch].
+
+    Raises:
+        ValueError: if it is missing.
+    """
+    found = tensordict.get(init_key, None)
+    if found is None:
+        raise ValueError(
+            f"per='episode' needs the entry {init_key!r}, True where an episode begins: append "
+            "torchrl.envs.InitTracker() to the environment, or take per='step' or per='round'"
+        )
+    marks: Tensor = found.reshape(tensordict.batch_size)
+    return marks

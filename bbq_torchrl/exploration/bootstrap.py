@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, get_args
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from bbq_torchrl.bayes.weight_mode import set_weight_mode
-from bbq_torchrl.exploration.base import Per, explores
+from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.exploration.base import Per, begins, explores
+from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.networks.vote import VoteModule
 
 if TYPE_CHECKING:
@@ -25,19 +26,22 @@ class _OnHeads(TensorDictModuleBase):
     """What acts on the heads of an actor, without writing the values of all of them."""
 
     def __init__(self, actor: QValueActor) -> None:
-        if not isinstance(actor[-1], VoteModule):
+        network, choice = split_actor(actor)
+        if not isinstance(choice, VoteModule):
             raise ValueError(
-                "actor must be one that bootstrap_actor returns, whose last module is a "
-                f"VoteModule, got {type(actor[-1]).__name__}"
+                "actor must be one that chooses by a VoteModule, as bootstrap_actor returns it, "
+                f"got {type(actor).__name__} with {type(choice).__name__}"
             )
         super().__init__()
         self.actor = actor
         self.in_keys = actor.in_keys
-        self.out_keys = self._choice.out_keys
+        states = [key for key in network.out_keys if key != choice.action_value_key]
+        self.out_keys = [*states, *choice.out_keys]
 
     @property
     def _choice(self) -> VoteModule:
-        choice: VoteModule = self.actor[-1]
+        choice = split_actor(self.actor)[1]
+        assert isinstance(choice, VoteModule)
         return choice
 
     @property
@@ -47,10 +51,14 @@ class _OnHeads(TensorDictModuleBase):
 
     def _head_values(self, tensordict: TensorDictBase) -> Tensor:
         """Returns the values of all heads, [*batch, K, N]; dropout is off."""
-        network = self.actor[0]
-        with set_weight_mode("mean"):
-            out = network(tensordict.select(*network.in_keys))
-        values: Tensor = out.get(self._choice.action_value_key)
+        network, choice = split_actor(self.actor)
+        assert choice is not None
+        with weight_scope("mean"):
+            out = network(tensordict.select(*network.in_keys, strict=False))
+        for key in network.out_keys:  # a recurrent state, say
+            if key != choice.action_value_key:
+                tensordict.set(key, out.get(key))
+        values: Tensor = out.get(choice.action_value_key)
         return values
 
 
@@ -105,15 +113,16 @@ class BootstrapSampling(_OnHeads):
         per: how long a head is acted on. "step": one action. "episode" (the paper): until the
             row's next ``init_key``. "round": until :meth:`resample`. Defaults to "episode".
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
-            ``InitTracker`` writes it); only read for per="episode". Without that entry heads
-            stay until :meth:`resample`. Defaults to "is_init".
+            ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to
+            "is_init".
 
     Held heads are drawn anew when the batch shape changes: other rows are other episodes. The
     numbers come from torch's global generator, for all rows at each call that may need one, so
     that what a row draws never depends on when the others begin.
 
     Raises:
-        ValueError: for another ``per`` or another actor.
+        ValueError: for another ``per`` or another actor, or, when called, for per="episode"
+            without ``init_key``.
 
     Example:
         >>> import torch
@@ -124,6 +133,7 @@ class BootstrapSampling(_OnHeads):
         >>> actor = bootstrap_actor(BootstrapMLP(3, 4), Categorical(4), action_mask_key=None)
         >>> policy = BootstrapSampling(actor)
         >>> td = TensorDict(observation=torch.ones(50, 3), batch_size=[50])
+        >>> td["is_init"] = torch.zeros(50, 1, dtype=torch.bool)
         >>> first, again = policy(td.clone())["action"], policy(td.clone())["action"]
         >>> torch.equal(first, again), policy.heads.unique().numel() > 1
         (True, True)
@@ -158,13 +168,12 @@ class BootstrapSampling(_OnHeads):
         return self._choice.act_greedily(tensordict, values.gather(-2, index).squeeze(-2))
 
     def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
-        rows, held = values.shape[:-2], self._held
-        begins = None
-        if held is not None and held.shape == rows and self.per != "step":
-            begins = tensordict.get(self.init_key, None) if self.per == "episode" else None
-            if begins is None:
-                return held
+        rows = values.shape[:-2]
+        new = begins(tensordict, self.init_key) if self.per == "episode" else None
+        held = self._held
+        if held is not None and held.shape != rows:
+            held = None
+        if held is not None and self.per == "round":
+            return held
         drawn = torch.randint(values.shape[-2], rows, device=values.device)
-        if begins is None or held is None:
-            return drawn
-        return torch.where(begins.reshape(rows), drawn, held)
+        return drawn if new is None or held is None else torch.where(new, drawn, held)

@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING, Literal, get_args
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from bbq_torchrl.bayes.layers import bayesian_layers
-from bbq_torchrl.bayes.weight_mode import given_weights, set_weight_mode
+from bbq_torchrl.bayes.kl import posteriors
+from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.networks.q_actor import split_actor
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
     from torch import Tensor
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.bayes.bayes_mlp import BayesMLP
+    from bbq_torchrl.bayes import GaussianPosterior
 
 __all__ = ["EvaluationMode", "EvaluationPolicy"]
 
@@ -37,7 +39,8 @@ class EvaluationPolicy(TensorDictModuleBase):
             ``num_draws`` weight draws; "draw", Q at one weight draw; "thompson", Q at new draws at
             every call, for each row its own, as ThompsonSampling(per="step") trains. The draws of
             "average" and "draw" are made at the first call, for each element of the stack, and
-            stay until :meth:`resample`.
+            stay until :meth:`resample`. What else the network writes, such as a recurrent state,
+            is the mean over the draws too.
         num_draws: number of draws for "average". Defaults to 10.
 
     Raises:
@@ -66,14 +69,14 @@ class EvaluationPolicy(TensorDictModuleBase):
         if num_draws < 1:
             raise ValueError(f"num_draws must be at least 1, got {num_draws}")
         if mode != "mean":
-            bayesian_layers(actor)
+            posteriors(actor)
         super().__init__()
         self.actor = actor
         self.mode = mode
         self.num_draws = num_draws if mode == "average" else 1
         self.in_keys = actor.in_keys
         self.out_keys = actor.out_keys
-        self._held: list[dict[BayesMLP, Tensor]] = []
+        self._held: list[dict[GaussianPosterior, Tensor]] = []
 
     @property
     def spec(self) -> Composite:
@@ -88,19 +91,20 @@ class EvaluationPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the greedy action and the values it comes from."""
         if self.mode in ("mean", "thompson"):
-            with set_weight_mode("mean" if self.mode == "mean" else "local"):
+            with weight_scope("mean" if self.mode == "mean" else "local"):
                 return self.actor(tensordict)
         if not self._held:
-            layers = bayesian_layers(self.actor)
-            self._held = [
-                {layer: layer.draw_weights() for layer in layers} for _ in range(self.num_draws)
-            ]
-        network, choice = self.actor[0], self.actor[-1]
-        total: Tensor | None = None
+            found = posteriors(self.actor)
+            self._held = [{p: p.sample() for p in found} for _ in range(self.num_draws)]
+        network, choice = split_actor(self.actor)
+        inputs = tensordict.select(*network.in_keys, strict=False)
+        totals: dict[NestedKey, Tensor] = {}
         for weights in self._held:
-            with given_weights(weights):
-                values = network(tensordict).get(choice.action_value_key)
-            total = values if total is None else total + values
-        assert total is not None
-        tensordict.set(choice.action_value_key, total / self.num_draws)
-        return choice(tensordict)
+            with weight_scope(weights=weights):
+                out = network(inputs.copy())
+            for key in network.out_keys:
+                entry = out.get(key)
+                totals[key] = entry if key not in totals else totals[key] + entry
+        for key, total in totals.items():
+            tensordict.set(key, total / self.num_draws)
+        return tensordict if choice is None else choice(tensordict)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tensordict.nn import TensorDictModuleBase
 
-from bbq_torchrl.bayes.weight_mode import set_weight_mode
+from bbq_torchrl.bayes.scope import weight_scope
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -55,5 +55,5 @@ class Greedy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the greedy action and the values it comes from."""
-        with set_weight_mode("mean"):
+        with weight_scope("mean"):
             return self.actor(tensordict)

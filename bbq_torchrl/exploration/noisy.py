@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tensordict.nn import TensorDictModuleBase
 
-from bbq_torchrl.bayes.weight_mode import WeightMode, set_weight_mode
+from bbq_torchrl.bayes.scope import WeightMode, weight_scope
 from bbq_torchrl.exploration.base import explores
 from bbq_torchrl.networks.noisy_mlp import noisy_layers
 
@@ -62,5 +62,5 @@ class NoisySampling(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that is greedy under the noise, and the values."""
         mode: WeightMode = "draw" if self.shared else "local"
-        with set_weight_mode(mode if explores() else "mean"):
+        with weight_scope(mode if explores() else "mean"):
             return self.actor(tensordict)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, get_args
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from bbq_torchrl.bayes.layers import bayesian_layers
-from bbq_torchrl.bayes.weight_mode import given_weights, set_weight_mode
-from bbq_torchrl.exploration.base import Per, explores
+from bbq_torchrl.bayes.kl import posteriors
+from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.exploration.base import Per, begins, explores
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.bayes.bayes_mlp import BayesMLP
+    from bbq_torchrl.bayes import GaussianPosterior
 
 __all__ = ["ThompsonSampling"]
 
@@ -39,8 +39,8 @@ class ThompsonSampling(TensorDictModuleBase):
             own) or each on its own. One shared draw makes 50 dialogues side by side one
             experiment. Defaults to True for "round", else False.
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
-            ``InitTracker`` writes it); only read for per="episode". Without that entry draws
-            stay until :meth:`resample`. Defaults to "is_init".
+            ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to
+            "is_init".
 
     Independent draws for each row cost a batch of noise for every weight if they are to stay
     (B·P numbers, P ≈ 145,000 for 268-256-256-39). Per step they come from local
@@ -48,7 +48,8 @@ class ThompsonSampling(TensorDictModuleBase):
     draw is redrawn when the batch shape changes: other rows are other episodes.
 
     Raises:
-        ValueError: for another ``per``, or an actor without Bayesian layers.
+        ValueError: for another ``per``, an actor without Bayesian layers, or, when called, for
+            per="episode" without ``init_key``.
 
     Example:
         >>> import torch
@@ -60,6 +61,7 @@ class ThompsonSampling(TensorDictModuleBase):
         >>> actor = q_actor(BayesMLP(3, 4), Categorical(4), action_mask_key=None)
         >>> policy = ThompsonSampling(actor, per="episode")
         >>> td = TensorDict(observation=torch.ones(50, 3), batch_size=[50])
+        >>> td["is_init"] = torch.zeros(50, 1, dtype=torch.bool)
         >>> first, again = policy(td.clone())["action"], policy(td.clone())["action"]
         >>> torch.equal(first, again), first.unique().numel() > 1
         (True, True)
@@ -82,9 +84,9 @@ class ThompsonSampling(TensorDictModuleBase):
         self.init_key = init_key
         self.in_keys = actor.in_keys
         self.out_keys = actor.out_keys
-        self._held: dict[BayesMLP, Tensor] = {}
+        self._held: dict[GaussianPosterior, Tensor] = {}
         self._held_rows: torch.Size | None = None
-        bayesian_layers(actor)
+        posteriors(actor)
 
     @property
     def spec(self) -> Composite:
@@ -99,32 +101,27 @@ class ThompsonSampling(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that is greedy on the drawn weights, and the values."""
         if not explores():
-            with set_weight_mode("mean"):
+            with weight_scope("mean"):
                 return self.actor(tensordict)
         if self.per == "step":
-            with set_weight_mode("draw" if self.shared else "local"):
+            with weight_scope("draw" if self.shared else "local"):
                 return self.actor(tensordict)
         with torch.no_grad():
             self._hold(tensordict)
-        with given_weights(self._held):
+        with weight_scope(weights=self._held):
             return self.actor(tensordict)
 
     def _hold(self, tensordict: TensorDictBase) -> None:
-        layers = bayesian_layers(self.actor)
-        stack = layers[0].stack
+        found = posteriors(self.actor)
+        stack = found[0].stack
         rows = tensordict.batch_size[len(stack) :]
+        new = begins(tensordict, self.init_key) if self.per == "episode" else None
         if self._held_rows != rows:
             drawn = () if self.shared else tuple(rows)
-            self._held = {layer: layer.draw_weights(drawn) for layer in layers}
+            self._held = {posterior: posterior.sample(drawn) for posterior in found}
             self._held_rows = rows
-            return
-        if self.per == "round":
-            return
-        begins = tensordict.get(self.init_key, None)
-        if begins is None:
-            return
-        begins = begins.reshape(tensordict.batch_size)
-        if self.shared and rows:
-            begins = begins.flatten(len(stack)).any(-1)
-        for layer, draws in self._held.items():
-            layer.posterior.redraw_(draws, begins)
+        elif new is not None:
+            if self.shared and rows:
+                new = new.flatten(len(stack)).any(-1)
+            for posterior, draws in self._held.items():
+                posterior.redraw_(draws, new)

@@ -6,7 +6,7 @@ from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
 from bbq_torchrl.networks.flat_mlp import FlatMLP
 from bbq_torchrl.networks.growth import grow, reset_inactive_
 from bbq_torchrl.networks.noisy_mlp import NoisyMLP, StackedNoisyLinear
-from bbq_torchrl.networks.q_actor import q_actor
+from bbq_torchrl.networks.q_actor import q_actor, split_actor
 from bbq_torchrl.networks.vote import VoteModule, bootstrap_actor
 
 __all__ = [
@@ -19,4 +19,5 @@ __all__ = [
     "grow",
     "q_actor",
     "reset_inactive_",
+    "split_actor",
 ]

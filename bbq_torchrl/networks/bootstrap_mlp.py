@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
-from bbq_torchrl.bayes.weight_mode import WeightMode, check_weight_mode
+from bbq_torchrl.bayes.scope import WeightMode, check_weight_mode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,12 +9,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes import functional
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_
-from bbq_torchrl.bayes.weight_mode import (
-    WeightMode,
-    check_weight_mode,
-    weight_mode,
-    weights_given_to,
-)
+from bbq_torchrl.bayes.scope import WeightMode, check_weight_mode, current_scope
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -92,7 +87,7 @@ class FlatMLP(nn.Module):
         Args:
             x: inputs, shape [*stack, *batch, in].
             mode: "draw" and "local" (dropout on), "mean" (off), or None: what
-                :class:`~bbq_torchrl.bayes.set_weight_mode` says, and outside of it on in
+                :class:`~bbq_torchrl.bayes.weight_scope` says, and outside of it on in
                 training mode, as ``nn.Dropout``.
             weights: weights to use instead, [*stack, *rows, P], without dropout.
 
@@ -101,12 +96,13 @@ class FlatMLP(nn.Module):
         """
         if mode is not None:
             check_weight_mode(mode)
+        scope = current_scope()
         if weights is None:
-            weights = weights_given_to(self)
+            weights = scope.weights.get(self)
         if weights is not None:
             return functional.mlp(x, weights, self.layout)
         if mode is None:
-            mode = weight_mode() or ("draw" if self.training else "mean")
+            mode = scope.mode or ("draw" if self.training else "mean")
         dropout = 0.0 if mode == "mean" else self.dropout
         return functional.mlp(x, self.weight, self.layout, dropout)
 

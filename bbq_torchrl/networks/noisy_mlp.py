@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torchrl.modules import NoisyLinear
 
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows
-from bbq_torchrl.bayes.weight_mode import WeightMode, resolve_weight_mode
+from bbq_torchrl.bayes.scope import WeightMode, resolve_weight_mode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

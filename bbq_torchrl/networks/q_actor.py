@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from tensordict.nn import TensorDictSequential
 from torchrl.modules import QValueActor
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    from tensordict.nn import TensorDictModuleBase
     from tensordict.utils import NestedKey
     from torch import nn
     from torchrl.data import TensorSpec
 
-__all__ = ["q_actor"]
+__all__ = ["q_actor", "split_actor"]
 
 
 def q_actor(
@@ -57,3 +59,46 @@ def q_actor(
         action_value_key=action_value_key,
         action_mask_key=action_mask_key,
     )
+
+
+def split_actor(
+    actor: TensorDictModuleBase,
+) -> tuple[TensorDictModuleBase, TensorDictModuleBase | None]:
+    """Returns what writes an actor's values, and what chooses the action by them.
+
+    Args:
+        actor: a ``QValueActor``, or any ``TensorDictSequential`` of modules (convolutional,
+            recurrent, nested) with a ``QValueModule`` or
+            :class:`~bbq_torchrl.networks.VoteModule` among them; what comes behind that is left
+            out. The parts are the actor's own modules, not copies.
+
+    Returns:
+        the network and the choice; the whole actor and None where no module of it chooses.
+
+    Example:
+        >>> from tensordict.nn import TensorDictModule, TensorDictSequential
+        >>> from torch import nn
+        >>> from torchrl.modules import QValueModule
+        >>> from bbq_torchrl.networks.q_actor import split_actor
+        >>> trunk = TensorDictModule(nn.Linear(3, 8), ["observation"], ["hidden"])
+        >>> head = TensorDictModule(nn.Linear(8, 4), ["hidden"], ["action_value"])
+        >>> choice = QValueModule(action_space="categorical")
+        >>> network, chooses = split_actor(TensorDictSequential(trunk, head, choice))
+        >>> network.in_keys, chooses is choice
+        (['observation'], True)
+    """
+    modules = list(_parts(actor))
+    for number, module in enumerate(modules):
+        if hasattr(module, "action_value_key") and hasattr(module, "action_mask_key"):
+            network = modules[:number]
+            return network[0] if number == 1 else TensorDictSequential(*network), module
+    return actor, None
+
+
+def _parts(module: TensorDictModuleBase) -> Iterator[TensorDictModuleBase]:
+    """Yields the modules of a sequence in order, those of nested ones too."""
+    if isinstance(module, TensorDictSequential):
+        for part in module.module:
+            yield from _parts(part)
+    else:
+        yield module

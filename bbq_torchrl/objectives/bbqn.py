@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import torch
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType
 
-from bbq_torchrl.bayes.held_std import held_std
-from bbq_torchrl.bayes.kl import collect_kl
-from bbq_torchrl.bayes.layers import bayesian_layers
-from bbq_torchrl.bayes.shared_noise import shared_noise
+from bbq_torchrl.bayes.kl import posteriors
+from bbq_torchrl.bayes.noise_sources import NoisePool, SharedNoise
+from bbq_torchrl.bayes.scope import KLSum
 from bbq_torchrl.bayes.stack_values import stack_values
 from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
-from bbq_torchrl.objectives.held import Holds
 from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
@@ -25,7 +23,8 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.bayes import GaussianPosterior
+    from bbq_torchrl.bayes import GaussianPosterior, NoiseSource
+    from bbq_torchrl.objectives.value_function import Inputs
 
 __all__ = ["BBQNLoss", "Target", "TargetNoise"]
 
@@ -39,7 +38,7 @@ _TARGET_NOISES: dict[Target, tuple[TargetNoise, ...]] = {
 }
 
 
-class BBQNLoss(NumData, Holds, OneStepQLoss):
+class BBQNLoss(NumData, OneStepQLoss):
     """Expected squared TD error under the posterior, plus its KL from the prior.
 
     For N transitions in the buffer each network's loss is
@@ -47,7 +46,8 @@ class BBQNLoss(NumData, Holds, OneStepQLoss):
         mean over the batch of (y - Q(s, a; w))² / (2 noise_std²) + kl_temperature · KL / N
 
     with one draw w of the weights a batch: the negative evidence bound divided by N, so that
-    more data weigh more against the prior. y is a constant.
+    more data weigh more against the prior. y is a constant. The KL is that of every
+    :class:`~bbq_torchrl.bayes.GaussianPosterior` in the network, whatever layer holds it.
 
     Args:
         value_network: an actor, or a network that maps the observation to values, with Bayesian
@@ -77,7 +77,7 @@ class BBQNLoss(NumData, Holds, OneStepQLoss):
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
         hold: whether what is much the same from batch to batch is made at the first batch after
             :meth:`begin_epoch` only, and held until the next call: the pool that the weight
-            noise of all batches is taken from (:class:`~bbq_torchrl.bayes.noise_pool`), the
+            noise of all batches is taken from (:class:`~bbq_torchrl.bayes.NoisePool`), the
             frozen posterior's σ for an "mc" target, and the value of the closed KL, which is
             reported in ``kl`` and in the losses until then (its gradient is every batch's own).
             That saves a quarter of an update on a CPU, and needs the call at least after each
@@ -149,17 +149,16 @@ class BBQNLoss(NumData, Holds, OneStepQLoss):
         super().__init__(
             value_network, gamma=gamma, action_space=action_space, delay_value=delay_value
         )
-        layers = bayesian_layers(self.value_network)  # type: ignore[arg-type]
+        self._posteriors = tuple(posteriors(self.value_network))  # type: ignore[arg-type]
         self.target = target
         self.target_noise = target_noise or _TARGET_NOISES[target][0]
-        self._online_noise: shared_noise | None = None
+        self._online_noise: SharedNoise | None = None
         self.kl = kl
-        self._register_hold(hold)
-        self._held_std = held_std()
-        self._held_kl: dict[GaussianPosterior, Tensor] = {}
+        self.hold = hold
+        self._forget()
         self._set("noise_std", noise_std)
         self._set("kl_temperature", kl_temperature, minimum=0)
-        self._register_num_data(num_data, layers[0].posterior.mu)
+        self._register_num_data(num_data, self._posteriors[0].mu)
 
     def _set(self, name: str, value: float | Tensor, *, minimum: float | None = None) -> None:
         """Sets a hyper-parameter; values [*stack] are a buffer, for they follow the device."""
@@ -188,33 +187,42 @@ class BBQNLoss(NumData, Holds, OneStepQLoss):
 
     def begin_epoch(self) -> None:
         """Has what is held made anew, where ``hold`` is set."""
-        super().begin_epoch()
-        self._held_kl.clear()
-        self._held_std.clear()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._pool = NoisePool()
+        self._held_kl: dict[GaussianPosterior, Tensor] = {}
+        self._held_sigma: dict[GaussianPosterior, Tensor] = {}
+
+    def _holds(self, tensors: Sequence[Tensor]) -> bool:
+        """Whether anything is held for a network of these parameters: on a CPU only."""
+        on_cpu = tensors[0].device.type == "cpu"
+        return self.hold and on_cpu and not torch.compiler.is_compiling()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "_held_kl": {}, "_held_std": held_std()}
+        held = {"_pool": NoisePool(), "_held_kl": {}, "_held_sigma": {}}
+        return {**super().__getstate__(), **held}
 
     def _predict(
-        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
+        self, tensors: Sequence[Tensor], inputs: Inputs
     ) -> tuple[Tensor, dict[str, Tensor]]:
         self._check_num_data()
-        noise = shared_noise() if self.target_noise == "shared" else None
-        held = self._held_kl if self._holds(tensors) and self.kl == "closed" else None
-        with (
-            self._random_numbers(tensors),
-            noise or nullcontext(),
-            collect_kl(self.kl, held) as collector,
-        ):
-            values = self._function(tensors, inputs, "draw")
-        self._online_noise = noise
-        return values, {"kl": collector.total()}
+        holds = self._holds(tensors)
+        noise: NoiseSource | None = self._pool if holds else None
+        if self.target_noise == "shared":
+            noise = self._online_noise = SharedNoise(noise)
+        kl = KLSum(self.kl, self._held_kl if holds and self.kl == "closed" else None)
+        values = self._function(tensors, inputs, "draw", noise=noise, kl=kl)
+        return values, {"kl": kl.total()}
 
-    def _target_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
+    def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
         # Used up: each batch has noise of its own, and none outlives its batch.
-        noise, self._online_noise = self._online_noise, None
+        shared, self._online_noise = self._online_noise, None
         if self.target == "map":
             return self._function(tensors, inputs, "mean")
-        std = self._held_std if self._holds(tensors) else nullcontext()
-        with self._random_numbers(tensors), noise or nullcontext(), std:
-            return self._function(tensors, inputs, "draw")
+        holds = self._holds(tensors)
+        noise: NoiseSource | None = self._pool if holds else None
+        if shared is not None:
+            noise = shared.again()
+        sigma = self._held_sigma if holds else None
+        return self._function(tensors, inputs, "draw", noise=noise, sigma=sigma)

@@ -104,13 +104,16 @@ class BootstrapDQNLoss(OneStepQLoss):
         keys = self.tensor_keys
         function = self._function
         online, target = self._tensors()
-        inputs = [tensordict.get(key) for key in function.in_keys]
+        inputs = function.inputs(tensordict)
         reward = tensordict.get(("next", keys.reward))
         mask = tensordict.get(keys.bootstrap_mask, None)
         weight = self._head_weights(tensordict, mask, reward)
         if weight is not None:
             unused = (weight == 0).all(-1)
-            inputs = [_blank(tensor, unused) for tensor in inputs]
+            if isinstance(inputs, TensorDictBase):
+                inputs = inputs.apply(lambda tensor: _blank(tensor, unused))
+            else:
+                inputs = [_blank(tensor, unused) for tensor in inputs]
         values = function(online, inputs, "draw")
         if values.shape[:-2] != reward.shape[:-1]:
             raise ValueError(

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.objectives.td_loss import Distance
+    from bbq_torchrl.objectives.value_function import Inputs
 
 __all__ = ["NoisyDQNLoss"]
 
@@ -92,12 +93,12 @@ class NoisyDQNLoss(OneStepQLoss):
         return False
 
     def _predict(
-        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
+        self, tensors: Sequence[Tensor], inputs: Inputs
     ) -> tuple[Tensor, dict[str, Tensor]]:
         return self._function(tensors, inputs, "draw"), {}
 
-    def _target_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
+    def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
         return self._function(tensors, inputs, "draw")
 
-    def _choice_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
+    def _choice_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
         return self._function(tensors, inputs, "draw")

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
+    from bbq_torchrl.objectives.value_function import Inputs
+
 __all__ = ["OneStepQLoss"]
 
 
@@ -118,7 +120,9 @@ class OneStepQLoss(DQNLoss):
             else gamma
         )
         self.make_value_estimator(ValueEstimators.TD0, gamma=discount)
-        self._function = ValueFunction(self.value_network, self.value_network_params)
+        self._function = ValueFunction(
+            self.value_network, self.value_network_params, self.tensor_keys.action_value
+        )
 
     # -- parameters -------------------------------------------------------------------------
 
@@ -177,16 +181,16 @@ class OneStepQLoss(DQNLoss):
     # -- forward ----------------------------------------------------------------------------
 
     def _predict(
-        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
+        self, tensors: Sequence[Tensor], inputs: Inputs
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Returns the values [*stack, *batch, N] to learn, and "kl" [*stack] if there is one."""
         raise NotImplementedError
 
-    def _target_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
+    def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
         """Returns the frozen network's values [*stack, *batch, N] of the next state."""
         return self._function(tensors, inputs, "mean")
 
-    def _choice_values(self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]) -> Tensor:
+    def _choice_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
         """Returns the online values [*stack, *batch, N] that choose double DQN's action."""
         return self._function(tensors, inputs, "mean")
 
@@ -208,7 +212,7 @@ class OneStepQLoss(DQNLoss):
         keys = self.tensor_keys
         function = self._function
         online, target = self._tensors()
-        values, out = self._predict(online, [tensordict.get(key) for key in function.in_keys])
+        values, out = self._predict(online, function.inputs(tensordict))
         with torch.no_grad():
             td_target = self._td_target(tensordict.get("next"), online, target)
             weight = self._row_weights(tensordict, td_target)
@@ -262,7 +266,7 @@ class OneStepQLoss(DQNLoss):
     ) -> Tensor:
         """Returns max Q(s', ·) over legal actions, [*stack, *batch, 1]."""
         function = self._function
-        inputs = [following.get(key) for key in function.in_keys]
+        inputs = function.inputs(following)
         mask = None
         if function.action_mask_key is not None:
             mask = self._beside_values(following.get(function.action_mask_key))

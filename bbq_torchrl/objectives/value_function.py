@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch.nn.modules.dropout import _DropoutNd
 
-from bbq_torchrl.bayes.weight_mode import set_weight_mode
+from bbq_torchrl.bayes.posterior import GaussianPosterior
+from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.networks.q_actor import split_actor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import TypeAlias
 
     from tensordict import TensorDictParams
+    from tensordict.nn import TensorDictModuleBase
     from tensordict.utils import NestedKey
     from torch import Tensor
-    from torchrl.modules import QValueActor
 
-    from bbq_torchrl.bayes.weight_mode import WeightMode
+    from bbq_torchrl.bayes.scope import WeightMode
+
+    Inputs: TypeAlias = Sequence[Tensor] | TensorDictBase  # entry by entry, or all of them
 
 __all__ = ["ValueFunction"]
 
@@ -29,29 +34,38 @@ class ValueFunction:
 
     TorchRL's own way (parameters swapped in by ``to_module``, then the actor called on a
     TensorDict) costs as much as the matrix products of a small network. This one swaps tensors
-    in the modules that own them and calls the network behind the actor's TensorDict module.
+    in the modules that own them; a network that is one module it calls on tensors, any other
+    (several modules, several outputs, a recurrent state) on a TensorDict.
 
     Args:
-        actor: network and choice of the action.
+        actor: network and choice of the action, see
+            :func:`~bbq_torchrl.networks.q_actor.split_actor`.
         params: of the actor, as ``LossModule.convert_to_functional`` makes them; names the
             parameters and buffers that :meth:`__call__` expects.
+        value_key: where the values are if nothing in the actor chooses by them.
 
     Attributes:
         in_keys: what the network reads.
         action_mask_key: where the actor reads the mask of legal actions, None if it has none.
     """
 
-    def __init__(self, actor: QValueActor, params: TensorDictParams) -> None:
-        self._head = actor[0]
-        self._value_key = actor[-1].action_value_key
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        params: TensorDictParams,
+        value_key: NestedKey = "action_value",
+    ) -> None:
+        self._network, choice = split_actor(actor)
+        self._value_key = value_key if choice is None else choice.action_value_key
         self._is_plain = (
-            type(self._head) is TensorDictModule
-            and isinstance(self._head.module, torch.nn.Module)
-            and len(self._head.out_keys) == 1
+            type(self._network) is TensorDictModule
+            and isinstance(self._network.module, torch.nn.Module)
+            and len(self._network.out_keys) == 1
         )
         self._dropouts = [m for m in actor.modules() if isinstance(m, _DropoutNd)]
-        self.in_keys: list[NestedKey] = list(self._head.in_keys)
-        self.action_mask_key: NestedKey | None = actor[-1].action_mask_key
+        self._posteriors = [m for m in actor.modules() if isinstance(m, GaussianPosterior)]
+        self.in_keys: list[NestedKey] = list(self._network.in_keys)
+        self.action_mask_key: NestedKey | None = getattr(choice, "action_mask_key", None)
         self._keys: list[tuple[str, ...]] = []
         self._slots: list[tuple[dict[str, Tensor | None], str]] = []
         for key in params.keys(True, True):
@@ -69,15 +83,23 @@ class ValueFunction:
         """
         return [params.get(key) for key in self._keys]
 
+    def inputs(self, tensordict: TensorDictBase) -> Inputs:
+        """Returns what :meth:`__call__` takes of the states in a TensorDict [*batch]."""
+        if self._is_plain:
+            return [tensordict.get(key) for key in self.in_keys]
+        return tensordict.select(*self.in_keys, strict=False)
+
     def __call__(
-        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor], mode: WeightMode
+        self, tensors: Sequence[Tensor], inputs: Inputs, mode: WeightMode, **scope: Any
     ) -> Tensor:
         """Returns the values [*batch, N].
 
         Args:
             tensors: what :meth:`tensors` returned.
-            inputs: the entries named in_keys.
+            inputs: what :meth:`inputs` returned.
             mode: "draw" (dropout on) or "mean" (dropout off).
+            scope: what else :class:`~bbq_torchrl.bayes.weight_scope` takes. The KL is that of
+                all posteriors, also of those whose layer does not draw through the scope.
         """
         training = [dropout.training for dropout in self._dropouts]
         own = [store[name] for store, name in self._slots]
@@ -86,13 +108,21 @@ class ValueFunction:
                 dropout.training = mode != "mean"
             for (store, name), tensor in zip(self._slots, tensors, strict=True):
                 store[name] = tensor
-            with set_weight_mode(mode):
-                if self._is_plain:
-                    return self._head.module(*inputs)
-                tensordict = TensorDict(dict(zip(self.in_keys, inputs, strict=True)))
-                return self._head(tensordict).get(self._value_key)
+            with weight_scope(mode, **scope) as active:
+                values = self._values(inputs)
+                if active.kl is not None:
+                    active.kl.add(self._posteriors)
+            return values
         finally:
             for (store, name), previous in zip(self._slots, own, strict=True):
                 store[name] = previous
             for dropout, was_training in zip(self._dropouts, training, strict=True):
                 dropout.training = was_training
+
+    def _values(self, inputs: Inputs) -> Tensor:
+        values: Tensor
+        if isinstance(inputs, TensorDictBase):
+            values = self._network(inputs.copy()).get(self._value_key)
+        else:
+            values = self._network.module(*inputs)
+        return values

@@ -51,7 +51,8 @@ def play(
     """Plays one dialogue in every place of the environment's batch, each to its end.
 
     Returns the rollout, batch size [*batch, turns], with the entry ``valid`` [*batch, turns]: a
-    dialogue that is over waits for the last one, and what it repeats meanwhile is not valid. Every
+    dialogue that is over waits for the last one, and what it repeats meanwhile is not valid. The
+    policy finds ``is_init`` [*batch, 1], True in the first turn (as of ``InitTracker``). Every
     dialogue that begins is played to its end, so there is no bias towards short ones. The policy
     plays in evaluation mode (no dropout) and is given back in the mode that it came in.
 
@@ -72,7 +73,7 @@ def play(
         with set_exploration_type(exploration):
             rollout = env.rollout(
                 max_steps,
-                policy,
+                _marking_the_first_turn(policy),
                 break_when_any_done=False,
                 break_when_all_done=True,
                 trust_policy=True,
@@ -84,6 +85,20 @@ def play(
     if not bool(done[..., -1].all()):
         raise RuntimeError(f"every dialogue must be over after max_steps = {max_steps} turns")
     return rollout.set("valid", (done.cumsum(-1) - done.long()) == 0)
+
+
+def _marking_the_first_turn(policy: Policy) -> Policy:
+    """Returns a policy that is told where a rollout begins, without a transform's cost a turn."""
+    is_first = True
+
+    def act(tensordict: TensorDictBase) -> TensorDictBase:
+        nonlocal is_first
+        shape = (*tensordict.batch_size, 1)
+        marks = torch.full(shape, is_first, dtype=torch.bool, device=tensordict.device)
+        is_first = False
+        return policy(tensordict.set("is_init", marks))
+
+    return act
 
 
 def play_dialogues(

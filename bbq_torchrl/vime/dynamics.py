@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Literal
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.bayes.bayes_mlp import BayesMLP, MeanInit
+from bbq_torchrl.bayes.bayes_mlp import BayesMLP
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bbq_torchrl.bayes.weight_mode import WeightMode
+    from bbq_torchrl.bayes.layers import MeanInit
+    from bbq_torchrl.bayes.scope import WeightMode
 
 __all__ = ["DynamicsModel"]
 

@@ -11,7 +11,7 @@ from tensordict.nn import dispatch
 from tensordict.utils import unravel_key
 from torchrl.objectives import LossModule
 
-from bbq_torchrl.bayes.kl import collect_kl
+from bbq_torchrl.bayes.scope import KLSum, weight_scope
 from bbq_torchrl.objectives.num_data import NumData
 
 if TYPE_CHECKING:
@@ -144,14 +144,15 @@ class DynamicsLoss(NumData, LossModule):
         if counts is not None:
             # Select before anything is multiplied: a row that does not count may hold anything.
             inputs = torch.where(counts.unsqueeze(-1), inputs, 0)
-        with collect_kl() as collector:
-            output = self.dynamics.network(inputs, "draw")
+        kl_sum = KLSum()
+        with weight_scope("draw", kl=kl_sum):
+            output = self.dynamics.network(inputs)
         error = output - self.dynamics.standardize(following)
         square = torch.where(predicted.unsqueeze(-1), error, 0).square().sum(-1)
         sums = self._flat(square).sum(-1) * (0.5 / self.dynamics.noise_std**2)
         batch = self._flat(predicted if counts is None else counts)
         number = batch.shape[-1] if counts is None else batch.sum(-1).clamp_min(1)
-        kl = collector.total()
+        kl = kl_sum.total()
         loss = sums / number + kl * (self.kl_temperature / self.num_data)
         return TensorDict(
             {"loss": loss.sum(), "dynamics_loss": loss.detach(), "dynamics_kl": kl.detach()}

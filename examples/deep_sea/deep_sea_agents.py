@@ -185,7 +185,7 @@ def _bootstrap(prior_scale: float, size: int, replicas: int, settings: Settings)
         prior_scale=prior_scale,
     )
     actor = bootstrap_actor(_scaled(size, network), ACTION, action_mask_key=None)
-    explore = BootstrapSampling(actor)
+    explore = BootstrapSampling(actor, per="round")  # a round is a dive, see begin_dive
     return Agent(
         explore=explore,
         greedy=MajorityVote(actor),
@@ -209,7 +209,7 @@ def _bbqn(
     )
     actor = q_actor(_scaled(size, network), ACTION, action_mask_key=None)
     # One draw a dive: of all ways to sample from this posterior the one that can dive deepest.
-    explore = ThompsonSampling(actor, per="episode")
+    explore = ThompsonSampling(actor, per="round", shared=False)
     return Agent(
         explore=explore,
         greedy=Greedy(actor),

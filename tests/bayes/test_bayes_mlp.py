@@ -13,10 +13,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from bbq_torchrl.bayes import (
     BayesLinear,
     BayesMLP,
-    given_weights,
+    current_scope,
     resolve_weight_mode,
-    set_weight_mode,
-    weight_mode,
+    weight_scope,
 )
 
 STACKS = [(), (3,), (2, 3)]
@@ -181,7 +180,7 @@ def test_the_exploration_type_decides_where_nothing_else_does(exploration, mode)
     with set_exploration_type(exploration):
         assert resolve_weight_mode(None) == mode
         assert bool(net(x).any()) == (mode == "draw")  # the mean network is 0
-        with set_weight_mode("mean"):
+        with weight_scope("mean"):
             assert not net(x).any()
         assert net(x, "local").any()
     assert resolve_weight_mode(None) == "mean"  # outside of any context, as NoisyLinear
@@ -189,24 +188,25 @@ def test_the_exploration_type_decides_where_nothing_else_does(exploration, mode)
 
 def test_weight_modes_nest_and_end_on_errors():
     def fail_in_mode_mean():
-        with set_weight_mode("mean"):
-            assert weight_mode() == "mean"
+        with weight_scope("mean"):
+            assert current_scope().mode == "mean"
             raise RuntimeError
 
-    assert weight_mode() is None
-    with set_weight_mode("draw"):
+    assert current_scope().mode is None
+    with weight_scope("draw"):
         with pytest.raises(RuntimeError):
             fail_in_mode_mean()
-        assert weight_mode() == "draw"
-        with set_weight_mode(None):
-            assert weight_mode() is None
-    assert weight_mode() is None
+        assert current_scope().mode == "draw"
+        with weight_scope(kl="closed"):  # what is not given is as outside
+            assert current_scope().mode == "draw"
+    assert current_scope().mode is None
+    assert current_scope().kl is None
 
 
 def test_given_weights_reach_only_their_module():
     first, second, x = BayesLinear(3, 3), BayesLinear(3, 3), torch.randn(4, 3)
     weights = first.draw_weights()
-    with given_weights({first: weights}):
+    with weight_scope(weights={first: weights}):
         torch.testing.assert_close(first(x, "mean"), first(x, weights=weights))
         assert not second(x, "mean").any()
     assert not first(x, "mean").any()
@@ -215,7 +215,7 @@ def test_given_weights_reach_only_their_module():
 @pytest.mark.parametrize("mode", ["sample", "", "DRAW"])
 def test_another_mode_is_refused(mode):
     net, x = BayesMLP(4, 3), torch.randn(6, 4)
-    for call in (lambda: net(x, mode), lambda: set_weight_mode(mode)):
+    for call in (lambda: net(x, mode), lambda: weight_scope(mode)):
         with pytest.raises(ValueError, match=r"mode must be one of \['draw', 'local', 'mean'\]"):
             call()
 

@@ -8,14 +8,13 @@ smaller than the posterior's own.
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import NamedTuple
 
 import pytest
 import torch
 from scipy.linalg import hadamard
 
-from bbq_torchrl.bayes import BayesLinear, collect_kl, noise_pool, set_weight_mode
+from bbq_torchrl.bayes import BayesLinear, KLSum, NoisePool, weight_scope
 
 NOISE_STD, PRIOR_STD = 0.5, 1.0
 ROWS, FEATURES, DRAWS = 32, 3, 512
@@ -67,10 +66,11 @@ def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", ste
             pool.clear()
         index = torch.arange(count) if rows is None else torch.randint(count, (DRAWS, rows))
         x, y = data.x[index].expand(DRAWS, -1, -1), data.y[index]
-        with set_weight_mode(mode), collect_kl(kl) as collector, pool or nullcontext():
+        kl_sum = KLSum(kl)
+        with weight_scope(mode, noise=pool, kl=kl_sum):
             error = net(x).squeeze(-1) - y
         # the loss of one transition, as BBQNLoss weighs it
-        loss = error.square().mean(-1) / (2 * NOISE_STD**2) + collector.total() / num_data
+        loss = error.square().mean(-1) / (2 * NOISE_STD**2) + kl_sum.total() / num_data
         optimizer.zero_grad()
         loss.sum().backward()
         for parameter in net.parameters():
@@ -96,7 +96,7 @@ def assert_optimal(found, expected):
         {"mode": "draw", "kl": "sampled"},
         {"mode": "draw", "rows": 8},
         {"mode": "local", "rows": 8},
-        {"mode": "draw", "rows": 8, "pool": noise_pool()},
+        {"mode": "draw", "rows": 8, "pool": NoisePool()},
     ],
     ids=["full", "full local", "full sampled KL", "batches", "batches local", "batches pool"],
 )

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch.func import functional_call
 
-from bbq_torchrl.bayes import BayesLinear, BayesMLP, collect_kl, kl_divergence
+from bbq_torchrl.bayes import BayesLinear, BayesMLP, kl_divergence, weight_scope
 
 DEVICES = [
     "meta",
@@ -33,9 +33,9 @@ def test_values_kl_and_gradients_stay_on_the_device(device, mode, start):
         net = BayesMLP(4, 3, (8,), **options).to(device)
     x = torch.ones(2, 6, 4, device=device)
 
-    with collect_kl() as collector:
+    with weight_scope(kl="closed") as scope:
         out = net(x, mode)
-    (out.sum() + collector.total().sum()).backward()
+    (out.sum() + scope.kl.total().sum()).backward()
 
     assert out.shape == (2, 6, 3)
     assert kl_divergence(net).shape == (2,)

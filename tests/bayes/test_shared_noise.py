@@ -1,4 +1,4 @@
-"""shared_noise: the draws of several passes with one noise."""
+"""SharedNoise: the draws of several passes with one noise."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 from torch import nn
 from torch.func import functional_call
 
-from bbq_torchrl.bayes import BayesLinear, BayesMLP, collect_kl, set_weight_mode, shared_noise
+from bbq_torchrl.bayes import BayesLinear, BayesMLP, SharedNoise, weight_scope
 
 STACKS = [(), (3,), (2, 3)]
 
@@ -41,16 +41,13 @@ class Draw(nn.Module):
 @pytest.mark.parametrize("second_with_kl", [False, True])
 def test_blocks_draw_the_same_weights(stack, first_with_kl, second_with_kl):
     net, x = several_layers(stack), torch.randn(*stack, 5, 4)
-    noise, outs = shared_noise(), []
+    noise, outs = SharedNoise(), []
     for with_kl in (first_with_kl, second_with_kl):
-        with set_weight_mode("draw"), noise:
-            if with_kl:
-                with collect_kl("sampled"):
-                    outs.append(net(x))
-            else:
-                outs.append(net(x))
+        kl = "sampled" if with_kl else None
+        with weight_scope("draw", noise=noise.again(), kl=kl):
+            outs.append(net(x))
     assert torch.equal(*outs)
-    with set_weight_mode("draw"):
+    with weight_scope("draw"):
         assert not torch.equal(net(x), outs[0])
 
 
@@ -59,10 +56,10 @@ def test_other_parameters_get_the_same_noise(kl):
     # large enough for a stack that is drawn a part at a time
     net = trained(BayesMLP(150, 40, (150, 150), stack=(5,), dtype=torch.double))
     other = {k: v.detach() - 0.5 for k, v in net.named_parameters()}
-    posterior, noise = net.posterior, shared_noise()
-    with noise, collect_kl(kl) as collector:
-        first = collector.draw(posterior)
-    with noise:
+    posterior, noise = net.posterior, SharedNoise()
+    with weight_scope("draw", noise=noise, kl=kl):
+        first = posterior.weights()
+    with weight_scope(noise=noise.again()):
         second = functional_call(Draw(posterior), other)
     epsilon = ((first - posterior.mu) / posterior.sigma).detach()
     assert epsilon.std() == pytest.approx(1, abs=5 * (2 * epsilon.numel()) ** -0.5)
@@ -72,27 +69,27 @@ def test_other_parameters_get_the_same_noise(kl):
 
 def test_a_layer_that_draws_twice_shares_draw_by_draw():
     layer, x = trained(BayesLinear(4, 4)), torch.randn(5, 4)
-    noise = shared_noise()
-    with noise:
+    noise = SharedNoise()
+    with weight_scope(noise=noise.again()):
         first = [layer(x, "draw") for _ in range(2)]
-    with noise:
+    with weight_scope(noise=noise.again()):
         second = [layer(x, "draw") for _ in range(3)]
     assert not torch.equal(*first)
     for ours, theirs in zip(first, second, strict=False):
         assert torch.equal(ours, theirs)
-    with noise:  # the draw that was one more is shared from now on
+    with weight_scope(noise=noise.again()):  # the draw that was one more is shared from now on
         third = [layer(x, "draw") for _ in range(3)]
     assert torch.equal(second[2], third[2])
 
 
 def test_only_what_draws_inside_shares_and_blocks_nest():
     layer, x = trained(BayesLinear(4, 4)), torch.randn(5, 4)
-    outer, inner = shared_noise(), shared_noise()
+    outer, inner = SharedNoise(), SharedNoise()
 
     def draws():
-        with outer:
+        with weight_scope(noise=outer.again()):
             a = layer(x, "draw")
-            with inner:
+            with weight_scope(noise=inner.again()):
                 b = layer(x, "draw")
             c = layer(x, "draw")
         return a, b, c
@@ -107,22 +104,22 @@ def test_only_what_draws_inside_shares_and_blocks_nest():
 
 def test_the_gradient_is_that_of_the_draw():
     layer, x = trained(BayesLinear(4, 2, dtype=torch.double)), torch.randn(5, 4).double()
-    noise = shared_noise()
+    noise = SharedNoise()
     gradients = []
     for _ in range(2):
-        with noise, collect_kl() as collector:
-            out = layer(x, "draw").square().sum() + collector.total()
+        with weight_scope("draw", noise=noise.again(), kl="closed") as scope:
+            out = layer(x).square().sum() + scope.kl.total()
         gradients.append(torch.autograd.grad(out, list(layer.parameters())))
     for ours, theirs in zip(*gradients, strict=True):
         assert torch.equal(ours, theirs)
 
 
 def test_draws_of_other_shapes_are_refused():
-    layer, noise = BayesLinear(4, 2), shared_noise()
-    with noise:
+    layer, noise = BayesLinear(4, 2), SharedNoise()
+    with weight_scope(noise=noise.again()):
         layer.draw_weights((3,))
     with (
-        noise,
+        weight_scope(noise=noise.again()),
         pytest.raises(ValueError, match=r"draw of shape \[10\] cannot share noise of shape \[3, 1"),
     ):
         layer.draw_weights()

@@ -22,7 +22,7 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, check_env_specs, set_exploration_type
 
 from bbq_torchrl import evaluate
-from bbq_torchrl.bayes import BayesMLP, set_weight_mode
+from bbq_torchrl.bayes import BayesMLP, weight_scope
 from bbq_torchrl.cli import store
 from bbq_torchrl.cli.checks import check
 from bbq_torchrl.cli.searches import compose_search
@@ -218,7 +218,7 @@ def test_the_upper_bound_is_the_mean_without_a_coefficient_and_prefers_spread_wi
     assert (policy(rows.clone())["action"] == 1).all()
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         greedy = policy(rows.clone())["action_value"]
-    with set_weight_mode("mean"):
+    with weight_scope("mean"):
         assert torch.equal(greedy, actor(rows.clone())["action_value"])
 
 

@@ -8,7 +8,7 @@ from q_actor import ACTIONS, all_legal, bayes_actor, observations
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl.bayes import given_weights
+from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
 from bbq_torchrl.networks import FlatMLP, q_actor
 
@@ -43,7 +43,7 @@ def test_average_is_the_mean_of_q_over_the_draws(stack):
     draws = [net.draw_weights() for _ in range(4)]
     expected = []
     for weights in draws:
-        with given_weights({net: weights}), torch.no_grad():
+        with weight_scope(weights={net: weights}), torch.no_grad():
             expected.append(net(td["observation"]))
     expected = torch.stack(expected).mean(0)
     torch.testing.assert_close(out["action_value"][legal], expected[legal])

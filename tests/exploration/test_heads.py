@@ -47,7 +47,8 @@ def fixed(heads=HEADS, **keys):
 
 
 def bare(*batch):
-    return TensorDict(observation=torch.zeros(*batch, FEATURES), batch_size=batch)
+    begins = torch.zeros(*batch, 1, dtype=torch.bool)
+    return TensorDict(observation=torch.zeros(*batch, FEATURES), is_init=begins, batch_size=batch)
 
 
 def heads_used(policy, td):
@@ -180,6 +181,7 @@ def test_only_dialogues_heed_their_beginnings(per):
 
 def test_the_entry_that_tells_beginnings_has_any_name():
     policy, td = BootstrapSampling(fixed(1000), init_key=("my", "start")), bare(40)
+    td["my", "start"] = torch.zeros(40, 1, dtype=torch.bool)
     first = heads_used(policy, td)
     td["my", "start"] = torch.ones(40, 1, dtype=torch.bool)
     assert not torch.equal(heads_used(policy, td), first)
@@ -280,7 +282,7 @@ def test_what_they_read_and_write():
         assert policy.out_keys == [("act", "a"), ("act", "q"), "chosen_action_value"]
         assert isinstance(policy.spec["act", "a"], Categorical)
         out = policy(td.clone())
-        assert set(out.keys(True, True)) == {"see", "may", *policy.out_keys}
+        assert set(out.keys(True, True)) == {"see", "may", "is_init", *policy.out_keys}
     out = actor(td.clone())
     assert out["all"].shape == (4, 2, ACTIONS)
     assert out["act", "q"].shape == (4, ACTIONS)
@@ -314,7 +316,7 @@ def test_arguments_outside_of_what_is_listed_are_refused():
         BootstrapSampling(fixed(), per="game")
     single = q_actor(FlatMLP(FEATURES, ACTIONS), Categorical(ACTIONS))
     for policy in (MajorityVote, BootstrapSampling):
-        with pytest.raises(ValueError, match="actor must be one that bootstrap_actor returns"):
+        with pytest.raises(ValueError, match="actor must be one that chooses by a VoteModule"):
             policy(single)
     with pytest.raises(ValueError, match="spec must be a Categorical or a OneHot, got Binary"):
         actor_on(FixedValues(), Binary(ACTIONS))

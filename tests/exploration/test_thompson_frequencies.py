@@ -50,6 +50,7 @@ def actions(make, per, shared, x, mask=None):
         {
             "observation": x.expand(*batch, FEATURES),
             "action_mask": mask.expand(*batch, ACTIONS),
+            "is_init": torch.zeros(*batch, 1, dtype=torch.bool),
         },
         batch,
     )

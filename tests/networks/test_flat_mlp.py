@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bbq_torchrl.bayes import set_weight_mode
+from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp, mlp_local
 from bbq_torchrl.networks import FlatMLP
 
@@ -124,7 +124,7 @@ def test_mlp_drops_in_training_mode_and_never_in_mode_mean():
     net, x = FlatMLP(4, 3, (32,), dropout=0.5), torch.randn(6, 4)
     assert not torch.equal(net(x), net(x))
     assert torch.equal(net(x, "mean"), net(x, "mean"))
-    with set_weight_mode("mean"):
+    with weight_scope("mean"):
         assert torch.equal(net(x), net(x, "mean"))
     net.eval()
     assert torch.equal(net(x), net(x, "mean"))

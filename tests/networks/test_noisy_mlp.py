@@ -11,7 +11,7 @@ from torch.func import functional_call
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import NoisyLinear, reset_noise
 
-from bbq_torchrl.bayes import set_weight_mode
+from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.networks import NoisyMLP, StackedNoisyLinear
 
 RANDOM = ExplorationType.RANDOM
@@ -191,9 +191,9 @@ def test_the_exploration_type_decides_where_nothing_else_does(exploration):
     mean = net(x, "mean")
     with set_exploration_type(exploration):
         assert torch.equal(net(x), mean) == (exploration is not RANDOM)
-        with set_weight_mode("mean"):
+        with weight_scope("mean"):
             assert torch.equal(net(x), mean)
-        with set_weight_mode("draw"):
+        with weight_scope("draw"):
             assert not torch.equal(net(x), mean)
         assert not torch.equal(net(x, "draw"), mean)
 

@@ -243,45 +243,6 @@ def test_softplus_of_the_frozen_posterior_is_computed_once(monkeypatch):
     assert len(calls) - once < once
 
 
-def test_held_dropout_is_drawn_anew_for_every_batch_and_pool():
-    loss, _ = plain_loss((2,), dropout=0.5, hidden=(50, 50), hold=True)
-    td = transitions((2,))
-
-    def losses(count):
-        return torch.stack([loss(td)["loss_value"] for _ in range(count)])
-
-    torch.manual_seed(1)
-    loss.begin_epoch()
-    first = losses(5)
-    assert len(first.unique(dim=0)) == 5
-    loss.begin_epoch()
-    assert not torch.equal(losses(5), first)
-    torch.manual_seed(1)
-    loss.begin_epoch()
-    assert torch.equal(losses(5), first)
-
-
-def test_held_dropout_has_the_same_mean_gradient():
-    loss, _ = plain_loss((300,), dropout=0.3, hidden=(6,))
-    with torch.no_grad():
-        for parameter in loss.parameters():
-            parameter.copy_(parameter[:1].expand_as(parameter))
-        for value in loss.target_value_network_params.values(True, True):
-            value.data.copy_(value.data[:1].expand_as(value))
-    td = transitions((1,)).expand(300, 32).clone()
-
-    def mean_and_error(hold):
-        loss.hold = hold
-        loss.begin_epoch()
-        total = 0
-        for _ in range(4):
-            total = total + torch.autograd.grad(loss(td)["loss"], list(loss.parameters()))[0] / 4
-        return total.mean(0), total.std(0) / 300**0.5
-
-    (mean, error), (held, held_error) = mean_and_error(False), mean_and_error(True)
-    assert ((mean - held).abs() < 6 * (error + held_error) + 1e-6).all()
-
-
 @pytest.mark.parametrize("name", FIXED)
 @pytest.mark.parametrize("stack", [(), (3,)], ids=str)
 def test_row_weights_at_hand_are_those_of_the_mask(name, stack):

@@ -71,7 +71,7 @@ class DQN(AgentOption):
         gamma = over_replicas(self.gamma, task)
         if self.noisy:
             return NoisyDQNLoss(actor, gamma=gamma, double_dqn=self.double)
-        return DropoutDQNLoss(actor, gamma=gamma, double_dqn=self.double, hold=True)
+        return DropoutDQNLoss(actor, gamma=gamma, double_dqn=self.double)
 
     def floats(self, inputs: int, actions: int) -> int:
         """Twice as many with noise, which has a mean and a std for each weight."""

@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from bbq_torchrl.bayes import set_weight_mode
+from bbq_torchrl.bayes import weight_scope
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -58,11 +58,11 @@ class UpperConfidence(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action, and the values it comes from, [*batch, actions]."""
         if exploration_type() not in (ExplorationType.RANDOM, None):
-            with set_weight_mode("mean"):
+            with weight_scope("mean"):
                 return self.actor(tensordict)
         network, choice = self.actor[0], self.actor[-1]
         rows = tensordict.select(*network.in_keys).unsqueeze(-1)
-        with set_weight_mode("local"):
+        with weight_scope("local"):
             values = network(rows.expand(*tensordict.batch_size, self.draws))
         std, mean = torch.std_mean(values.get(choice.action_value_key), -2)
         bound = mean + self.coefficient.unsqueeze(-1) * std

@@ -1,4 +1,4 @@
-"""collect_kl and kl_divergence: any network's KL, each layer once."""
+"""KLSum and kl_divergence: any network's KL, each layer once."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from bbq_torchrl.bayes import BayesLinear, BayesMLP, collect_kl, kl_divergence, set_weight_mode
+from bbq_torchrl.bayes import BayesLinear, BayesMLP, kl_divergence, weight_scope
 
 
 @pytest.fixture
@@ -20,53 +20,52 @@ def network():
 
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
 def test_a_network_is_as_far_from_the_prior_as_its_layers_together(network, mode):
-    with set_weight_mode(mode), collect_kl() as collector:
+    with weight_scope(mode, kl="closed") as scope:
         network(torch.randn(2, 5, 3))
     expected = network[0].posterior.kl() + network[2].posterior.kl()
-    torch.testing.assert_close(collector.total(), expected)
+    torch.testing.assert_close(scope.kl.total(), expected)
     torch.testing.assert_close(kl_divergence(network), expected)
     assert expected.shape == (2,)
 
 
 def test_a_layer_that_runs_twice_counts_once(network):
     x = torch.randn(2, 5, 3)
-    with set_weight_mode("draw"), collect_kl() as collector:
+    with weight_scope("draw", kl="closed") as scope:
         first, second = network(x), network(x)
     assert not torch.equal(first, second)
-    torch.testing.assert_close(collector.total(), kl_divergence(network))
+    torch.testing.assert_close(scope.kl.total(), kl_divergence(network))
 
 
 def test_only_what_runs_inside_counts(network):
     other = BayesMLP(3, 2)
-    with set_weight_mode("draw"), collect_kl() as outer:
+    with weight_scope("draw", kl="closed") as outer:
         network(torch.randn(2, 5, 3))
-        with collect_kl() as inner:
+        with weight_scope(kl="closed") as inner:
             other(torch.randn(5, 3))
     other(torch.randn(5, 3))
-    torch.testing.assert_close(outer.total(), kl_divergence(network))
-    torch.testing.assert_close(inner.total(), kl_divergence(other))
+    torch.testing.assert_close(outer.kl.total(), kl_divergence(network))
+    torch.testing.assert_close(inner.kl.total(), kl_divergence(other))
 
 
 def test_the_sampled_kl_needs_draws(network):
     x = torch.randn(2, 5, 3)
     for mode in ("mean", "local"):
         with (
-            collect_kl("sampled"),
-            set_weight_mode(mode),
+            weight_scope(mode, kl="sampled"),
             pytest.raises(ValueError, match='kl="sampled" needs weight draws'),
         ):
             network(x)
-    with set_weight_mode("draw"), collect_kl("sampled") as collector:
+    with weight_scope("draw", kl="sampled") as scope:
         network(x)
-    assert not torch.allclose(collector.total(), kl_divergence(network))
+    assert not torch.allclose(scope.kl.total(), kl_divergence(network))
 
 
 def test_nothing_collected_is_an_error():
-    with collect_kl() as collector:
+    with weight_scope(kl="closed") as scope:
         nn.Linear(3, 2)(torch.randn(5, 3))
     with pytest.raises(RuntimeError, match="no Bayesian layer ran"):
-        collector.total()
+        scope.kl.total()
     with pytest.raises(ValueError, match="Linear has no Bayesian layer"):
         kl_divergence(nn.Linear(3, 2))
     with pytest.raises(ValueError, match=r"kl must be one of \['closed', 'sampled'\]"):
-        collect_kl("open")
+        weight_scope(kl="open")

@@ -1,0 +1,245 @@
+"""The one scope that says which weights the layers inside of it use, and what comes with them.
+
+A layer looks first at the arguments it is called with, then at the innermost :class:`weight_scope`
+around the call, then at the exploration type of TorchRL. So a policy or a loss reaches the layers
+of a network whatever stands around them (``nn.Sequential``, a TensorDict module, a functional call)
+without access to them.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from tensordict.nn.probabilistic import InteractionType, interaction_type
+
+from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from types import TracebackType
+
+    from torch import Tensor
+
+    from bbq_torchrl.bayes.noise_sources import NoiseSource
+    from bbq_torchrl.bayes.posterior import GaussianPosterior
+
+__all__ = [
+    "KLSum",
+    "WeightMode",
+    "WeightScope",
+    "check_weight_mode",
+    "current_scope",
+    "resolve_weight_mode",
+    "weight_scope",
+]
+
+WeightMode = Literal["draw", "local", "mean"]
+WEIGHT_MODES: tuple[str, ...] = get_args(WeightMode)
+
+
+def check_weight_mode(mode: str) -> None:
+    """Raises ValueError unless ``mode`` is one of "draw", "local" and "mean"."""
+    if mode not in WEIGHT_MODES:
+        raise ValueError(f"mode must be one of {list(WEIGHT_MODES)}, got {mode!r}")
+
+
+class KLSum:
+    """The KL from the prior of every posterior that is used, each counted once.
+
+    A layer that draws its weights computes its KL along with the draw and shares σ with it.
+
+    Args:
+        kind: "closed", or "sampled" (log q(w) - log p(w) at the draw; needs layers that draw
+            their weights).
+        known: values of the closed KL by posterior, kept by the caller from one sum to the next. A
+            posterior that is drawn from and found there reports the known value with the
+            gradient of today's; one that is not is added. Defaults to None: all are computed.
+
+    Raises:
+        ValueError: for another kind, or known values of another one than "closed".
+    """
+
+    def __init__(
+        self, kind: KLKind = "closed", known: dict[GaussianPosterior, Tensor] | None = None
+    ) -> None:
+        check_kl_kind(kind)
+        if known is not None and kind != "closed":
+            raise ValueError(f"known values need kl='closed', got {kind!r}")
+        self.kind = kind
+        self._known = known
+        self._terms: dict[GaussianPosterior, Tensor] = {}
+
+    def draw(self, posterior: GaussianPosterior) -> Tensor:
+        """Returns a weight draw [*stack, P] and adds the KL at the posterior's first draw."""
+        if posterior in self._terms:
+            return posterior.sample()
+        known = None if self._known is None else self._known.get(posterior)
+        weights, kl = posterior.sample_with_kl(self.kind, known)
+        self._terms[posterior] = kl
+        if self._known is not None and known is None:
+            self._known[posterior] = kl.detach()
+        return weights
+
+    def add(self, posteriors: Iterable[GaussianPosterior]) -> None:
+        """Adds the closed KL of those posteriors that are not in the sum.
+
+        Raises:
+            ValueError: if there is one and the kind is "sampled".
+        """
+        for posterior in posteriors:
+            if posterior in self._terms:
+                continue
+            if self.kind == "sampled":
+                raise ValueError(
+                    'kl="sampled" needs weight draws by GaussianPosterior.weights() in mode '
+                    f'"draw", and there was none of {posterior}: use kl="closed"'
+                )
+            self._terms[posterior] = posterior.kl()
+
+    def total(self) -> Tensor:
+        """Returns the sum over the posteriors, [*stack], in nats.
+
+        Raises:
+            RuntimeError: if no Bayesian layer ran.
+        """
+        if not self._terms:
+            raise RuntimeError("no Bayesian layer ran inside of the weight_scope with a KL")
+        first, *others = self._terms.values()
+        for term in others:
+            first = first + term
+        return first
+
+
+@dataclass(frozen=True)
+class WeightScope:
+    """What a layer reads: one object a :class:`weight_scope`.
+
+    Attributes:
+        mode: "draw", "local", "mean", or None to follow the exploration type.
+        weights: weights to use whatever the mode, by posterior (by module where there is none).
+        noise: where the noise of weight draws comes from; None for new noise from torch's
+            generator.
+        kl: takes in the KL of the posteriors used, or None.
+        sigma: standard deviations [*stack, P] to use in draws without a KL, by posterior; a
+            posterior that is not found is added, without a gradient. None: computed at each draw.
+    """
+
+    mode: WeightMode | None = None
+    weights: Mapping[Any, Tensor] = field(default_factory=dict)
+    noise: NoiseSource | None = None
+    kl: KLSum | None = None
+    sigma: dict[GaussianPosterior, Tensor] | None = None
+
+
+_NOWHERE = WeightScope()
+
+
+class _Here(threading.local):
+    scope: WeightScope = _NOWHERE
+
+
+_here = _Here()
+
+
+def current_scope() -> WeightScope:
+    """Returns what the innermost :class:`weight_scope` of this thread says; empty outside."""
+    return _here.scope
+
+
+class weight_scope:
+    """Says which weights the layers inside of it use. What is not given is as outside of it.
+
+    - ``"draw"``: one draw of all weights for the call, shared by its rows (dropout: a mask).
+    - ``"local"``: a draw of its own for each row, by local reparameterisation where that is exact
+      (Kingma, Salimans, Welling 2015).
+    - ``"mean"``: the posterior mean (dropout: off).
+
+    Args:
+        mode: one of these, or None.
+
+    Keyword Args:
+        weights: for each module or posterior the flat weights to use whatever the mode, shape
+            [*stack, *rows, P] as :meth:`BayesLayer.draw_weights` returns them. Modules that are
+            not in it are not affected.
+        noise: a :class:`NoisePool` or :class:`SharedNoise` that draws take their noise from.
+        kl: "closed" or "sampled" to sum up the KL of every layer that runs, each counted once, or a
+            :class:`KLSum`. The total is ``scope.kl.total()``.
+        sigma: standard deviations held by the caller, see :class:`WeightScope`.
+
+    Raises:
+        ValueError: for another mode or kind of KL; and when a layer in mode "mean" or "local" runs
+            with kl="sampled": there are no weights to evaluate it at.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.bayes import BayesMLP, weight_scope
+        >>> net, x = BayesMLP(3, 2), torch.ones(4, 3)
+        >>> with weight_scope("draw", kl="closed") as scope:
+        ...     q = net(x)
+        >>> bool((q[0] == q[1]).all()), scope.kl.total()
+        (True, tensor(..., grad_fn=...))
+        >>> own = net.draw_weights((4,))  # weights of its own for each of four rows
+        >>> with weight_scope(weights={net: own}):
+        ...     bool((net(x)[0] == net(x)[1]).any())
+        False
+    """
+
+    def __init__(
+        self,
+        mode: WeightMode | None = None,
+        *,
+        weights: Mapping[Any, Tensor] | None = None,
+        noise: NoiseSource | None = None,
+        kl: KLKind | KLSum | None = None,
+        sigma: dict[GaussianPosterior, Tensor] | None = None,
+    ) -> None:
+        if mode is not None:
+            check_weight_mode(mode)
+        self._mode = mode
+        self._weights = weights
+        self._noise = noise
+        self._kl = KLSum(kl) if isinstance(kl, str) else kl
+        self._sigma = sigma
+
+    def __enter__(self) -> WeightScope:
+        self._outer = outer = _here.scope
+        weights = outer.weights
+        if self._weights is not None:
+            weights = {getattr(m, "posterior", m): w for m, w in self._weights.items()}
+        scope = _here.scope = WeightScope(
+            outer.mode if self._mode is None else self._mode,
+            weights,
+            outer.noise if self._noise is None else self._noise,
+            outer.kl if self._kl is None else self._kl,
+            outer.sigma if self._sigma is None else self._sigma,
+        )
+        return scope
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        _here.scope = self._outer
+
+
+def resolve_weight_mode(mode: WeightMode | None = None) -> WeightMode:
+    """Returns the mode that a call with this argument uses.
+
+    Without an argument and where no :class:`weight_scope` has a mode it follows TorchRL's
+    exploration type: RANDOM is "draw"; DETERMINISTIC, MEAN, MODE and None (outside of any context,
+    as TorchRL's NoisyLinear has it) are "mean".
+
+    Args:
+        mode: an explicit choice, or None.
+
+    Raises:
+        ValueError: for any other string.
+    """
+    if mode is not None:
+        check_weight_mode(mode)
+        return mode
+    return _here.scope.mode or ("draw" if interaction_type() is InteractionType.RANDOM else "mean")
