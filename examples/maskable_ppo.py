@@ -1,6 +1,6 @@
 """An agent of another library books movie tickets: MaskablePPO of sb3-contrib.
 
-    pip install 'bbq-torchrl[gymnasium]' sb3-contrib
+    pip install -e '.[examples]'
     python examples/maskable_ppo.py --steps 100000
 
 The environment is Gymnasium's, one dialogue at a time; the agent finds the legal actions by
