@@ -14,6 +14,7 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
 
 from bbq_torchrl.cli.launchers import LAUNCHER, LAUNCHER_EXTRAS
+from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import CalibrateConfig, Config, ConfigError, EvaluateConfig, schemas
 from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options_folder
 from bbq_torchrl.options.values import keys_with_lists
@@ -148,11 +149,8 @@ def _missing_option(error: MissingConfigException, options: Callable[[str], list
     if missing.startswith(f"{LAUNCHER}/"):
         group, option = LAUNCHER, missing.removeprefix(f"{LAUNCHER}/")
         if option in LAUNCHER_EXTRAS:
-            extra = LAUNCHER_EXTRAS[option]
-            return (
-                f"{group}={option} needs a package that is missing: "
-                f"pip install 'bbq-torchrl[{extra}]'"
-            )
+            command = install_command(LAUNCHER_EXTRAS[option])
+            return f"{group}={option} needs a package that is missing: {command}"
     if group in (*schemas(), EXPERIMENT, LAUNCHER):
         return f"{group} must be one of {', '.join(options(group))}, got {shown(option)}"
     return _first_line(error)

@@ -6,6 +6,8 @@ import importlib
 from functools import cache
 from typing import Any
 
+from bbq_torchrl.extras import install_command
+
 __all__ = ["needed"]
 
 
@@ -25,6 +27,6 @@ def needed(package: str, module: str, extra: str = "language") -> Any:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            f"{package} is needed and not installed: pip install 'bbq-torchrl[{extra}]'",
+            f"{package} is needed and not installed: {install_command(extra)}",
             name=error.name,
         ) from None

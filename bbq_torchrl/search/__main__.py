@@ -12,6 +12,7 @@ from bbq_torchrl import interruption
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.searches import SEARCH, compose_search
 from bbq_torchrl.cli.store import options
+from bbq_torchrl.extras import install_command
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.text import sentence
 
@@ -43,9 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         search = compose_search(take_config_dir(arguments))
         if importlib.util.find_spec("optuna") is None:
-            raise ConfigError(
-                "a search needs the package optuna: pip install 'bbq-torchrl[search]'"
-            )
+            raise ConfigError(f"a search needs the package optuna: {install_command('search')}")
         # Imported here: torch, torchrl and Optuna take seconds, what is refused above takes none.
         import optuna
 

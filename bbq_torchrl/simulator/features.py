@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FeatureGroup", "FeatureLayout", "Features"]
 
-_TURN_SCALE = 10.0  # acts; keeps the turn feature near the size of the flags
-_COUNT_SCALE = 100.0  # records
+TURN_SCALE = 10.0  # acts; keeps the turn feature near the size of the flags
+COUNT_SCALE = 100.0  # records
 
 
 class FeatureGroup(NamedTuple):
@@ -173,10 +173,10 @@ class Features:
         return torch.cat(
             [
                 flags.float(),
-                acts[..., None] / _TURN_SCALE,
+                acts[..., None] / TURN_SCALE,
                 rows(self._turn_onehot, acts.clamp(max=self._turn_onehot.shape[0] - 1)),
                 counts.clamp(max=1.0),
-                counts / _COUNT_SCALE,
+                counts / COUNT_SCALE,
             ],
             dim=-1,
         )

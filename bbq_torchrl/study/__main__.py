@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.extras import install_command
 from bbq_torchrl.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.text import sentence, shown
 
@@ -87,7 +88,7 @@ def _check_installed() -> None:
     if missing:
         raise StudyError(
             "serve",
-            [f"it needs the packages {', '.join(missing)}: pip install 'bbq-torchrl[study]'"],
+            [f"it needs the packages {', '.join(missing)}: {install_command('study')}"],
         )
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from torchrl.record.loggers import CSVLogger, Logger, get_logger
 
+from bbq_torchrl.extras import install_command
 from bbq_torchrl.trainers.metrics import MetricRow, replace_text
 
 if TYPE_CHECKING:
@@ -62,9 +63,7 @@ def check_logger(name: str) -> None:
     if name not in get_args(LoggerName):
         raise ValueError(f"logger must be one of {list(get_args(LoggerName))}, got {name!r}")
     if name != "csv" and importlib.util.find_spec(name) is None:
-        raise ImportError(
-            f"logger={name} needs the package {name}: pip install 'bbq-torchrl[{name}]'"
-        )
+        raise ImportError(f"logger={name} needs the package {name}: {install_command(name)}")
 
 
 def _make_logger(name: str, run_folder: Path, resume: bool, wandb_project: str) -> Logger:

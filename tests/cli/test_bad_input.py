@@ -18,6 +18,7 @@ from bbq_torchrl.cli.checks import check
 from bbq_torchrl.cli.command import REFUSED, prepare
 from bbq_torchrl.cli.loading import trained_policy
 from bbq_torchrl.cli.store import compose, save_config
+from bbq_torchrl.extras import install_command
 
 
 @pytest.fixture
@@ -98,7 +99,7 @@ def test_a_logger_whose_package_is_missing(refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "mlflow", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name, package=None: None)
     message = refused("logger=mlflow")
-    assert "logger=mlflow needs the package mlflow: pip install 'bbq-torchrl[mlflow]'" in message
+    assert f"logger=mlflow needs the package mlflow: {install_command('mlflow')}" in message
 
 
 def test_a_scripted_policy_that_the_domain_lacks(refused, restaurant_folder):

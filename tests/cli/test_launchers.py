@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -17,6 +18,7 @@ import pytest
 from bbq_torchrl.cli.command import prepare
 from bbq_torchrl.cli.resume import restarted_config
 from bbq_torchrl.cli.store import compose, compose_raw, options, save_config, session
+from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -136,7 +138,7 @@ def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_p
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", "")
     name = "slurm"
-    message = r"needs a package that is missing: pip install 'bbq-torchrl\[slurm\]'"
+    message = re.escape(f"needs a package that is missing: {install_command('slurm')}")
     if importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is not None:
         message = "hydra/launcher=slurm needs the program sbatch"
     with pytest.raises(ConfigError, match=message):

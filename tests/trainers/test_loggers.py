@@ -55,7 +55,7 @@ def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, name):
         importlib.util, "find_spec", lambda module: None if module == name else find(module)
     )
 
-    with pytest.raises(ImportError, match=rf"needs the package {name}: .*'bbq-torchrl\[{name}\]'"):
+    with pytest.raises(ImportError, match=rf"needs the package {name}: pip install .*\[{name}\]'"):
         make_loggers([name], tmp_path / "run")
 
     assert not (tmp_path / "run").exists()

@@ -1,0 +1,223 @@
+"""One dialogue at a time as a Gymnasium environment, for agents of other libraries.
+
+Importing this module registers ``bbq_torchrl/MovieDialogue-v0``. It needs the package gymnasium
+(the extra ``gymnasium``).
+"""
+
+from __future__ import annotations
+
+import operator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Box, Discrete
+from tensordict import TensorDict
+
+from bbq_torchrl.domains import Domain, load_domain, movie_domain, tensorize
+from bbq_torchrl.envs.dialogue import DialogueEnv
+from bbq_torchrl.simulator import Transcript
+from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from bbq_torchrl.envs.schedule import ExtensionSchedule
+    from bbq_torchrl.simulator import SlotErrorMode
+
+__all__ = ["ENV_ID", "GymnasiumDialogue"]
+
+ENV_ID = "bbq_torchrl/MovieDialogue-v0"
+"""What ``gymnasium.make`` knows the environment as."""
+
+_LARGEST_SEED = 2**63 - 1
+
+
+class GymnasiumDialogue(gymnasium.Env[Any, Any]):
+    """A dialogue of an agent with a simulated user.
+
+    It plays what a :class:`~bbq_torchrl.envs.DialogueEnv` of one dialogue plays: after
+    ``reset(seed=s)`` the same dialogues as after its ``set_seed(s)``. The observation is what the
+    agent has heard and said, [features], float32; the user's goal is in ``info`` only. An action is
+    the index of one of ``env.unwrapped.domain.actions``; ``action_masks()`` says which are legal.
+
+    ===============  =====  =====================================================================
+    key of ``info``  type   meaning
+    ===============  =====  =====================================================================
+    ``success``      bool   the dialogue has ended in success
+    ``turns``        int    turns that the agent has taken
+    ``goal``         str    what the user wants, such as ``request(ticket) inform(moviename=...)``
+    ``goal_id``      int    which of the domain's goals that is
+    ``action_mask``  array  int8 [actions], the legal actions, as ``action_space.sample`` takes it
+    ===============  =====  =====================================================================
+
+    Args:
+        domain: what the dialogues are about: a domain, or its folder; None: movie tickets.
+        slot_error_prob: see :class:`~bbq_torchrl.envs.DialogueEnv`, as those that follow.
+        slot_error_mode: what becomes of a slot that is misunderstood.
+        intent_error_prob: probability that the user's act is misunderstood.
+        max_turn: acts of both sides after which a dialogue has failed.
+        success_reward: reward of the turn that ends a dialogue in success.
+        failure_reward: reward of the turn that ends a dialogue otherwise.
+        turn_reward: reward of every other turn.
+        schedule: domain extension, whose round :meth:`set_round` enters; None: all slots.
+        render_mode: ``"ansi"``: ``render()`` returns the last turn as text.
+
+    Raises:
+        ValueError: if a setting is out of range, or the domain's folder holds none.
+
+    Example:
+        >>> import gymnasium
+        >>> import bbq_torchrl.envs.gymnasium
+        >>> env = gymnasium.make("bbq_torchrl/MovieDialogue-v0", slot_error_prob=0.1)
+        >>> observation, info = env.reset(seed=0)
+        >>> observation.shape, info["success"]
+        ((268,), False)
+        >>> int(env.unwrapped.action_masks().sum())
+        39
+    """
+
+    metadata = {"render_modes": ["ansi"], "render_fps": 1}  # noqa: RUF012 - Gymnasium has it so
+
+    def __init__(
+        self,
+        domain: Domain | Path | str | None = None,
+        *,
+        slot_error_prob: float | None = None,
+        slot_error_mode: SlotErrorMode = "value",
+        intent_error_prob: float = 0.0,
+        max_turn: int = 40,
+        success_reward: float = 40.0,
+        failure_reward: float = -10.0,
+        turn_reward: float = -1.0,
+        schedule: ExtensionSchedule | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if domain is None:
+            domain = movie_domain()
+        elif not isinstance(domain, Domain):
+            domain = load_domain(Path(domain))
+        self.render_mode = render_mode
+        self._dialogue = DialogueEnv(
+            domain,
+            slot_error_prob=slot_error_prob,
+            slot_error_mode=slot_error_mode,
+            intent_error_prob=intent_error_prob,
+            max_turn=max_turn,
+            success_reward=success_reward,
+            failure_reward=failure_reward,
+            turn_reward=turn_reward,
+            schedule=schedule,
+        )
+        self._transcript = Transcript(tensorize(domain))
+        self._is_seeded = False
+        self._is_over = True
+        self.action_space = Discrete(len(domain.actions))
+        self.observation_space = _observation_space(self._dialogue)
+
+    @property
+    def domain(self) -> Domain:
+        """What the dialogues are about."""
+        return self._dialogue.domain
+
+    def set_round(self, round: int) -> None:
+        """Enters a round of training: see :meth:`bbq_torchrl.envs.DialogueEnv.set_round`."""
+        self._dialogue.set_round(round)
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Returns which actions are legal, bool [actions]."""
+        legal = self._dialogue.simulator.action_mask(self._dialogue.active_slots)
+        mask: NDArray[np.bool_] = legal.numpy().copy()
+        return mask
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begins a dialogue. Returns the first observation, and ``info``.
+
+        Args:
+            seed: of this dialogue and those that follow; None goes on with the random numbers.
+            options: there are none.
+
+        Raises:
+            ValueError: if the seed is not from 0 to 2**63 - 1.
+        """
+        if seed is not None and not 0 <= seed <= _LARGEST_SEED:
+            raise ValueError(f"seed must be an integer from 0 to 2**63 - 1, got {seed}")
+        super().reset(seed=seed)
+        if seed is None and not self._is_seeded:
+            seed = int(self.np_random.integers(_LARGEST_SEED))
+        if seed is not None:
+            self._dialogue.set_seed(seed)
+            self._is_seeded = True
+        begun = self._dialogue.reset()
+        self._is_over = False
+        return begun["observation"].numpy(), self._info(begun)
+
+    def step(
+        self, action: np.int64 | int
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Plays one turn. Returns observation, reward, terminated, truncated and ``info``.
+
+        Args:
+            action: an index of ``domain.actions``.
+
+        Raises:
+            ValueError: if it is none.
+            gymnasium.error.ResetNeeded: before the first reset, and after a dialogue's end.
+        """
+        if self._is_over:
+            raise ResetNeeded("there is no dialogue under way: call reset() first")
+        index = _index(action)
+        actions = len(self.domain.actions)
+        if not 0 <= index < actions:
+            raise ValueError(f"action must be an integer from 0 to {actions - 1}, got {action!r}")
+        played = self._dialogue.step(TensorDict({"action": torch.tensor(index)}))["next"]
+        self._is_over = bool(played["terminated"])
+        return (
+            played["observation"].numpy(),
+            float(played["reward"]),
+            self._is_over,
+            False,
+            self._info(played),
+        )
+
+    def render(self) -> str | None:
+        """Returns the last turn as text; None unless ``render_mode`` is ``"ansi"``."""
+        if self.render_mode != "ansi":
+            return None
+        return "\n".join(self._transcript.lines(self._dialogue.dialogues))
+
+    def _info(self, told: TensorDict) -> dict[str, Any]:
+        return {
+            "success": bool(told["success"]),
+            "turns": int(told["turns"]),
+            "goal": self._transcript.goal(self._dialogue.dialogues),
+            "goal_id": int(told["goal_id"]),
+            "action_mask": self.action_masks().astype(np.int8),
+        }
+
+
+def _index(action: Any) -> int:
+    """Returns an action as an integer, -1 where it is none."""
+    try:
+        return operator.index(action.item() if isinstance(action, np.ndarray) else action)
+    except (TypeError, ValueError):
+        return -1
+
+
+def _observation_space(env: DialogueEnv) -> Box:
+    """Returns the space of the features: all between 0 and 1, but for numbers of acts and rows."""
+    layout = env.layout
+    high = np.ones(layout.size, dtype=np.float32)
+    # The last turn counts two acts beyond max_turn at most; the first state has one already.
+    high[layout["turn"]] = (2 * env.max_agent_turns + 1) / TURN_SCALE
+    high[layout["kb_count"]] = len(env.domain.records) / COUNT_SCALE
+    return Box(np.zeros_like(high), high)
+
+
+if ENV_ID not in gymnasium.registry:
+    gymnasium.register(id=ENV_ID, entry_point="bbq_torchrl.envs.gymnasium:GymnasiumDialogue")
