@@ -9,7 +9,10 @@ trained agents, and ``options`` are what the command line can choose.
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl import interruption
 
 if TYPE_CHECKING:
     from bbq_torchrl.cli.loading import load_run
@@ -17,6 +20,11 @@ if TYPE_CHECKING:
 __all__ = ["__version__", "load_run"]
 
 __version__ = "0.1.0"
+
+if sys.argv[:1] == ["-m"] and f"{__name__}." in " ".join(sys.orig_argv):
+    # `python -m` is about to run one of our modules, whose packages take seconds to import: Ctrl-C
+    # in these ends in a line, too.
+    interruption.listen()
 
 
 def __getattr__(name: str) -> Any:

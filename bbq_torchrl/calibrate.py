@@ -12,6 +12,7 @@ import dataclasses
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
+from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.store import compose_raw, session, to_config
 from bbq_torchrl.options import CalibrateConfig, ConfigError
@@ -61,8 +62,9 @@ class Calibration(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    interruption.tell(lambda: "in a calibration", lambda: "the same command begins again")
     if not arguments or {"-h", "--help"} & set(arguments):
-        sys.stdout.write(USAGE)
+        output.write(USAGE)
         return 0
     try:
         if arguments[0] != "calibrate":
@@ -70,11 +72,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments = take_config_dir(arguments)
         with session():
             config = to_config(compose_raw(arguments[1:], "calibrate"), CalibrateConfig)
-        found = calibrate(config, lambda line: sys.stderr.write(f"{line}\n"))
+        found = calibrate(config, output.complain)
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"error: {sentence(error)}\n")
+        output.complain(f"error: {sentence(error)}")
         return 2
-    sys.stdout.write(
+    output.write(
         f"reference_slot_error_prob: {found.slot_error_prob:g}"
         f"  # ± {found.error:.4f}; {config.policy} succeeds in {found.success_rate:.4f} ± "
         f"{found.success_error:.4f} of {config.dialogues} dialogues\n"

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import interruption
+from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.resume import run_config
 from bbq_torchrl.cli.store import compose_raw, session, to_config
@@ -48,8 +48,9 @@ Meaning and allowed values of a key: docs/configuration.md
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    interruption.tell(lambda: "in an evaluation", lambda: "the same command begins again")
     if not arguments or {"-h", "--help"} & set(arguments):
-        sys.stdout.write(USAGE)
+        output.write(USAGE)
         return 0
     try:
         arguments = take_config_dir(arguments)
@@ -57,9 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
         line = evaluation(config, arguments)
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"error: {sentence(error)}\n")
+        output.complain(f"error: {sentence(error)}")
         return 2
-    sys.stdout.write(json.dumps(line) + "\n")
+    output.write(json.dumps(line) + "\n")
     return 0
 
 
@@ -169,6 +170,4 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
 
 
 if __name__ == "__main__":
-    interruption.tell(lambda: "in an evaluation", lambda: "the same command begins again")
-    interruption.listen()
     sys.exit(main())

@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 if TYPE_CHECKING:
@@ -104,8 +104,8 @@ def _handle(number: int, frame: FrameType | None) -> None:
     first, _State.received = _State.received is None, _State.received or number
     if first and _State.stop is not None:
         _State.stop()
-        if sys.stderr.isatty():
-            os.write(sys.stderr.fileno(), b"\nstopping after this round; once more: at once\n")
+        if _on_terminal():
+            _say("\nstopping after this round; once more: at once\n")
     elif multiprocessing.parent_process() is None:
         _end(_State.received)
     elif _State.stop is None:
@@ -116,6 +116,17 @@ def _handle(number: int, frame: FrameType | None) -> None:
 def _end(number: int) -> NoReturn:
     for worker in multiprocessing.active_children():
         worker.kill()
-    start = "\n" if sys.stderr.isatty() else ""  # a progress bar may stand in the line
-    os.write(sys.stderr.fileno(), f"{start}{line()}\n".encode())
+    start = "\n" if _on_terminal() else ""  # a progress bar may stand in the line
+    _say(f"{start}{line()}\n")
     os._exit(128 + number)
+
+
+def _on_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def _say(text: str) -> None:
+    """Writes past all that Python may just be doing; where it cannot, the exit code tells."""
+    if sys.stderr is not None:
+        with suppress(OSError):
+            os.write(sys.stderr.fileno(), text.encode())

@@ -31,8 +31,14 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from bbq_torchrl import interruption
-from bbq_torchrl.cli.folders import quoted, refuse_other_folder, run_folder, sweep_folder
+from bbq_torchrl import interruption, output
+from bbq_torchrl.cli.folders import (
+    check_job_name,
+    quoted,
+    refuse_other_folder,
+    run_folder,
+    sweep_folder,
+)
 from bbq_torchrl.cli.launchers import LAUNCHER, check_launcher
 from bbq_torchrl.cli.messages import explain, too_large, train_command
 from bbq_torchrl.cli.resume import (
@@ -66,6 +72,8 @@ _LOG = logging.getLogger(__name__)
 REFUSED = 2
 """Exit code of a command that was refused; a run that an error stops ends with 1, Hydra's code."""
 
+_FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
+
 Task = Callable[[Config, Path], float]
 Check = Callable[[Config], None]
 UsageErrors = Callable[[], "tuple[type[Exception], ...]"]
@@ -76,7 +84,7 @@ class UsageError(CompactHydraException):
 
 
 class _Stopped(BaseException):
-    """Carries a refusal past Hydra, which would add to what it says."""
+    """Carries what stopped a run past Hydra, which would add to what it says."""
 
 
 def command(check: Check, usage_errors: UsageErrors) -> Callable[[Task], Callable[[], None]]:
@@ -113,10 +121,9 @@ def command(check: Check, usage_errors: UsageErrors) -> Callable[[Task], Callabl
             except Exception as error:
                 if swept:  # Hydra reports the first job that fails, at the end; the log has each
                     _LOG.error("this run failed: %s", sentence(error) or type(error).__name__)
-                if isinstance(error, (ConfigError, OSError, *usage_errors())):
-                    refusal = UsageError(sentence(error))
-                    raise refusal if swept else _Stopped(refusal) from error
-                raise
+                tells = isinstance(error, (ConfigError, OSError, *usage_errors()))
+                failure = UsageError(sentence(error)) if tells else error
+                raise failure if swept else _Stopped(failure) from error
 
         @functools.wraps(task)
         def main() -> None:
@@ -129,17 +136,17 @@ def command(check: Check, usage_errors: UsageErrors) -> Callable[[Task], Callabl
                 sys.argv[1:] = prepared
                 logging.raiseExceptions = False  # a full disk is told once, not for every message
                 try:
-                    if sweep is not None:
-                        held.enter_context(sweep.interruptible())
-                    hydra.main(
-                        version_base="1.3", config_path=str(conf_folder()), config_name="config"
-                    )(job)()
+                    with sweep.interruptible() if sweep else _handing_on_errors():
+                        hydra.main(
+                            version_base="1.3", config_path=str(conf_folder()), config_name="config"
+                        )(job)()
                     if sweep is not None:
                         sweep.show()
                 except BaseException as end:
-                    _end(end, sweep)
+                    _end(end, sweep, arguments)
                 finally:
                     sys.argv[1:] = arguments
+                    output.settle()
 
         return main
 
@@ -181,7 +188,7 @@ class _Sweep:
 
     def show(self) -> None:
         """Writes the table of its runs to stderr."""
-        sys.stderr.write(f"{table_of_runs(self.folder, self.jobs)}\n")
+        output.complain(table_of_runs(self.folder, self.jobs))
 
     def how_to_go_on(self) -> str:
         """What is finished, and what goes on with the others."""
@@ -191,7 +198,7 @@ class _Sweep:
 
 
 def _stop_workers() -> None:
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # what becomes of the jobs is not told one by one
+    os.environ[_FULL_ERROR] = "1"  # what becomes of the jobs is not told one by one
     for worker in multiprocessing.active_children():
         worker.terminate()
 
@@ -204,22 +211,52 @@ def _how_to_go_on(folder: Path) -> str:
     return f"{shlex.join([*train_command(), override])} goes on"
 
 
-def _end(end: BaseException, sweep: _Sweep | None) -> NoReturn:
+@contextmanager
+def _handing_on_errors() -> Iterator[None]:
+    """Within it, Hydra raises its errors instead of printing them with a traceback."""
+    before = os.environ.get(_FULL_ERROR)
+    os.environ[_FULL_ERROR] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_FULL_ERROR]
+        else:
+            os.environ[_FULL_ERROR] = before
+
+
+def _wants_traceback() -> bool:
+    return os.environ.get(_FULL_ERROR) == "1"
+
+
+def _end(end: BaseException, sweep: _Sweep | None, arguments: Sequence[str]) -> NoReturn:
     """Ends the command by a sentence where there is one."""
     number = interruption.received()
     if number is not None:
         if sweep is not None:
             interruption.tell(lambda: "in a sweep", sweep.how_to_go_on)
-        sys.stderr.write(f"{interruption.line()}\n")
+        output.complain(interruption.line())
         sys.exit(128 + number)
     if isinstance(end, _Stopped):
-        if os.environ.get("HYDRA_FULL_ERROR") == "1":
-            raise end.args[0]
-        sys.stderr.write(f"error: {end.args[0]}\n")
+        failure = end.args[0]
+        if _wants_traceback() or not isinstance(failure, UsageError):
+            raise failure from failure.__cause__
+        output.complain(f"error: {failure}")
         sys.exit(1)
     if sweep is not None:
         sweep.show()
+    elif isinstance(end, Exception) and not _wants_traceback():
+        output.complain(f"error: {_of_hydra(end, arguments)}")
+        sys.exit(REFUSED)
     raise end
+
+
+def _of_hydra(error: Exception, arguments: Sequence[str]) -> str:
+    """A sentence for what stopped Hydra before the run began."""
+    if isinstance(error, HydraException):
+        return explain(error, arguments, options)
+    causes = [said for cause in (error, error.__cause__) if cause and (said := sentence(cause))]
+    return f"Hydra cannot begin the run: {': '.join(causes) or type(error).__name__}"
 
 
 def _prepare(
@@ -233,6 +270,7 @@ def _prepare(
         load_folder(Path(parsed.config_dir))
     register_options()
     if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
+        held.enter_context(output.collected())
         return list(arguments), None
     if (refusal := too_large(parsed.overrides)) is not None:
         raise ConfigError(refusal)
@@ -242,6 +280,7 @@ def _prepare(
         mode = None if parsed.multirun else hydra_session.get_mode("config", parsed.overrides)
         if not parsed.multirun and mode is not RunMode.MULTIRUN:
             composed = compose_raw(parsed.overrides, with_hydra=True)
+            check_job_name(composed)
             refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
             folder = _resumed_folder(composed.resume)
             if folder is not None:
@@ -251,15 +290,16 @@ def _prepare(
             extra = run_folder(composed, folder, held)
         else:
             composed, jobs = _sweep(hydra_session, parsed.overrides)
+            check_job_name(composed)
             refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
-            check_launcher(composed.hydra.runtime.choices[LAUNCHER])
+            check_launcher(composed.hydra.runtime.choices[LAUNCHER], composed.hydra.launcher)
             for overrides in jobs:
                 job = compose_raw(overrides)
                 if job.resume is not None:
                     raise ConfigError("resume cannot be combined with --multirun")
                 check(to_config(job, Config))
             launcher = composed.hydra.runtime.choices[LAUNCHER]
-            sweep = _Sweep(sweep_folder(composed, parsed.overrides), len(jobs), launcher)
+            sweep = _Sweep(sweep_folder(composed, parsed.overrides, len(jobs)), len(jobs), launcher)
             extra = [f"hydra.sweep.dir={quoted(sweep.folder)}"]
     return [*arguments, *extra], sweep
 
@@ -331,7 +371,7 @@ def _resumed_folder(resume: str | None) -> Path | None:
 
 
 def _refuse(error: Exception) -> NoReturn:
-    if os.environ.get("HYDRA_FULL_ERROR") == "1":
+    if _wants_traceback():
         raise error
-    sys.stderr.write(f"error: {sentence(error)}\n")
+    output.complain(f"error: {sentence(error)}")
     sys.exit(REFUSED)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import sys
 
-from bbq_torchrl import __version__, interruption
+from bbq_torchrl import __version__, interruption, output
+from bbq_torchrl.text import shown
 
 __all__ = ["main"]
 
@@ -25,14 +26,16 @@ def main() -> int | None:
     """Runs ``bbq <command> ...``. Returns the exit code."""
     arguments = sys.argv[1:]
     if not arguments or arguments[0] in ("-h", "--help"):
-        sys.stdout.write(_usage())
+        output.write(_usage())
         return 0
     if arguments[0] == "--version":
-        sys.stdout.write(f"{__version__}\n")
+        output.write(f"{__version__}\n")
         return 0
     name = arguments[0]
     if name not in COMMANDS:
-        sys.stderr.write(f"error: the command must be one of {', '.join(COMMANDS)}, got {name!r}\n")
+        output.complain(
+            f"error: the command must be one of {', '.join(COMMANDS)}, got {shown(name)}"
+        )
         return 2
     interruption.tell(lambda: f"in bbq {name}", lambda: "the same command begins again")
     interruption.listen()

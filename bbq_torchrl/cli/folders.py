@@ -7,12 +7,13 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.resume import RUN_CONFIG
 from bbq_torchrl.cli.run_lock import run_lock
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.text import sentence
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
 
-__all__ = ["quoted", "refuse_other_folder", "run_folder", "sweep_folder"]
+__all__ = ["check_job_name", "quoted", "refuse_other_folder", "run_folder", "sweep_folder"]
+
+
+_LONGEST_NAME = 250  # bytes, with .log behind them; file systems take 255
 
 
 def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
@@ -60,9 +64,17 @@ def _named_folder(composed: DictConfig, kind: str) -> Path:
     return Path(name)
 
 
-def sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
+def check_job_name(composed: DictConfig) -> None:
+    """Refuses a name of the log, ``<name>.log`` in the run folder, that is none of a file."""
+    name = str(OmegaConf.select(composed, "hydra.job.name") or "")
+    if not name.strip() or "/" in name or "\0" in name or len(os.fsencode(name)) > _LONGEST_NAME:
+        raise ConfigError(f"hydra.job.name must be the name of a file, got {shown(name)}")
+
+
+def sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> Path:
     """The folder of a sweep: the one given, which must not be there yet, or one of a free name."""
     folder = _named_folder(composed, "sweep")
+    _check_jobs_folder(composed, jobs)
     if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
         return _reserve(folder)
     try:
@@ -77,6 +89,17 @@ def sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
             f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"
         ) from error
     return folder
+
+
+def _check_jobs_folder(composed: DictConfig, jobs: int) -> None:
+    """Refuses folders of jobs that are not each job's own, in that of the sweep."""
+    name = str(composed.hydra.sweep._get_node("subdir")._value())  # with what is known in a job
+    parts = Path(name).parts
+    if not parts or Path(name).is_absolute() or ".." in parts or (jobs > 1 and "${" not in name):
+        raise ConfigError(
+            "hydra.sweep.subdir must name a folder of its own for each job, in that of the sweep, "
+            f"such as ${{hydra.job.num}}, got {shown(name)}"
+        )
 
 
 def _reserve(folder: Path) -> Path:

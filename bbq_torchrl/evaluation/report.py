@@ -6,13 +6,13 @@ documentation is made by the same functions.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl import interruption, output
 from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison
 from bbq_torchrl.evaluation.groups import Group, find_results, read_groups
 from bbq_torchrl.evaluation.learning import learning
@@ -177,7 +177,8 @@ def _is_none(value: object) -> bool:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
-    parser = argparse.ArgumentParser(
+    interruption.tell(lambda: "in a report", lambda: "the same command begins again")
+    parser = output.Parser(
         prog="python -m bbq_torchrl.evaluation.report",
         description="Compares finished runs over their seeds: prints the tables as Markdown.",
     )
@@ -195,9 +196,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             text = _markdown(groups, pairings(groups))
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"error: {sentence(error)}\n")
+        output.complain(f"error: {sentence(error)}")
         return 2
-    sys.stdout.write(text)
+    output.write(text)
     return 0
 
 

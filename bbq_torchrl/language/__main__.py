@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl import output
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language.generate import Generator
@@ -21,6 +21,7 @@ from bbq_torchrl.language.understand import Understander
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Sequence
 
     from bbq_torchrl.domains import Domain
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns 0, or 2 after a line that says what is wrong."""
-    parser = argparse.ArgumentParser(prog="python -m bbq_torchrl.language")
+    parser = output.Parser(prog="python -m bbq_torchrl.language")
     commands = parser.add_subparsers(dest="command", required=True)
     for name, help_ in (
         ("train", "train an understander and write its file"),
@@ -61,11 +62,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             }
             text = json.dumps(_rounded(figures), indent=1) + "\n"
             given.out.write_text(text, encoding="utf-8")
-            sys.stdout.write(text)
+            output.write(text)
             if given.file is None:
                 file.unlink()
     except (OSError, ValueError, ModuleNotFoundError) as error:
-        sys.stderr.write(f"error: {sentence(error)}\n")
+        output.complain(f"error: {sentence(error)}")
         return 2
     return 0
 

@@ -8,7 +8,7 @@ import logging
 import sys
 from typing import TYPE_CHECKING
 
-from bbq_torchrl import interruption
+from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.searches import SEARCH, compose_search
 from bbq_torchrl.cli.store import options
@@ -38,8 +38,9 @@ All keys of a search: docs/scale.md; those of train.py: docs/configuration.md
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code: 1 if no trial was completed, 2 if refused."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    interruption.tell(lambda: "in a search", lambda: "the same command goes on with the search")
     if not arguments or {"-h", "--help"} & set(arguments):
-        sys.stdout.write(USAGE.format(names=", ".join(options(SEARCH))))
+        output.write(USAGE.format(names=", ".join(options(SEARCH))))
         return 0
     try:
         search = compose_search(take_config_dir(arguments))
@@ -64,23 +65,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
             search, run, (NonFiniteLossError, CheckpointDamagedError, SpikeError), check
         )
     except interruption.Interrupted as end:
-        sys.stderr.write(f"{interruption.line()}\n")
+        output.complain(interruption.line())
         return end.exit_code
     except ConfigError as error:
         return _refused(error)
     if best is None:
-        sys.stderr.write(f"error: no trial was completed; {search.folder} has the reasons\n")
+        output.complain(f"error: no trial was completed; {search.folder} has the reasons")
         return 1
-    sys.stdout.write(json.dumps(best) + "\n")
+    output.write(json.dumps(best) + "\n")
     return 0
 
 
 def _refused(error: Exception) -> int:
-    sys.stderr.write(f"error: {sentence(error)}\n")
+    output.complain(f"error: {sentence(error)}")
     return 2
 
 
 if __name__ == "__main__":
-    interruption.tell(how_to_go_on=lambda: "the same command goes on with the search")
-    interruption.listen()
     sys.exit(main())

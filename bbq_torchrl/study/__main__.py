@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl import output
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.text import sentence, shown
@@ -26,13 +27,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         given.command(given)
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"error: {sentence(error)}\n")
+        output.complain(f"error: {sentence(error)}")
         return 2
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = output.Parser(
         prog="python -m bbq_torchrl.study", description="A human study. See docs/study.md."
     )
     commands = parser.add_subparsers(required=True, metavar="serve | report | power")
@@ -163,8 +164,7 @@ def _sd(text: str) -> float:
 
 
 def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
+    output.write(f"{line}\n")
 
 
 if __name__ == "__main__":

@@ -25,6 +25,8 @@ TINY = (
     "protocol.capacity=150",
     "protocol.eval_dialogues=4",
     "protocol.eval_batch=4",
+    "protocol.eval_every=2",
+    "protocol.eval_every_dialogues=2",
     "protocol.checkpoint_every=2",
     "protocol.keep_checkpoints=last",
 )

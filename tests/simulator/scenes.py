@@ -35,7 +35,9 @@ ERROR_VALUES = {
 NEVER = 1 - 2**-24  # the largest number drawn: it hits nothing
 
 
-def cinema(*goals: Goal, showings: Any = SHOWINGS, opening: str | None = "movie") -> Domain:
+def cinema(
+    *goals: Goal, showings: Any = SHOWINGS, opening: str | tuple[str, ...] | None = "movie"
+) -> Domain:
     """Returns the cinema with these goals."""
     return Domain(
         name="cinema",
@@ -68,7 +70,7 @@ class Scene:
         active: tuple[str, ...] = SLOTS,
         max_turn: int = 40,
         showings: Any = SHOWINGS,
-        opening: str | None = "movie",
+        opening: str | tuple[str, ...] | None = "movie",
         **errors: Any,
     ) -> None:
         goal = Goal(constraints or {}, requests)

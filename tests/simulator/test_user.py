@@ -7,6 +7,21 @@ import torch
 from .scenes import ACTS, SLOTS, Scene
 
 
+def test_user_opens_with_all_of_several_opening_slots_that_it_constrains():
+    constraints = {"movie": "deadpool", "city": "boston", "date": "today"}
+    opening = ("date", "movie", "theater")
+    scene = Scene(constraints, ("genre",), opening=opening)
+    state = scene.start(constraint="city")
+    assert scene.user(state) == ("request", constraints, {"genre"})
+    assert scene.slots(state["agenda"]) == {"genre", "ticket"}
+    state = scene.start(constraint="movie")
+    assert scene.user(state)[1] == {"movie": "deadpool", "date": "today"}
+    assert scene.slots(state["agenda"]) == {"city", "genre", "ticket"}
+    # One that is not active yet is not spoken of.
+    scene = Scene(constraints, opening=opening, active=("movie", "city", "people"))
+    assert scene.user(scene.start(constraint="city"))[1] == {"movie": "deadpool", "city": "boston"}
+
+
 def test_first_turns_draw_goals_constraints_and_requests_evenly(movie):
     from bbq_torchrl.domains import tensorize
     from bbq_torchrl.simulator import Simulator

@@ -1,0 +1,99 @@
+"""What commands print, and how they end where it cannot be printed.
+
+The reader of a pipe may have gone (``| head``), a disk may be full, a stream may be closed. Python
+alone would end such a command in a traceback, or by an exit code of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import os
+import sys
+from contextlib import contextmanager, redirect_stdout
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.text import sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import TextIO
+
+__all__ = ["NOT_WRITTEN", "NO_READER", "Parser", "collected", "complain", "settle", "write"]
+
+NOT_WRITTEN = 1
+"""Exit code of a command whose standard output cannot be written."""
+
+NO_READER = 141
+"""Exit code of a command that nobody reads any more: that of a process which SIGPIPE ends."""
+
+
+def write(text: str) -> None:
+    """Prints what a command is asked for.
+
+    Raises:
+        SystemExit: it cannot be printed: :data:`NO_READER` without a word, else
+            :data:`NOT_WRITTEN` after a sentence.
+    """
+    try:
+        if sys.stdout is None:  # closed before Python started
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _discard(sys.stdout)
+        sys.exit(NO_READER)
+    except OSError as error:
+        _discard(sys.stdout)
+        complain(f"error: standard output cannot be written: {sentence(error)}")
+        sys.exit(NOT_WRITTEN)
+
+
+def complain(line: str) -> None:
+    """Prints a line on standard error, if that can be: the exit code tells the same."""
+    if sys.stderr is not None:
+        try:
+            sys.stderr.write(f"{line}\n")
+            sys.stderr.flush()
+        except OSError:
+            _discard(sys.stderr)
+
+
+@contextmanager
+def collected() -> Iterator[None]:
+    """Collects what others print within it, and prints it by :func:`write`."""
+    text = StringIO()
+    try:
+        with redirect_stdout(text):
+            yield
+    finally:
+        write(text.getvalue())
+
+
+def settle() -> None:
+    """Lets go of what was logged to standard output and cannot be written: the work is done."""
+    if sys.stdout is not None:
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _discard(sys.stdout)
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse's parser, whose help is printed by :func:`write`."""
+
+    def print_help(self, file: Any = None) -> None:
+        """Prints the help, on standard output unless a file is given."""
+        if file is None:
+            write(self.format_help())
+        else:
+            super().print_help(file)
+
+
+def _discard(stream: TextIO | None) -> None:
+    """Sends what a stream still holds nowhere, so that Python's last flush finds no error."""
+    if stream is not None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

@@ -1,0 +1,61 @@
+"""Standard output and standard error that cannot be written: no traceback, a fitting exit code."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from .cases import TINY
+from .commands import ROOT
+
+pytestmark = pytest.mark.slow
+
+TRAIN = str(ROOT / "train.py")
+COMMANDS = {
+    "train --help": (TRAIN, "--help"),
+    "train --cfg": (TRAIN, "--cfg", "job"),
+    "evaluate": ("-m", "bbq_torchrl.evaluate", "policy=rule", "dialogues=2"),
+    "report --help": ("-m", "bbq_torchrl.evaluation.report", "--help"),
+    "bbq": ("-c", "import sys; from bbq_torchrl.cli.console import main; sys.exit(main())"),
+}
+
+
+def ended(arguments, cwd, *, redirection="", **streams):
+    """Runs a command with a redirection of the shell; returns exit code and standard error."""
+    given = {name: text for name, text in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    given |= {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), **streams.pop("environment", {})}
+    shell = ["sh", "-c", f'exec "$@" {redirection}', "sh", sys.executable]
+    streams = {"stderr": subprocess.PIPE, **streams}
+    done = subprocess.run([*shell, *arguments], cwd=cwd, env=given, text=True, **streams)
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize("environment", [{}, {"PYTHONUNBUFFERED": "1"}], ids=["buffered", "not"])
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
+def test_what_cannot_be_printed_is_no_traceback(tmp_path, command, environment):
+    read, write = os.pipe()
+    os.close(read)
+    end = ended(command, tmp_path, stdout=write, environment=environment)
+    os.close(write)
+    assert end == (141, "")
+    for redirection, reason in {
+        "> /dev/full": "No space left on device",
+        ">&-": "Bad file descriptor",
+    }.items():
+        end = ended(command, tmp_path, redirection=redirection, environment=environment)
+        assert end == (1, f"error: standard output cannot be written: {reason}\n")
+
+
+@pytest.mark.parametrize("redirection", ["2> /dev/full", "2>&-"])
+def test_a_refusal_that_cannot_be_printed_has_its_exit_code(tmp_path, redirection):
+    assert ended((TRAIN, "agent.lr=0"), tmp_path, redirection=redirection)[0] == 2
+
+
+@pytest.mark.parametrize("redirection", ["> /dev/full", ">&-", "> /dev/full 2> /dev/full"])
+def test_a_run_that_cannot_log_on_standard_output_is_a_run(tmp_path, redirection):
+    keys = ("agent=dqn", "agent.hidden=[8]", *TINY, "spike.dialogues=3", "hydra.run.dir=run")
+    assert ended((TRAIN, *keys), tmp_path, redirection=redirection)[0] == 0
+    assert (tmp_path / "run" / "result.json").is_file()
