@@ -1,0 +1,168 @@
+"""BBQN in one file: its mathematics is the library's, and its loop does what the file says."""
+
+from __future__ import annotations
+
+import csv
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Categorical
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.networks import q_actor
+from bbq_torchrl.objectives import BBQNLoss
+
+SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "bbqn_from_scratch.py"
+FEATURES, ACTIONS, ROWS = 5, 4, 7
+
+
+@pytest.fixture(scope="module")
+def example():
+    return runpy.run_path(str(SCRIPT))
+
+
+@pytest.fixture
+def nets(example):
+    """The example's network and the library's, with the same means and standard deviations."""
+    ours = example["BayesQNetwork"](FEATURES, ACTIONS)
+    theirs = BayesMLP(
+        FEATURES,
+        ACTIONS,
+        example["HIDDEN"],
+        prior_std=example["PRIOR_STD"],
+        mean_init="kaiming",
+        std_init=example["STD_INIT"],
+    )
+    assert torch.allclose(_flat(ours, "sigma"), theirs.posterior.sigma)
+    with torch.no_grad():
+        for layer in ours.layers:
+            layer.rho.uniform_(-5, -1)
+        theirs.posterior.mu.copy_(_flat(ours, "mu"))
+        theirs.posterior.rho.copy_(_flat(ours, "rho"))
+    return ours, theirs
+
+
+def _flat(net, name):
+    # With the bias as its last row a layer lies in memory as it does in the library's one vector.
+    return torch.cat([getattr(layer, name).flatten() for layer in net.layers])
+
+
+def _transitions():
+    def state():
+        legal = torch.rand(ROWS, ACTIONS) < 0.5
+        legal[:, 0] = True
+        return {"observation": torch.rand(ROWS, FEATURES), "action_mask": legal}
+
+    end = {"reward": torch.randn(ROWS, 1), "terminated": torch.arange(ROWS)[:, None] % 3 == 0}
+    after = TensorDict({**state(), **end}, [ROWS])
+    action = torch.zeros(ROWS, dtype=torch.int64)
+    return TensorDict({**state(), "action": action, "next": after}, [ROWS])
+
+
+def test_kl_and_its_gradients_are_the_librarys(nets):
+    ours, theirs = nets
+    ours.kl().backward()
+    kl = theirs.posterior.kl()
+    kl.backward()
+    assert ours.kl().item() == pytest.approx(kl.item(), rel=1e-5)
+    for name in ("mu", "rho"):
+        gradient = torch.cat([getattr(layer, name).grad.flatten() for layer in ours.layers])
+        torch.testing.assert_close(gradient, getattr(theirs.posterior, name).grad)
+
+
+def test_a_draw_is_mean_plus_std_times_noise(nets):
+    ours, theirs = nets
+    x = torch.rand(ROWS, FEATURES)
+    torch.manual_seed(1)
+    noise = torch.cat([torch.randn_like(layer.mu).flatten() for layer in ours.layers])
+    weights = theirs.posterior.mu + theirs.posterior.sigma * noise
+    torch.manual_seed(1)
+    torch.testing.assert_close(ours(x, "draw"), theirs(x, weights=weights))
+
+
+def test_mean_and_draws_of_each_row_are_the_librarys(nets):
+    ours, theirs = nets
+    x = torch.rand(ROWS, FEATURES)
+    torch.testing.assert_close(ours(x, "mean"), theirs(x, "mean"))
+    torch.manual_seed(1)
+    rows = ours(x, "draws")
+    torch.manual_seed(1)
+    torch.testing.assert_close(rows, theirs(x, "local"))
+
+
+def test_target_and_loss_are_the_librarys(example, nets):
+    ours, theirs = nets
+    with torch.no_grad():  # so narrow that every draw is the mean
+        theirs.posterior.rho.fill_(-20)
+        for layer in ours.layers:
+            layer.rho.fill_(-20)
+    loss = BBQNLoss(
+        q_actor(theirs, Categorical(ACTIONS)),
+        noise_std=example["NOISE_STD"],
+        kl_temperature=example["KL_TEMPERATURE"],
+        gamma=example["GAMMA"],
+        num_data=1000,
+    )
+    HardUpdate(loss, value_network_update_interval=0).step()
+    data = _transitions()
+    expected = loss(data.clone())
+    found = example["loss_of"](
+        ours, data["observation"], data["action"], example["targets_of"](ours, data), 1000
+    )
+    assert found.item() == pytest.approx(expected["loss"].item(), rel=1e-4)
+
+
+def test_the_numbers_are_those_of_the_quick_protocol(example):
+    config = compose(["agent=bbqn", "explore=thompson", "env=full", "protocol=quick"])
+    agent, protocol = config.agent, config.protocol
+    assert example["HIDDEN"] == tuple(agent.hidden)
+    numbers = {
+        "ROUNDS": protocol.rounds,
+        "DIALOGUES": protocol.dialogues,
+        "FREEZES": protocol.freezes,
+        "EPOCHS": protocol.epochs,
+        "BATCH_SIZE": protocol.batch_size,
+        "CAPACITY": protocol.capacity,
+        "EVALUATION_DIALOGUES": protocol.eval_dialogues,
+        "SPIKE_DIALOGUES": config.spike.dialogues,
+        "PRIOR_STD": agent.prior_std,
+        "STD_INIT": agent.std_init,
+        "NOISE_STD": agent.noise_std,
+        "KL_TEMPERATURE": agent.kl_temperature,
+        "GAMMA": agent.gamma,
+        "LEARNING_RATE": agent.lr,
+    }
+    assert {name: example[name] for name in numbers} == numbers
+
+
+def test_a_tiny_training_learns_from_the_spike_and_adds_a_line(
+    example, tmp_path, monkeypatch, capsys
+):
+    names = example["train"].__globals__
+    for name, value in {"SPIKE_DIALOGUES": 4, "DIALOGUES": 2, "HIDDEN": (8,)}.items():
+        monkeypatch.setitem(names, name, value)
+    rows = []
+    learn = names["learn"]
+
+    def watched(net, optimizer, data):
+        rows.append(len(data))
+        learn(net, optimizer, data)
+
+    monkeypatch.setitem(names, "learn", watched)
+    file = tmp_path / "results.csv"
+    file.write_text("seed,rounds,final_success\n7,40,0.5\n")
+    options = ["--seed=1", "--rounds=2", "--dialogues=4", f"--file={file}"]
+    monkeypatch.setattr(sys, "argv", ["bbqn_from_scratch.py", *options])
+    example["main"]()
+    with file.open(newline="") as stream:
+        lines = list(csv.DictReader(stream))
+    assert [(line["seed"], line["rounds"]) for line in lines] == [("7", "40"), ("1", "2")]
+    assert float(lines[1]["final_success"]) in {0, 0.25, 0.5, 0.75, 1}
+    assert "in 4 dialogues" in capsys.readouterr().out
+    assert 10 < rows[0] < rows[1] <= example["CAPACITY"]
