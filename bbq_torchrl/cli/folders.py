@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 __all__ = ["quoted", "refuse_other_folder", "run_folder", "sweep_folder"]
 
+SWEEP_CONFIG = "multirun.yaml"
+"""What Hydra writes into the folder of a sweep before its first job."""
+
 
 def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
     """Refuses the folder of a sweep for a single run, and the other way round."""
@@ -61,17 +64,18 @@ def _named_folder(composed: DictConfig, kind: str) -> Path:
 
 
 def sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
-    """The folder of a sweep: the one given, which must not be there yet, or one of a free name."""
+    """The folder of a sweep: the one given, new or of a sweep to go on with, or of a free name."""
     folder = _named_folder(composed, "sweep")
     if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
         return _reserve(folder)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
-        raise ConfigError(
-            f"hydra.sweep.dir must be a folder that is not there yet, got {folder}, which is: "
-            "choose another name, or remove it"
-        ) from None
+        if not (folder / SWEEP_CONFIG).is_file():
+            raise ConfigError(
+                "hydra.sweep.dir must be a folder that is not there yet, or that of a sweep to go "
+                f"on with, got {folder}, which is there and has no {SWEEP_CONFIG}"
+            ) from None
     except OSError as error:
         raise ConfigError(
             f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"
