@@ -193,8 +193,7 @@ class _Sweep:
     def how_to_go_on(self) -> str:
         """What is finished, and what goes on with the others."""
         finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
-        command = shlex.join(train_command())
-        return f"{finished}; {command} resume=<run folder> goes on with one that is not"
+        return f"{finished}; the same command with hydra.sweep.dir={self.folder} goes on"
 
 
 def _stop_workers() -> None:

@@ -26,6 +26,9 @@ __all__ = ["check_job_name", "quoted", "refuse_other_folder", "run_folder", "swe
 
 _LONGEST_NAME = 250  # bytes, with .log behind them; file systems take 255
 
+SWEEP_CONFIG = "multirun.yaml"
+"""What Hydra writes into the folder of a sweep before its first job."""
+
 
 def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
     """Refuses the folder of a sweep for a single run, and the other way round."""
@@ -72,7 +75,7 @@ def check_job_name(composed: DictConfig) -> None:
 
 
 def sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> Path:
-    """The folder of a sweep: the one given, which must not be there yet, or one of a free name."""
+    """The folder of a sweep: the one given, new or of a sweep to go on with, or of a free name."""
     folder = _named_folder(composed, "sweep")
     _check_jobs_folder(composed, jobs)
     if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
@@ -80,10 +83,11 @@ def sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> P
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
-        raise ConfigError(
-            f"hydra.sweep.dir must be a folder that is not there yet, got {folder}, which is: "
-            "choose another name, or remove it"
-        ) from None
+        if not (folder / SWEEP_CONFIG).is_file():
+            raise ConfigError(
+                "hydra.sweep.dir must be a folder that is not there yet, or that of a sweep to go "
+                f"on with, got {folder}, which is there and has no {SWEEP_CONFIG}"
+            ) from None
     except OSError as error:
         raise ConfigError(
             f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"

@@ -154,7 +154,7 @@ class CarefulPolicy(TensorDictModuleBase):
 
 
 class UniformPolicy(TensorDictModuleBase):
-    """Plays a legal action, all alike. Unlike TorchRL's ``UniformPolicy`` it reads the mask.
+    """Plays a legal action, all alike. Unlike TorchRL's ``RandomPolicy`` it reads the mask.
 
     Args:
         mask_key: bool ``[*batch, N]``, the legal actions, at least one.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["Curves", "draw_comparison", "draw_run", "moving_average"]
+__all__ = ["Curves", "draw_comparison", "draw_panels", "draw_run", "moving_average"]
 
 WINDOW = 10
 """Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
@@ -33,12 +33,14 @@ class Curves:
         final: success of the final evaluation, shape [seeds]; empty if there was none.
         evaluated: success of the evaluations while training, shape [rounds, seeds], NaN in a round
             without one; None if there were none.
+        reward: of the training dialogues, shape [rounds, seeds]; None if it is not drawn.
     """
 
     label: str
     success: Any
     final: Any
     evaluated: Any = None
+    reward: Any = None
 
 
 def moving_average(values: Any, window: int = WINDOW) -> Any:
@@ -117,6 +119,44 @@ def draw_comparison(file: Path, groups: Sequence[Curves], *, title: str) -> None
     _finish(figure, axes, file, title)
 
 
+def draw_panels(file: Path, groups: Sequence[Curves], *, title: str) -> None:
+    """Draws training success, success in evaluation while training, and training reward.
+
+    As :func:`draw_comparison`, one panel above the other. Groups beyond the seventh are dashed. A
+    group without evaluations or reward is not in that panel, and where no group has them there is
+    none.
+
+    Args:
+        file: a PNG or SVG file.
+        groups: at most fourteen, one for each setting.
+        title: the heading.
+    """
+    styles = [(color, line) for line in ("-", "--") for color in COLORS]
+    if not 1 <= len(groups) <= len(styles):
+        raise ValueError(f"between 1 and {len(styles)} groups can be drawn, got {len(groups)}")
+    names = {"success": "training success"}
+    if any(group.evaluated is not None for group in groups):
+        names["evaluated"] = "success in evaluation"
+    if any(group.reward is not None for group in groups):
+        names["reward"] = "training reward"
+    figure, found = _axes(rows=len(names))
+    panels = dict(zip(names, np.atleast_1d(found), strict=True))
+    for group, (color, line) in zip(groups, styles, strict=False):
+        _draw_group(panels["success"], group, color, band=True, line=line)
+        if group.evaluated is not None:
+            evaluated = np.asarray(group.evaluated, dtype=float)
+            (rounds,) = (~np.isnan(evaluated).any(1)).nonzero()
+            _draw_seeds(panels["evaluated"], rounds + 1, evaluated[rounds], color, line=line)
+        if group.reward is not None:
+            smooth = moving_average(group.reward)
+            _draw_seeds(panels["reward"], np.arange(len(smooth)), smooth, color, line=line)
+    for name, axes in panels.items():
+        axes.set(ylabel=names[name], **({} if name == "reward" else {"ylim": (0, 1)}))
+    panels["success"].set(title=title)
+    axes.set(xlabel="round")
+    _save(figure, list(panels.values()), file)
+
+
 def _colors(count: int) -> Sequence[Any]:
     """Colors of groups; of many, ones that follow their order."""
     if count <= len(COLORS):
@@ -126,17 +166,17 @@ def _colors(count: int) -> Sequence[Any]:
     return [colormaps["viridis"](place) for place in np.linspace(0, 0.95, count)]
 
 
-def _axes() -> tuple[Any, Any]:
+def _axes(rows: int = 1) -> tuple[Any, Any]:
     # The object interface: no window system, and no global state beside other figures.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    figure = Figure(figsize=(8, 4.5 if rows == 1 else 3.3 * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
+    return figure, figure.subplots(rows, sharex=True)
 
 
-def _draw_group(axes: Any, group: Curves, color: str, *, band: bool) -> None:
+def _draw_group(axes: Any, group: Curves, color: str, *, band: bool, line: str = "-") -> None:
     success = np.asarray(group.success, dtype=float)
     rounds = np.arange(len(success))
     smooth = moving_average(success)
@@ -145,9 +185,22 @@ def _draw_group(axes: Any, group: Curves, color: str, *, band: bool) -> None:
     axes.plot(rounds, success if seeds == 1 else smooth, color=color, lw=0.7, alpha=0.35)
     noun = "1 seed" if seeds == 1 else f"{seeds} seeds"
     label = f"{group.label} ({noun}, mean of {WINDOW} rounds)"
-    axes.plot(rounds, smooth.mean(1), color=color, lw=2.2, label=label)
-    if band and seeds >= MIN_BOOTSTRAP:
-        bounds = np.array([_bounds(row) for row in smooth])
+    axes.plot(rounds, smooth.mean(1), color=color, lw=2.2, ls=line, label=label)
+    if band:
+        _draw_band(axes, rounds, smooth, color)
+
+
+def _draw_seeds(axes: Any, rounds: Any, values: Any, color: str, *, line: str) -> None:
+    """Draws values [rounds, seeds] as they are: each seed, the mean, and its band."""
+    axes.plot(rounds, values, color=color, lw=0.7, alpha=0.35)
+    axes.plot(rounds, values.mean(1), color=color, lw=2.2, ls=line)
+    _draw_band(axes, rounds, values, color)
+
+
+def _draw_band(axes: Any, rounds: Any, values: Any, color: str) -> None:
+    """Draws the interval of the mean of values [rounds, seeds], where there are enough seeds."""
+    if values.shape[1] >= MIN_BOOTSTRAP:
+        bounds = np.array([_bounds(row) for row in values])
         axes.fill_between(rounds, bounds[:, 0], bounds[:, 1], color=color, alpha=0.15, lw=0)
 
 
@@ -174,9 +227,14 @@ def _bounds(row: Any) -> tuple[float, float]:
 
 def _finish(figure: Any, axes: Any, file: Path, title: str) -> None:
     axes.set(xlabel="round", ylabel="success rate", ylim=(0, 1), title=title)
-    axes.set_xlim(left=0)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
+    _save(figure, [axes], file)
+
+
+def _save(figure: Any, panels: Sequence[Any], file: Path) -> None:
+    for axes in panels:
+        axes.set_xlim(left=0)
+        axes.grid(alpha=0.25)
+        axes.spines[["top", "right"]].set_visible(False)
     # Below the axes: inside, some curve would always be behind it.
     figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     # At once, as a reader or a crash finds it: the old figure or the new one.

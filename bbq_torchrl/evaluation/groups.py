@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -120,6 +121,13 @@ class Run:
         ]
 
     @property
+    def updates(self) -> list[float]:
+        """Steps of the optimizer of each replica; NaN in metrics of versions that lack them."""
+        if "updates" not in self.metrics.columns:
+            return [math.nan] * self.metrics.replicas
+        return [int(count) for count in self.metrics["updates"].sum(0)]
+
+    @property
     def agent(self) -> str:
         """The agent as the paper calls it, such as ``BBQN-MAP``."""
         return agent_name(self.config)
@@ -176,6 +184,13 @@ class Group:
     def success(self) -> Any:
         """Success rate of the training dialogues of each round, shape [rounds, seeds]."""
         return self._curves("success_rate")
+
+    @property
+    def training_reward(self) -> Any | None:
+        """Mean reward of each round's training dialogues, shape [rounds, seeds]; None without."""
+        if any("reward" not in run.metrics.columns for run in self.runs):
+            return None
+        return self._curves("reward")
 
     @property
     def evaluation(self) -> Any | None:

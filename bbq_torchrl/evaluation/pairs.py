@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bbq_torchrl.evaluation.learning import areas
-from bbq_torchrl.evaluation.statistics import Summary, paired_differences, summarize
+from bbq_torchrl.evaluation.statistics import Summary, paired_differences, summarize, t_test
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -49,6 +49,7 @@ class Pairing:
         pairs: how many replicas of the one have a partner in the other.
         differences: of ``final_success``, ``training_success`` and, over the rounds in which both
             were evaluated while training, ``evaluation_area``; empty if there are no pairs.
+        p_values: of the same quantities, by a t test of the differences.
         remark: why there are no pairs, or how many replicas have no partner; empty if all have one.
     """
 
@@ -56,6 +57,7 @@ class Pairing:
     other: Group
     pairs: int = 0
     differences: Mapping[str, Summary] = field(default_factory=dict)
+    p_values: Mapping[str, float] = field(default_factory=dict)
     remark: str = ""
 
     @property
@@ -77,11 +79,9 @@ def pair(one: Group, other: Group) -> Pairing:
     if pairs == 0:
         return Pairing(one, other, remark=NO_PARTNER)
     differences = {
-        name: summarize(
-            paired_differences(
-                dict(zip(one.members, minuend, strict=True)),
-                dict(zip(other.members, subtrahend, strict=True)),
-            )
+        name: paired_differences(
+            dict(zip(one.members, minuend, strict=True)),
+            dict(zip(other.members, subtrahend, strict=True)),
         )
         for name, (minuend, subtrahend) in _compared(one, other).items()
     }
@@ -90,7 +90,14 @@ def pair(one: Group, other: Group) -> Pairing:
         for group in (one, other)
         if len(group.members) > pairs
     ]
-    return Pairing(one, other, pairs, differences, " and ".join(alone))
+    return Pairing(
+        one,
+        other,
+        pairs,
+        {name: summarize(values) for name, values in differences.items()},
+        {name: t_test(values) for name, values in differences.items()},
+        " and ".join(alone),
+    )
 
 
 def _different_dialogues(one: Group, other: Group) -> list[str]:

@@ -9,15 +9,24 @@ from __future__ import annotations
 import csv
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison
+from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison, draw_panels
 from bbq_torchrl.evaluation.groups import Group, find_results, read_groups
-from bbq_torchrl.evaluation.learning import learning
+from bbq_torchrl.evaluation.learning import learning, rounds_to_reach
 from bbq_torchrl.evaluation.pairs import Pairing, pairings
 from bbq_torchrl.evaluation.statistics import Summary, summarize
+from bbq_torchrl.evaluation.table1 import (
+    PAPER,
+    TABLE1_NOTE,
+    comparisons_table,
+    find_cells,
+    missing_cells,
+    table1,
+)
 from bbq_torchrl.evaluation.tables import (
     LEARNING_NOTE,
     NOTE,
@@ -34,7 +43,17 @@ from bbq_torchrl.text import sentence
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["curves", "main", "setting_of", "write_report"]
+__all__ = [
+    "cells_of_table1",
+    "curves",
+    "draw_table1",
+    "main",
+    "setting_of",
+    "table1_text",
+    "write_replicas",
+    "write_report",
+    "write_table1",
+]
 
 
 def setting_of(groups: Sequence[Group]) -> str:
@@ -48,7 +67,80 @@ def setting_of(groups: Sequence[Group]) -> str:
 
 def curves(group: Group) -> Curves:
     """Returns what is drawn of a group."""
-    return Curves(group.label, group.success, group.final)
+    return Curves(group.label, group.success, group.final, group.evaluation, group.training_reward)
+
+
+def write_table1(groups: Sequence[Group], folder: Path) -> str:
+    """Writes ``table1.md``, ``replicas.csv`` and the curves of each domain as PNG and SVG files.
+
+    Returns the tables as Markdown, which begin with what is missing.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = []
+    for env in PAPER:
+        for file in (folder / f"table1_{env}.png", folder / f"table1_{env}.svg"):
+            if draw_table1(groups, env, file):
+                pictures.append(f"![Learning curves, env={env}]({file.name})\n")
+    text = table1_text(groups)
+    (folder / "table1.md").write_text("\n".join([text, *pictures[::2]]), encoding="utf-8")
+    write_replicas(cells_of_table1(groups), folder / "replicas.csv")
+    return text
+
+
+def cells_of_table1(groups: Sequence[Group]) -> list[Group]:
+    """Returns the groups that are cells of Table 1, in its order and by the paper's names."""
+    return [
+        replace(group, label=name)
+        for env in PAPER
+        for name, group in find_cells(groups, env).items()
+    ]
+
+
+def draw_table1(groups: Sequence[Group], env: str, file: Path) -> bool:
+    """Draws the agents of Table 1 in one environment; returns whether there are any."""
+    cells = [group for group in cells_of_table1(groups) if group.first.env == env]
+    if cells:
+        draw_panels(file, [curves(group) for group in cells], title=f"Table 1, env={env}")
+    return bool(cells)
+
+
+def table1_text(groups: Sequence[Group]) -> str:
+    """Returns Table 1 and its declared comparisons as Markdown, first of all what is missing."""
+    missing = missing_cells(groups)
+    count = sum(map(len, PAPER.values()))
+    parts = [f"# Table 1: {count - len(missing)} of {count} cells"]
+    if missing:
+        parts.append(f"Not run: {'; '.join(missing)}.")
+    for env in PAPER:
+        parts += [f"## env={env}", table1(groups, env), comparisons_table(groups, env)]
+    return "\n\n".join([*parts, TABLE1_NOTE.strip()]) + "\n"
+
+
+def write_replicas(groups: Sequence[Group], file: Path) -> None:
+    """Writes a CSV file with a row for each replica."""
+    _write_csv(file, [row for group in groups for row in _replica_rows(group)])
+
+
+def _replica_rows(group: Group) -> list[dict[str, Any]]:
+    reached = iter(rounds_to_reach(group.success, 0.6).tolist())
+    return [
+        {
+            "corpus": run.result.domain,
+            "env": run.result.env,
+            "agent": group.label,
+            "replica": entry.replica,
+            "seed": run.result.seed,
+            "rounds": run.result.rounds,
+            "updates": run.updates[number],
+            "success_rate": entry.success_rate,
+            "reward": entry.reward,
+            "turns": entry.turns,
+            "cumulative_success": entry.training_success,
+            "rounds_to_60": f"{next(reached):.0f}".replace("inf", ""),
+        }
+        for run in group.runs
+        for number, entry in enumerate(run.result.per_replica)
+    ]
 
 
 def write_report(groups: Sequence[Group], folder: Path) -> str:
@@ -56,8 +148,9 @@ def write_report(groups: Sequence[Group], folder: Path) -> str:
 
     Returns the tables as Markdown.
 
-    The files: ``report.csv`` (success), ``improvements.csv``, ``pairs.csv``, ``learning.csv``. A
-    figure shows at most seven groups: ``curves.png``, then ``curves_2.png`` and so on.
+    The files: ``report.csv`` (success), ``improvements.csv``, ``pairs.csv``, ``learning.csv``, and
+    ``replicas.csv`` with a row for each replica. A figure shows at most seven groups:
+    ``curves.png``, then ``curves_2.png`` and so on.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures = []
@@ -74,6 +167,7 @@ def write_report(groups: Sequence[Group], folder: Path) -> str:
     _write_csv(folder / "improvements.csv", [_improvement(item) for item in improvements(groups)])
     _write_csv(folder / "pairs.csv", [_pair_row(item) for item in compared])
     _write_csv(folder / "learning.csv", _learning_rows(groups))
+    write_replicas(groups, folder / "replicas.csv")
     return text
 
 
@@ -188,10 +282,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, help="folder for report.md, its tables as CSV files, and curves.png"
     )
+    parser.add_argument(
+        "--table1",
+        action="store_true",
+        help="the paper's Table 1: its numbers beside, declared pairs, and what is missing",
+    )
     given = parser.parse_args(arguments)
     try:
         groups = read_groups(find_results(given.folders))
-        if given.out is not None:
+        if given.table1:
+            text = table1_text(groups) if given.out is None else write_table1(groups, given.out)
+        elif given.out is not None:
             text = write_report(groups, given.out)
         else:
             text = _markdown(groups, pairings(groups))

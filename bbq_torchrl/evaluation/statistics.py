@@ -28,6 +28,7 @@ __all__ = [
     "paired_differences",
     "probability_of_improvement",
     "summarize",
+    "t_test",
 ]
 
 Statistic = Literal["mean", "iqm"]
@@ -201,6 +202,23 @@ def paired_differences(one: Mapping[Any, float], other: Mapping[Any, float]) -> 
         [0.25, 0.5]
     """
     return [one[key] - other[key] for key in sorted(one.keys() & other.keys())]
+
+
+def t_test(differences: Sequence[float]) -> float:
+    """Returns the two-sided p-value of Student's t test that the mean difference is 0.
+
+    Of one difference it is 1. Where all are equal, so that there is no spread to judge by, it is 1
+    for differences of 0 and 0 for others.
+
+    Example:
+        >>> round(t_test([0.1, 0.2, 0.3]), 4)
+        0.0742
+    """
+    if len(differences) < 2:
+        return 1.0
+    if len({*differences}) == 1:
+        return float(differences[0] == 0)
+    return float(stats.ttest_1samp(differences, 0).pvalue)
 
 
 def probability_of_improvement(

@@ -311,11 +311,11 @@ class EnvOption(Option):
 
     def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
         """Makes a scripted policy, or the random one."""
-        from torchrl.envs.utils import UniformPolicy
+        from torchrl.envs.utils import RandomPolicy
 
         from bbq_torchrl.envs import UniformPolicy as RandomLegalPolicy
 
-        return RandomLegalPolicy() if action_mask_key(env) else UniformPolicy(env.action_spec)
+        return RandomLegalPolicy() if action_mask_key(env) else RandomPolicy(env.action_spec)
 
     def check_domain(self, domain: Domain | None) -> None:
         """Raises ValueError for a domain that cannot be played in."""

@@ -277,4 +277,6 @@ def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(refused, tmp_pa
     assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"
     assert folder.is_dir()
     line = refused(*arguments)
-    assert f"hydra.sweep.dir must be a folder that is not there yet, got {folder}" in line
+    assert f"or that of a sweep to go on with, got {folder}" in line
+    (folder / "multirun.yaml").touch()
+    assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"

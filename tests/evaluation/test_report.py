@@ -133,7 +133,7 @@ def test_the_report_has_the_statistics_of_each_group_and_pair(tmp_path, capsys):
     assert f"| BBQN-MAP | DQN | {pair} | {pair} |" in printed
 
     files = {file.name for file in (tmp_path / "report").iterdir()}
-    tables = {"report.csv", "improvements.csv", "pairs.csv", "learning.csv"}
+    tables = {"report.csv", "improvements.csv", "pairs.csv", "learning.csv", "replicas.csv"}
     assert files == {"report.md", "curves.png", *tables}
     assert printed.rstrip() in (tmp_path / "report" / "report.md").read_text()
     bbqn, dqn = read_csv(tmp_path / "report" / "report.csv")

@@ -20,6 +20,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, check_env_specs, set_exploration_type
+from torchrl.objectives import HardUpdate
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.bayes import BayesMLP, weight_scope
@@ -54,6 +55,7 @@ SHRUNKEN = (
 RUNS = {
     "agent and environment": ("agent=langevin", "agent.inverse_temperature=[1e4,1e8]"),
     "strategy and intrinsic reward": ("agent=bbqn", "explore=ucb", "intrinsic=visits"),
+    "agent and strategy": ("agent=epinet", "agent.index_size=3"),
 }
 
 
@@ -97,6 +99,7 @@ def finished(installed, tmp_path_factory):
 def test_its_options_are_in_the_tables_of_help():
     table = explorations_table()
     assert "agent=langevin   explore=greedy (default)" in table
+    assert "agent=epinet     explore=index (default), epsilon_greedy, greedy" in table
     bbqn = next(line for line in table.splitlines() if line.startswith("agent=bbqn"))
     assert "ucb" in bbqn
     assert "chain" in store.options("env")
@@ -108,6 +111,10 @@ def test_its_options_are_in_the_tables_of_help():
     [
         ("agent=dqn explore=ucb", "agent=dqn cannot be combined with explore=ucb"),
         ("agent=bbqn explore=ucb explore.draws=1", "explore.draws must be an integer from 2 to"),
+        (
+            "agent=epinet explore=boltzmann",
+            "agent=epinet cannot be combined with explore=boltzmann",
+        ),
         ("env=chain env.lenght=4", "env.lenght is not a key (did you mean env.length?)"),
         (
             "agent=langevin replicas=2 agent.bias=[1,2,3]",
@@ -182,7 +189,10 @@ def test_its_search_space_is_found_in_a_folder_of_options(monkeypatch):
 # ---------------------------------------------------------------------------------------- parts
 
 
-@pytest.mark.parametrize("part", ["ucb_policy", "langevin_adam", "visit_reward", "chain_env"])
+@pytest.mark.parametrize(
+    "part",
+    ["ucb_policy", "langevin_adam", "epinet_mlp", "index_sampling", "visit_reward", "chain_env"],
+)
 def test_the_example_in_a_docstring_is_true(part):
     module = importlib.import_module(f"bbq_extending.{part}")
     torch.manual_seed(0)
@@ -268,6 +278,84 @@ def test_langevin_noise_is_for_the_agent_and_not_for_the_model_of_an_intrinsic_r
     noisy = {id(parameter) for parameter, is_noisy in pairs if is_noisy}
     assert noisy == {id(parameter) for parameter in agent.actor.parameters()}
     assert len(optimizer.parameters) > len(noisy)
+
+
+def _index_actor(network):
+    from bbq_extending.index_sampling import INDEX
+
+    return q_actor(network, Categorical(2), in_keys=("observation", INDEX), action_mask_key=None)
+
+
+def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone():
+    from bbq_extending.epinet_mlp import EpinetMLP
+
+    network = EpinetMLP(3, 2, (8,), index_size=4, prior_scale=2.0, stack=(2,))
+    x, index = torch.randn(2, 5, 3), torch.randn(2, 5, 4)
+    base = network(x, torch.zeros(2, 5, 4))
+    (network(x, index) - base).square().sum().backward()
+    assert network.epinet.grad.any()
+    assert not network.trunk.grad.any()
+    assert not network.head.grad.any()
+    with torch.no_grad():  # what is left without the part that learns: the priors, linear in z
+        _, (weight, bias) = network.layouts["epinet"].unflatten(network.epinet)
+        weight.zero_(), bias.zero_()
+        once, twice = (network(x, factor * index) - base for factor in (1, 2))
+    assert torch.allclose(twice, 2 * once, atol=1e-5)
+    assert once.abs().max() > 0.1
+    network.reset_inactive_(torch.tensor([False, True, False]))
+    more = x + torch.tensor([0.0, 7.0, 0.0])
+    assert torch.equal(network(more, index), network(x, index))
+
+
+def test_an_index_is_kept_until_the_episode_ends_and_is_none_without_exploration():
+    from bbq_extending.epinet_mlp import EpinetMLP
+    from bbq_extending.index_sampling import IndexSampling
+
+    network = EpinetMLP(3, 2, (8,), index_size=4, stack=(2,))
+    policy = IndexSampling(_index_actor(network), 4)
+    rows = TensorDict(
+        observation=torch.ones(2, 3, 3),
+        is_init=torch.zeros(2, 3, 1, dtype=torch.bool),
+        batch_size=[2, 3],
+    )
+    first = policy(rows.clone())["action_value"]
+    assert first.flatten(0, 1).unique(dim=0).shape[0] == 6
+    rows["is_init"][0, 1] = True
+    second = policy(rows.clone())
+    assert (first == second["action_value"]).all(-1).tolist() == [[True, False, True], [True] * 3]
+    assert "index" not in second
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        greedy = policy(rows.clone())["action_value"]
+    assert torch.equal(greedy, network(torch.ones(2, 3, 3), torch.zeros(2, 3, 4)))
+
+
+def test_an_index_is_the_same_in_a_value_and_its_target():
+    from bbq_extending.epinet_mlp import EpinetMLP
+    from bbq_extending.index_sampling import IndexLoss
+
+    network = EpinetMLP(3, 2, (8,), index_size=4, stack=(2,))
+    loss = IndexLoss(_index_actor(network), 4, gamma=0.5)
+    HardUpdate(loss, value_network_update_interval=0)
+    batch = TensorDict(
+        {
+            "observation": torch.randn(2, 6, 3),
+            "action": torch.randint(2, (2, 6)),
+            "next": {
+                "observation": torch.randn(2, 6, 3),
+                "reward": torch.randn(2, 6, 1),
+                "terminated": torch.rand(2, 6, 1) < 0.5,
+            },
+        },
+        [2, 6],
+    )
+    assert not loss.has_fixed_targets
+    found = loss(batch)["loss_value"]
+    index = batch["index"]
+    assert index.flatten(0, 1).unique(dim=0).shape[0] == 12
+    value = network(batch["observation"], index).gather(-1, batch["action"].unsqueeze(-1))
+    following = network(batch["next", "observation"], index).amax(-1, keepdim=True)
+    target = batch["next", "reward"] + 0.5 * following * ~batch["next", "terminated"]
+    assert torch.allclose(found, (value - target).square().mean((1, 2)))
 
 
 def test_a_state_is_worth_less_each_time_that_it_is_stored():

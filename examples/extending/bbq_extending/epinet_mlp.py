@@ -1,0 +1,116 @@
+"""An epinet: a Q-network that also reads an epistemic index, and disagrees with itself over it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+
+from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["EpinetMLP"]
+
+
+class EpinetMLP(nn.Module):
+    r"""A ReLU network with an epinet beside it, or a stack of them (Osband et al., 2023).
+
+    With the base network's last hidden features φ(x), which pass no gradient on, and an index z:
+
+        Q(x, z) = base(x) + epinet(φ(x), z)ᵀ z + prior_scale · Σᵢ zᵢ prior_i(x).
+
+    The priors are small networks that never learn, one for each dimension of the index. Where there
+    are data the epinet learns to cancel them out; elsewhere values differ from index to index.
+
+    Args:
+        in_features: size of the input.
+        out_features: size of the output.
+        hidden: sizes of the base network's hidden layers, at least one.
+
+    Keyword Args:
+        index_size: dimensions of the index.
+        epinet_hidden: sizes of the epinet's hidden layers.
+        prior_hidden: sizes of the hidden layers of each prior.
+        prior_scale: factor of the priors.
+        stack: leading shape of the weights; with (R,) these are R independent networks.
+        device: of the weights.
+
+    Example:
+        >>> network = EpinetMLP(3, 2, (16,), index_size=4, stack=(5,))
+        >>> x, index = torch.ones(5, 7, 3), torch.randn(5, 7, 4)
+        >>> network(x, index).shape
+        torch.Size([5, 7, 2])
+        >>> [name for name, _ in network.named_parameters()]
+        ['trunk', 'head', 'epinet']
+    """
+
+    prior: Tensor
+
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        hidden: Sequence[int] = (256, 256),
+        *,
+        index_size: int = 8,
+        epinet_hidden: Sequence[int] = (50,),
+        prior_hidden: Sequence[int] = (16,),
+        prior_scale: float = 1.0,
+        stack: Sequence[int] = (),
+        device: torch.device | str | None = None,
+    ) -> None:
+        super().__init__()
+        self.stack = torch.Size(stack)
+        self.index_size = index_size
+        self.prior_scale = prior_scale
+        self.out_features = out_features
+        self.layouts = {
+            "trunk": FlatLayout((in_features, *hidden)),
+            "head": FlatLayout((hidden[-1], out_features)),
+            "epinet": FlatLayout(
+                (hidden[-1] + index_size, *epinet_hidden, index_size * out_features)
+            ),
+            "prior": FlatLayout((in_features, *prior_hidden, out_features)),
+        }
+
+        def weights(name: str, *rows: int) -> Tensor:
+            layout = self.layouts[name]
+            flat = torch.empty(*self.stack, *rows, layout.numel, device=device)
+            init_linear_(flat, layout)
+            return flat
+
+        self.trunk = nn.Parameter(weights("trunk"))
+        self.head = nn.Parameter(weights("head"))
+        self.epinet = nn.Parameter(weights("epinet"))
+        self.register_buffer("prior", weights("prior", index_size))
+
+    def forward(self, x: Tensor, index: Tensor) -> Tensor:
+        """Returns the values, shape [*stack, *batch, out].
+
+        Args:
+            x: inputs, shape [*stack, *batch, in].
+            index: shape [*stack, *batch, index_size]; at 0 the values are the base network's.
+        """
+        features = mlp(x, self.trunk, self.layouts["trunk"]).relu()
+        base = mlp(features, self.head, self.layouts["head"])
+        beside = mlp(
+            torch.cat([features.detach(), index], -1), self.epinet, self.layouts["epinet"]
+        ).unflatten(-1, (self.index_size, self.out_features))
+        return base + ((beside + self.prior_scale * self._priors(x)) * index.unsqueeze(-1)).sum(-2)
+
+    @torch.no_grad()
+    def _priors(self, x: Tensor) -> Tensor:
+        """Returns what each prior makes of the input, [*stack, *batch, index_size, out]."""
+        dim = len(self.stack)
+        each = x.unsqueeze(dim).expand(*x.shape[:dim], self.index_size, *x.shape[dim:])
+        return mlp(each, self.prior, self.layouts["prior"]).movedim(dim, -2)
+
+    @torch.no_grad()
+    def reset_inactive_(self, inputs: Tensor) -> None:
+        """Sets the weights of inputs that come into use later to 0, bool [in]; the priors' too."""
+        for name in ("trunk", "prior"):
+            matrix, _ = self.layouts[name].unflatten(getattr(self, name))[0]
+            matrix.masked_fill_(inputs.to(matrix.device).unsqueeze(-1), 0)

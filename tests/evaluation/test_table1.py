@@ -1,0 +1,127 @@
+"""Table 1: the paper's numbers beside ours, declared pairs, and what is missing by name."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import asdict
+
+import pytest
+from result_folders import make_run
+from scipy import stats
+
+from bbq_torchrl.cli.store import compose, options
+from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.evaluation.names import agent_name
+from bbq_torchrl.evaluation.report import main
+from bbq_torchrl.evaluation.statistics import estimate
+from bbq_torchrl.evaluation.table1 import (
+    PAPER,
+    comparisons,
+    comparisons_table,
+    missing_cells,
+    table1,
+    verdict,
+)
+
+GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
+BAD = [0.68, 0.77, 0.74, 0.69, 0.74]
+DQN = {"agent": "dqn", "explore": "epsilon_greedy"}
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """A folder with two of the eighteen cells."""
+    make_run(tmp_path / "runs" / "bbqn_map", GOOD, eval_every=1)
+    make_run(tmp_path / "runs" / "dqn", BAD, **DQN)
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def groups(runs):
+    return read_groups(sorted(runs.iterdir()))
+
+
+def test_every_cell_has_a_recipe():
+    recipes = {name for name in options("experiment") if name.startswith("table1/")}
+    agents = {name.replace("-", "_").lower() for name in PAPER["full"]}
+    assert recipes == {f"table1/{env}_{name}" for env in ("full", "extension") for name in agents}
+    found = {}
+    for recipe in ("full_dqn_vime_mc", "extension_bbqn_map"):
+        config = compose([f"+experiment=table1/{recipe}"])
+        found[agent_name(asdict(config)), config.env.name] = config.protocol.rounds, config.replicas
+    assert found == {("DQN-VIME-MC", "full"): (150, 5), ("BBQN-MAP", "domain_ext"): (200, 5)}
+
+
+def test_the_papers_number_stands_beside_ours(groups):
+    lines = table1(groups, "full").splitlines()
+    (row,) = (line for line in lines if line.startswith("| BBQN-MAP |"))
+    assert f"| 5 | 3 | {estimate(GOOD, method='t')} |" in row
+    assert "| 0.5031 | 10.00 | 10.71 |" in row
+
+
+def test_a_cell_that_was_not_run_is_named_and_averaged_over_by_nobody(groups):
+    missing = missing_cells(groups)
+    assert len(missing) == 16
+    assert "DQN-Boltzmann with env=full" in missing
+    assert "DQN with env=full" not in missing
+    rows = [line for line in table1(groups, "full").splitlines() if "not run" in line]
+    assert len(rows) == 7
+    assert table1(groups, "domain_ext").count("not run") == 9
+    assert comparisons_table(groups, "full").count("not run") == 14
+
+
+def test_p_values_are_adjusted_for_every_comparison_that_was_declared(groups):
+    expected = 8 * stats.ttest_rel(GOOD, BAD).pvalue
+    assert 0.01 < expected < 1
+    found = {item.other: item for item in comparisons(groups, "full", "final_success")}
+    assert len(found) == 8
+    assert found["DQN"].p_value == pytest.approx(expected)
+    assert found["DQN"].difference.value == pytest.approx(0.026)
+    assert (found["BBQN-MC"].p_value, found["BBQN-MC"].difference) == (1, None)
+
+
+@pytest.mark.parametrize(
+    ("differences", "p_value", "expected"),
+    [
+        ([0.1, 0.2], 0.01, "yes"),
+        ([-0.1, -0.2], 0.01, "no"),
+        ([0.1, 0.2], 0.2, "not decided"),
+        (None, 1.0, "not run"),
+    ],
+)
+def test_a_claim_is_judged_by_sign_and_p_value(differences, p_value, expected):
+    assert verdict(differences and estimate(differences), p_value) == expected
+
+
+def test_two_settings_of_a_cell_are_refused(runs):
+    make_run(runs / "other", GOOD, prior_std=0.2)
+    with pytest.raises(
+        ValueError, match=r"one setting, got two of BBQN-MAP with env=full: .*other"
+    ):
+        missing_cells(read_groups(sorted(runs.iterdir())))
+
+
+def test_the_command_names_what_is_missing_and_writes_a_row_a_replica(runs, tmp_path, capsys):
+    assert main([str(runs), "--table1", "--out", str(tmp_path / "report")]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("# Table 1: 2 of 18 cells\n\nNot run: BBQN-MC with env=full; ")
+    files = {file.name for file in (tmp_path / "report").iterdir()}
+    assert files == {"table1.md", "replicas.csv", "table1_full.png", "table1_full.svg"}
+    with (tmp_path / "report" / "replicas.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["agent"] for row in rows] == ["BBQN-MAP"] * 5 + ["DQN"] * 5
+    assert [float(row["success_rate"]) for row in rows] == GOOD + BAD
+    first = {**rows[0]}
+    assert {first.pop(name) for name in ("updates", "rounds_to_60")} == {""}
+    assert first == {
+        "corpus": "movie",
+        "env": "full",
+        "agent": "BBQN-MAP",
+        "replica": "0",
+        "seed": "0",
+        "rounds": "3",
+        "success_rate": "0.7",
+        "reward": "10.0",
+        "turns": "8.0",
+        "cumulative_success": "0.35",
+    }
