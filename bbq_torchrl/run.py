@@ -57,7 +57,13 @@ SCRIPTED_DIALOGUES = 2_000
 """Dialogues of each scripted policy, to set the agent's beside."""
 
 
-def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -> RunResult:
+def run(
+    config: Config,
+    folder: Path,
+    callbacks: Sequence[RoundCallback] = (),
+    *,
+    domain: Domain | None = None,
+) -> RunResult:
     """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
 
     The folder is locked meanwhile.
@@ -66,6 +72,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         config: what to run; with ``resume``, the run in the folder goes on.
         folder: the run folder.
         callbacks: called after every round; what one raises ends the run.
+        domain: the configuration's, loaded; None: it is loaded here.
 
     Raises:
         NonFiniteLossError: a loss is NaN or infinite.
@@ -75,16 +82,18 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         Interrupted: a signal came (see :mod:`bbq_torchrl.interruption`); all rounds are saved.
     """
     with run_lock(folder):
-        return _run(config, folder, callbacks)
+        return _run(config, folder, callbacks, domain)
 
 
-def _run(config: Config, folder: Path, callbacks: Sequence[RoundCallback]) -> RunResult:
+def _run(
+    config: Config, folder: Path, callbacks: Sequence[RoundCallback], domain: Domain | None
+) -> RunResult:
     rounds = config.protocol.rounds
     torch.set_num_threads(config.threads)
     keep_freed_memory()
     _quieten_torchrl()
     save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
-    domain = make_domain(config)
+    domain = make_domain(config) if domain is None else domain
     trainer, agent = build_trainer(config, folder, callbacks, domain=domain)
     result = None if config.resume is None else _result_of(folder, rounds)
     if result is None:

@@ -28,8 +28,10 @@ if TYPE_CHECKING:
 __all__ = ["check", "check_device"]
 
 
-def check(config: Config) -> None:
+def check(config: Config) -> Domain | None:
     """Checks device, logger, corpus, scripted policy, memory and checkpoint before anything runs.
+
+    Returns the domain, which it has to load; None where the environment has none.
 
     Raises:
         ConfigError: the device is absent, the logger's package is not installed, the domain has
@@ -58,6 +60,7 @@ def check(config: Config) -> None:
     _check_spike(config, domain)
     if config.resume is not None:
         _check_resumable(Path(config.resume), config)
+    return domain
 
 
 def _check_resumable(folder: Path, config: Config) -> None:

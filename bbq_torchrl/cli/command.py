@@ -1,10 +1,11 @@
 """The command line of ``train.py``: everything is checked before Hydra runs anything.
 
 Hydra composes, names run folders, sweeps and launches. Around it stands one step: the command line
-is composed once more beforehand (each job of a sweep too), so that a wrong key, value, combination,
-device or corpus is refused in one sentence, with exit code 2, before a folder exists. The step
-also reserves the run folder (two runs of the same second never share one) and turns
-``resume=<folder>`` into the configuration of that folder.
+is composed beforehand (each job of a sweep too), so that a wrong key, value, combination, device or
+corpus is refused in one sentence, with exit code 2, before a folder exists. The step also reserves
+the run folder (two runs of the same second never share one) and turns ``resume=<folder>`` into the
+configuration of that folder. A single run is then run as it was composed and checked; only the jobs
+of a sweep, which may start on another machine, are composed again by Hydra.
 """
 
 from __future__ import annotations
@@ -23,13 +24,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
+from hydra._internal.callbacks import Callbacks
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import run_job
 from hydra.errors import CompactHydraException, HydraException
-from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import (
@@ -65,6 +68,8 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator
 
+    from bbq_torchrl.domains import Domain
+
 __all__ = ["REFUSED", "UsageError", "command", "prepare"]
 
 _LOG = logging.getLogger(__name__)
@@ -74,8 +79,8 @@ REFUSED = 2
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
 
-Task = Callable[[Config, Path], float]
-Check = Callable[[Config], None]
+Task = Callable[[Config, Path, "Domain | None"], float]
+Check = Callable[[Config], "Domain | None"]
 UsageErrors = Callable[[], "tuple[type[Exception], ...]"]
 
 
@@ -92,54 +97,60 @@ def command(check: Check, usage_errors: UsageErrors) -> Callable[[Task], Callabl
 
     Args:
         check: what else to check of a configuration before anything runs, such as its device and
-            its corpus; raises ``ValueError`` or ``OSError``.
+            its corpus; returns the domain that it loaded, if any, and raises ``ValueError`` or
+            ``OSError``.
         usage_errors: returns the exceptions of a run whose text is enough for a person.
 
     Returns:
-        a decorator for a function from configuration and run folder to the final success rate,
-        which is what sweepers get.
+        a decorator for a function from configuration, run folder and domain (None: not loaded yet)
+        to the final success rate, which is what sweepers get.
     """
 
     def decorate(task: Task) -> Callable[[], None]:
         @functools.wraps(task)
-        def job(composed: DictConfig) -> float:
-            settings = HydraConfig.get()
-            folder = Path(settings.runtime.output_dir)
-            swept = settings.mode is RunMode.MULTIRUN
-            interruption.tell(how_to_go_on=lambda: _how_to_go_on(folder))
+        def job_of_a_sweep(composed: DictConfig) -> float:
+            folder = _told_folder()
             try:
-                config = _job_config(composed, list(settings.overrides.task))
-                if not swept:
-                    return task(config, folder)
+                config = to_config(composed, Config)
                 interruption.listen()
                 interruption.check()
-                return task(restarted_config(config, folder), folder)
+                return task(restarted_config(config, folder), folder, None)
             except interruption.Interrupted:
-                if not swept:
-                    raise
                 raise UsageError(interruption.line()) from None  # the other jobs end in good order
             except Exception as error:
-                if swept:  # Hydra reports the first job that fails, at the end; the log has each
-                    _LOG.error("this run failed: %s", sentence(error) or type(error).__name__)
-                tells = isinstance(error, (ConfigError, OSError, *usage_errors()))
-                failure = UsageError(sentence(error)) if tells else error
-                raise failure if swept else _Stopped(failure) from error
+                # Hydra reports the first job that fails, at the end; the log has each.
+                _LOG.error("this run failed: %s", sentence(error) or type(error).__name__)
+                raise _failure(error) from error
+
+        def single(run: _Run) -> float:
+            try:
+                return task(run.config, _told_folder(), run.domain)
+            except Exception as error:
+                raise _Stopped(_failure(error)) from error
+
+        def _failure(error: Exception) -> Exception:
+            tells = isinstance(error, (ConfigError, OSError, *usage_errors()))
+            return UsageError(sentence(error)) if tells else error
 
         @functools.wraps(task)
         def main() -> None:
             arguments = sys.argv[1:]
             with ExitStack() as held:
                 try:
-                    prepared, sweep = _prepare(arguments, check, held)
+                    prepared = _prepare(arguments, check, held)
                 except (ValueError, OSError) as error:
                     _refuse(error)
-                sys.argv[1:] = prepared
+                run, sweep = prepared.run, prepared.sweep
+                sys.argv[1:] = prepared.arguments
                 logging.raiseExceptions = False  # a full disk is told once, not for every message
                 try:
+                    if run is not None:
+                        run.start(single)
+                        return
                     with sweep.interruptible() if sweep else _handing_on_errors():
                         hydra.main(
                             version_base="1.3", config_path=str(conf_folder()), config_name="config"
-                        )(job)()
+                        )(job_of_a_sweep)()
                     if sweep is not None:
                         sweep.show()
                 except BaseException as end:
@@ -165,7 +176,31 @@ def prepare(arguments: Sequence[str], check: Check) -> list[str]:
         ValueError or OSError: what ``check`` raises.
     """
     with ExitStack() as held:
-        return _prepare(arguments, check, held)[0]
+        return _prepare(arguments, check, held).arguments
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A single run, which nothing has to be composed, checked or loaded for any more."""
+
+    composed: DictConfig
+    config: Config
+    domain: Domain | None
+    loader: Any
+
+    def start(self, task: Callable[[_Run], float]) -> None:
+        """Runs it as Hydra runs a job: with its folder, log and record of the configuration."""
+        callbacks = Callbacks(self.composed)
+        callbacks.on_run_start(config=self.composed, config_name="config")
+        ended = run_job(
+            lambda _: task(self),
+            config=self.composed,
+            job_dir_key="hydra.run.dir",
+            job_subdir_key=None,
+            hydra_context=HydraContext(config_loader=self.loader, callbacks=callbacks),
+        )
+        callbacks.on_run_end(config=self.composed, config_name="config", job_return=ended)
+        _ = ended.return_value  # raises what the task raised
 
 
 @dataclass(frozen=True)
@@ -194,6 +229,22 @@ class _Sweep:
         """What is finished, and what goes on with the others."""
         finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
         return f"{finished}; the same command with hydra.sweep.dir={self.folder} goes on"
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A command line for Hydra; a single run or a sweep where it is one."""
+
+    arguments: list[str]
+    run: _Run | None = None
+    sweep: _Sweep | None = None
+
+
+def _told_folder() -> Path:
+    """The folder of the run that Hydra has begun; a signal will say how to go on in it."""
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    interruption.tell(how_to_go_on=lambda: _how_to_go_on(folder))
+    return folder
 
 
 def _stop_workers() -> None:
@@ -258,10 +309,8 @@ def _of_hydra(error: Exception, arguments: Sequence[str]) -> str:
     return f"Hydra cannot begin the run: {': '.join(causes) or type(error).__name__}"
 
 
-def _prepare(
-    arguments: Sequence[str], check: Check, held: ExitStack
-) -> tuple[list[str], _Sweep | None]:
-    """The command line for Hydra, and its sweep; ``held`` takes the lock of a single run."""
+def _prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> _Prepared:
+    """What the command line is, checked; ``held`` takes the lock of a single run."""
     parser = get_args_parser()
     parser.error = _refuse_flag  # type: ignore[method-assign]
     parsed = parser.parse_args(list(arguments))
@@ -270,37 +319,59 @@ def _prepare(
     register_options()
     if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
         held.enter_context(output.collected())
-        return list(arguments), None
+        return _Prepared(list(arguments))
     if (refusal := too_large(parsed.overrides)) is not None:
         raise ConfigError(refusal)
-    sweep = None
     with session() as hydra_session:
         _refuse_unread(parsed)
-        mode = None if parsed.multirun else hydra_session.get_mode("config", parsed.overrides)
-        if not parsed.multirun and mode is not RunMode.MULTIRUN:
-            composed = compose_raw(parsed.overrides, with_hydra=True)
+        composed = None if parsed.multirun else _of_single_run(hydra_session, parsed.overrides)
+        if composed is not None:
             check_job_name(composed)
             refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
             folder = _resumed_folder(composed.resume)
             if folder is not None:
                 held.enter_context(run_lock(folder))
-            config = _job_config(_without_hydra(composed), parsed.overrides)
-            check(config)
+            config = _run_config(_without_hydra(composed), parsed.overrides)
+            domain = check(config)
             extra = run_folder(composed, folder, held)
-        else:
-            composed, jobs = _sweep(hydra_session, parsed.overrides)
-            check_job_name(composed)
-            refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
-            check_launcher(composed.hydra.runtime.choices[LAUNCHER], composed.hydra.launcher)
-            for overrides in jobs:
-                job = compose_raw(overrides)
-                if job.resume is not None:
-                    raise ConfigError("resume cannot be combined with --multirun")
-                check(to_config(job, Config))
-            launcher = composed.hydra.runtime.choices[LAUNCHER]
-            sweep = _Sweep(sweep_folder(composed, parsed.overrides, len(jobs)), len(jobs), launcher)
-            extra = [f"hydra.sweep.dir={quoted(sweep.folder)}"]
-    return [*arguments, *extra], sweep
+            _override(composed, extra, hydra_session)
+            run = _Run(composed, config, domain, hydra_session.config_loader)
+            return _Prepared([*arguments, *extra], run=run)
+        composed, jobs = _sweep(hydra_session, parsed.overrides)
+        check_job_name(composed)
+        refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
+        launcher = composed.hydra.runtime.choices[LAUNCHER]
+        check_launcher(launcher, composed.hydra.launcher)
+        for overrides in jobs:
+            job = compose_raw(overrides)
+            if job.resume is not None:
+                raise ConfigError("resume cannot be combined with --multirun")
+            check(to_config(job, Config))
+        folder = sweep_folder(composed, parsed.overrides, len(jobs))
+        sweep = _Sweep(folder, len(jobs), launcher)
+    return _Prepared([*arguments, f"hydra.sweep.dir={quoted(sweep.folder)}"], sweep=sweep)
+
+
+def _of_single_run(hydra_session: Any, overrides: Sequence[str]) -> DictConfig | None:
+    """The configuration of a single run with Hydra's part, None where a sweep is asked for."""
+    try:
+        composed = compose_raw(overrides, with_hydra=True)
+    except ConfigError:
+        # Values of a sweep cannot be composed; an experiment, too, may ask for one.
+        if hydra_session.get_mode("config", list(overrides)) is RunMode.MULTIRUN:
+            return None
+        raise
+    return None if composed.hydra.mode is RunMode.MULTIRUN else composed
+
+
+def _override(composed: DictConfig, overrides: Sequence[str], hydra_session: Any) -> None:
+    """Changes keys of Hydra's own part, as if they had been on the command line."""
+    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
+    with read_write(composed), open_dict(composed):
+        composed.hydra.mode = RunMode.RUN
+        for override in parser.parse_overrides(list(overrides)):
+            OmegaConf.update(composed, override.key_or_group, override.value())
+            composed.hydra.overrides.hydra.append(override.input_line)
 
 
 def _refuse_flag(message: str) -> NoReturn:
@@ -323,7 +394,7 @@ def _without_hydra(composed: DictConfig) -> DictConfig:
     return plain
 
 
-def _job_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
+def _run_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
     config = to_config(composed, Config)
     return config if config.resume is None else resumed_config(config, overrides)
 

@@ -83,11 +83,18 @@ def training_needs(config: Config, domain: Domain | None) -> list[Need]:
         ),
         _rollout(
             config.env,
-            domain,
+            features,
+            actions,
             replicas * protocol.dialogues,
             {"replicas": replicas, "protocol.dialogues": protocol.dialogues},
         ),
-        _rollout(config.env, domain, evaluated, {"protocol.eval_batch": protocol.eval_batch}),
+        _rollout(
+            config.env,
+            features,
+            actions,
+            evaluated,
+            {"protocol.eval_batch": protocol.eval_batch},
+        ),
         Need(
             "the outcomes of an evaluation",
             replicas * dialogues * _NUMBERS,
@@ -118,14 +125,15 @@ def evaluation_needs(
     places = replicas * min(config.batch, config.dialogues)
     outcomes = replicas * config.dialogues * _NUMBERS
     return [
-        _rollout(config.env, domain, places, {"batch": config.batch}),
+        _rollout(config.env, *config.env.shape(domain), places, {"batch": config.batch}),
         Need("the outcomes of dialogues", outcomes, {"dialogues": config.dialogues}),
     ]
 
 
-def _rollout(env: EnvOption, domain: Domain | None, places: int, keys: dict[str, object]) -> Need:
+def _rollout(
+    env: EnvOption, features: int, actions: int, places: int, keys: dict[str, object]
+) -> Need:
     """Dialogues side by side: all their turns, and once more where they are put together."""
-    features, actions = env.shape(domain)
     turn = 2 * (_FLOAT * features + actions) + _FLOAT * actions + _FLAGS
     turns = env.steps()
     return Need("dialogues side by side", 2 * places * turns * turn, {**keys, **env.sizes()})

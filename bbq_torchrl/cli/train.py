@@ -9,17 +9,18 @@ from bbq_torchrl.cli.command import command
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
 
 __all__ = ["main"]
 
 
 # The parts are imported when they are needed: torch and torchrl take ten seconds, --help none.
-def _check(config: Config) -> None:
-    """Checks device and corpus before anything runs."""
+def _check(config: Config) -> Domain | None:
+    """Checks device and corpus before anything runs. Returns the domain."""
     from bbq_torchrl.cli import checks
 
-    checks.check(config)
+    return checks.check(config)
 
 
 def _usage_errors() -> tuple[type[Exception], ...]:
@@ -35,8 +36,8 @@ def _usage_errors() -> tuple[type[Exception], ...]:
 
 
 @command(_check, _usage_errors)
-def main(config: Config, run_folder: Path) -> float:
+def main(config: Config, run_folder: Path, domain: Domain | None) -> float:
     """Trains, evaluates, and writes the run folder. Returns the final success rate."""
     from bbq_torchrl.run import run
 
-    return run(config, run_folder).success_rate
+    return run(config, run_folder, domain=domain).success_rate

@@ -10,10 +10,12 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
 
+from bbq_torchrl.data.hooks import Seeded
 from bbq_torchrl.data.padding import pad_rows, unpad_rows
 from bbq_torchrl.data.stored_rows import map_stored_rows
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
+from bbq_torchrl.hooks import provides
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -53,6 +55,10 @@ class Batch(NamedTuple):
 class ReplicaReplay:
     """Replay buffers of R replicas: TorchRL's storage, sampler and writer for each.
 
+    There are R buffers, and not one of R columns, because replicas play dialogues of different
+    lengths: their buffers fill, turn over and drop what was protected at different times, while
+    TorchRL's storages, samplers and writers have one length and one cursor.
+
     A replica's buffer holds its own transitions only, is shuffled by its own generator and so is
     independent of what the other replicas do. An epoch is one permutation of each buffer
     (``SamplerWithoutReplacement``), gathered once and then cut into batches of exactly
@@ -68,8 +74,8 @@ class ReplicaReplay:
         transform (Transform, optional): as in TorchRL's replay buffers: ``transform.inv`` runs on
             rows when they are stored, and what it adds (its ``out_keys_inv``) is stored with them;
             ``transform`` runs on an epoch's rows when they are read. Both see batch size
-            [replicas, rows] with the entry ``valid``. Where it has ``set_seeds(seeds)`` it is
-            seeded along with the shuffling.
+            [replicas, rows] with the entry ``valid``. Parts of it that are
+            :class:`~bbq_torchrl.data.hooks.Seeded` are seeded along with the shuffling.
         device (torch.device or str): where the transitions are kept. Default: ``"cpu"``.
 
     Attributes:
@@ -157,7 +163,7 @@ class ReplicaReplay:
             buffer.set_sampler(SamplerWithoutReplacement(drop_last=False))
             buffer.set_rng(generator.manual_seed(seed))
         for part in _parts(self.transform):
-            if hasattr(part, "set_seeds"):
+            if provides(part, Seeded):
                 part.set_seeds(seeds)
 
     def extend(self, rows: Sequence[TensorDictBase]) -> None:

@@ -264,8 +264,8 @@ class EnvOption(Option):
 
     What it makes is an ``EnvBase`` of batch size [replicas, episodes] with ``observation`` (one
     dimension of features), a categorical ``action``, ``action_mask`` if not all actions are always
-    legal, and ``("next", "success")``, which says that an episode has ended well. Where it has
-    ``set_round(round)``, that is called at the start of every round.
+    legal, and ``("next", "success")``, which says that an episode has ended well. Where it is a
+    :class:`~bbq_torchrl.trainers.RoundEnv`, it is told of every round.
 
     Attributes:
         has_domain: whether ``domain=`` is about it.

@@ -40,7 +40,7 @@ def run_search(
     search: Search,
     runner: Runner,
     usage_errors: tuple[type[Exception], ...] = (),
-    check: Callable[[Config], None] | None = None,
+    check: Callable[[Config], object] | None = None,
 ) -> dict[str, Any] | None:
     """Runs trials until there are as many as wanted. Returns the best; None if there is none.
 

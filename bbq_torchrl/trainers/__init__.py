@@ -15,7 +15,7 @@ from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimizer import ReplicaAdam, ReplicaOptimizer
 from bbq_torchrl.trainers.progress import RoundProgress
-from bbq_torchrl.trainers.round_trainer import Evaluator, RoundTrainer
+from bbq_torchrl.trainers.round_trainer import Evaluator, RoundEnv, RoundTrainer
 from bbq_torchrl.trainers.seeding import derive_seed
 from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
 
@@ -33,6 +33,7 @@ __all__ = [
     "Policy",
     "ReplicaAdam",
     "ReplicaOptimizer",
+    "RoundEnv",
     "RoundProgress",
     "RoundSettings",
     "RoundTrainer",

@@ -10,6 +10,9 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from bbq_torchrl.data.hooks import Measured
+from bbq_torchrl.hooks import provides
+
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
@@ -155,14 +158,14 @@ def pop_metrics(transform: nn.Module | None, replicas: int) -> list[dict[str, fl
     """Returns what a replay's transform noted since the last call, a dict for each replica.
 
     Args:
-        transform (nn.Module, optional): those of its modules that have ``pop_metrics()`` return
-            metrics by name, each of shape [replicas].
+        transform (nn.Module, optional): of its modules those count that are
+            :class:`~bbq_torchrl.data.hooks.Measured`.
         replicas (int): the number of replicas.
     """
     found: list[dict[str, float]] = [{} for _ in range(replicas)]
     for module in () if transform is None else transform.modules():
-        if callable(pop := getattr(module, "pop_metrics", None)):
-            for name, values in pop().items():
+        if provides(module, Measured):
+            for name, values in module.pop_metrics().items():
                 for row, value in zip(found, values.tolist(), strict=True):
                     row[name] = value
     return found

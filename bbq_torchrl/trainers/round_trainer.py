@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import torch
 from torch import Tensor, nn
 
+from bbq_torchrl.exploration.hooks import Annealed, Resampled
+from bbq_torchrl.hooks import provides
 from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
 from bbq_torchrl.trainers.collect import (
     Policy,
@@ -20,7 +22,7 @@ from bbq_torchrl.trainers.collect import (
     rows_per_replica,
 )
 from bbq_torchrl.trainers.errors import NonFiniteLossError
-from bbq_torchrl.trainers.learn import Update, learn_epoch
+from bbq_torchrl.trainers.learner import Learner, TargetUpdater
 from bbq_torchrl.trainers.loggers import log_rows, trim_scalars
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
@@ -31,7 +33,7 @@ from bbq_torchrl.trainers.spiking import is_spike_outgrown, spike_replay
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from tensordict import NestedKey, TensorDictBase
+    from tensordict import NestedKey
     from torchrl.envs import EnvBase
     from torchrl.record.loggers import Logger
 
@@ -39,16 +41,16 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.best_weights import BestWeights
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
 
-__all__ = ["Evaluator", "RoundCallback", "RoundTrainer"]
+__all__ = ["Evaluator", "RoundCallback", "RoundEnv", "RoundTrainer"]
 
 _LOG = logging.getLogger(__name__)
 
 
-class TargetUpdater(Protocol):
-    """Freezes the target: ``HardUpdate(loss, value_network_update_interval=0)`` is one."""
+class RoundEnv(Protocol):
+    """An environment that changes with the rounds (domain extension). Others stay as they are."""
 
-    def step(self) -> None:
-        """Copies the network as it is now to the target."""
+    def set_round(self, round: int, /) -> None:
+        """Enters a round; called before its dialogues are played, and before spiking with 0."""
 
 
 class RoundCallback(Protocol):
@@ -86,13 +88,9 @@ class RoundTrainer:
     moment and resumed ends, on a CPU, with bitwise the same weights and metrics as one that was
     not; and what one replica does never shifts another's random numbers.
 
-    Optional hooks, used where an object has them: ``env.set_round(round)`` (domain extension),
-    ``loss.set_num_data(tensor)`` (the weight of a KL), ``loss.begin_epoch()`` (what is not done
-    every update), ``loss.has_fixed_targets`` with ``loss.next_state_values(transitions)``
-    (targets that are computed once a freeze), for the modules of the policy
-    ``module.resample()`` before (weight draws) and ``module.step(1)`` after (schedules) each
-    round, and for those of the replay's transform ``module.pop_metrics()`` after playing (metrics
-    by name, [replicas], of what was stored).
+    What its parts may have besides, and what the trainer then does, is in :class:`RoundEnv`,
+    :mod:`bbq_torchrl.objectives.hooks`, :mod:`bbq_torchrl.exploration.hooks` (each module of the
+    policy) and :mod:`bbq_torchrl.data.hooks` (the replay's transform).
 
     Args:
         env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
@@ -173,7 +171,7 @@ class RoundTrainer:
         self.described = {"seed": settings.seed, "replicas": replicas, **(described or {})}
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
-        self._update = Update(loss, optimizer)
+        self.learner = Learner(loss, replay, optimizer, target_updater, settings, self._seed_phase)
         self.metrics = MetricsFile(self.run_folder / "metrics.csv")
         best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
         self.checkpoints = CheckpointFolder(
@@ -273,7 +271,7 @@ class RoundTrainer:
         if self.spike_policy is None or not self.spike.dialogues:
             return
         self._seed_phase("spike", 0)
-        _call_hook(self.env, "set_round", 0)
+        self._enter_round(0)
         successes = spike_replay(
             self.replay,
             self.env,
@@ -337,9 +335,10 @@ class RoundTrainer:
     def _collect(self, round_number: int) -> list[dict[str, float]]:
         """Plays the round's dialogues and stores them. Returns each replica's mean outcomes."""
         self._seed_phase("collect", round_number)
-        _call_hook(self.env, "set_round", round_number)
+        self._enter_round(round_number)
         for module in self.policy.modules():
-            _call_hook(module, "resample")
+            if provides(module, Resampled):
+                module.resample()
         settings = self.settings
         pop_metrics(self.replay.transform, self.replicas)  # spiking's are not the round's
         totals: Tensor | None = None
@@ -363,39 +362,23 @@ class RoundTrainer:
 
     def _learn(self, round_number: int) -> tuple[list[dict[str, float]], list[int]]:
         """Freezes and learns. Returns each replica's mean losses and number of updates."""
-        self._update.sums.reset()
-        _call_hook(self.loss, "set_num_data", self.replay.num_data())
-        self._update_all(round_number)
-        means = self._update.sums.means()
+        means, updates = self.learner.learn(round_number)
         broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]
         if broken:
             saved = self._save(name=f"failed-round-{round_number:06d}")
             raise NonFiniteLossError(round_number, broken, saved)
-        return means, self._update.sums.updates
-
-    def _update_all(self, round_number: int) -> None:
-        """Freezes and learns, without waiting for the device."""
-        settings = self.settings
-        for freeze in range(settings.freezes):
-            self.target_updater.step()
-            self._compute_targets()
-            for epoch in range(settings.epochs):
-                # A seed for every epoch: its length is that of the longest replica's, and the
-                # draws of the next epoch must not depend on it.
-                self._seed_phase("learn", round_number, freeze, epoch)
-                _call_hook(self.loss, "begin_epoch")
-                learn_epoch(self._update, self.replay.epoch(settings.batch_size))
-
-    def _compute_targets(self) -> None:
-        """Has the frozen network's values computed for the whole buffer, where a loss allows it."""
-        loss: Any = self.loss
-        if getattr(loss, "has_fixed_targets", False):
-            self.replay.compute(("next", loss.tensor_keys.next_state_value), loss.next_state_values)
+        return means, updates
 
     def _step_schedules(self) -> None:
         """Moves the policy's schedules (epsilon, temperature) on by one round."""
         for module in self.policy.modules():
-            _call_hook(module, "step", 1)
+            if provides(module, Annealed):
+                module.step(1)
+
+    def _enter_round(self, round_number: int) -> None:
+        """Has the environment be as in a round."""
+        if provides(self.env, RoundEnv):
+            self.env.set_round(round_number)
 
     def _drop_spike(self, collected: Sequence[Mapping[str, float]]) -> None:
         """Drops a replica's spiked transitions once it does well without them."""
@@ -432,10 +415,3 @@ class RoundTrainer:
 def _of_each(value: float | Tensor, replicas: int) -> list[float]:
     """Returns a metric's value for each replica."""
     return torch.as_tensor(value, dtype=torch.float64).expand(replicas).tolist()
-
-
-def _call_hook(owner: object, name: str, *arguments: int | Tensor | TensorDictBase) -> None:
-    """Calls a method where the object has it."""
-    method = getattr(owner, name, None)
-    if callable(method):
-        method(*arguments)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.trainers import round_trainer
+from bbq_torchrl.trainers import learner
 from bbq_torchrl.trainers.learn import LossSums
 from benchmarks.parts.timing import Stopwatch
 
@@ -34,12 +34,11 @@ class RoundAccounts:
         self._train_round = trainer.train_round
         self._watch = watch = Stopwatch(now)
         watch.watch(trainer.env, "rollout", "playing")
-        watch.watch(round_trainer, "learn_epoch", "epochs")
+        watch.watch(learner, "learn_epoch", "epochs")
         watch.watch_iterator(trainer.replay, "epoch", "batches")
         watch.watch(LossSums, "add", "sums")
         watch.watch(trainer.replay, "extend", "storing")
-        if hasattr(trainer, "_compute_targets"):
-            watch.watch(trainer, "_compute_targets", "targets")
+        watch.watch(trainer.learner, "compute_targets", "targets")
 
     def restore(self) -> None:
         """Lets the trainer work unwatched again."""

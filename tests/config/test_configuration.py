@@ -5,14 +5,17 @@ from __future__ import annotations
 import copy
 import functools
 import shutil
+import sys
 from dataclasses import fields, is_dataclass
 from itertools import product
 
 import pytest
 import yaml
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from omegaconf import OmegaConf
 
 from bbq_torchrl.cli import store
+from bbq_torchrl.cli.command import command as main_function
 from bbq_torchrl.cli.command import prepare
 from bbq_torchrl.cli.resume import resumed_config
 from bbq_torchrl.cli.store import (
@@ -396,6 +399,31 @@ def test_jobs_that_only_another_sweeper_knows_are_left_to_it(tmp_path, monkeypat
     assert prepare(other, fail)[:-1] == other
     with pytest.raises(ConfigError, match="BasicSweeper does not support"):
         prepare(["--multirun", "agent.lr=interval(.1,.2)"], fail)
+
+
+def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatch):
+    composed, checked, ran = [], [], []
+    compose_once = ConfigLoaderImpl.load_configuration
+
+    def counted(self, *args, **kwargs):
+        composed.append(compose_once(self, *args, **kwargs))
+        return composed[-1]
+
+    def check(config):
+        checked.append((config, object()))  # the second stands for the domain
+        return checked[-1][1]
+
+    def task(config, folder, domain):
+        ran.append((config, domain))
+        assert folder == tmp_path / "it"
+        return 0.0
+
+    monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
+    monkeypatch.setattr(sys, "argv", ["train.py", "agent=dqn", f"hydra.run.dir={tmp_path / 'it'}"])
+    main_function(check, tuple)(task)()
+    assert len(composed) == len(checked) == len(ran) == 1
+    assert all(one is other for one, other in zip(ran[0], checked[0], strict=True))
+    assert "agent=dqn" in (tmp_path / "it" / ".hydra" / "overrides.yaml").read_text()
 
 
 @pytest.mark.parametrize("command", [["agent=dqn"], ["--multirun", "agent=bbqn,dqn"]])

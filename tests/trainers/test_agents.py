@@ -114,7 +114,7 @@ def test_targets_computed_once_a_freeze_are_those_of_every_batch(restaurant, tmp
         return forward(batch)
 
     monkeypatch.setattr(once.loss, "forward", watched)
-    monkeypatch.setattr(every, "_compute_targets", lambda: None)
+    monkeypatch.setattr(every.learner, "compute_targets", lambda: None)
 
     rows, expected = once.train(), every.train()
 

@@ -79,9 +79,9 @@ def test_a_rounds_updates_never_wait_and_find_all_on_their_device(
     trainer.begin()
     trainer.train_round()
     with NeverWaits():
-        trainer._update_all(1)
+        trainer.learner.update_all(1)
 
-    trainer._compute_targets()
+    trainer.learner.compute_targets()
     batch = next(trainer.replay.epoch(8)).transitions.to("meta")
     # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
     # tensors of the CPU, fails.

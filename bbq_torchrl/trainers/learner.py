@@ -1,0 +1,90 @@
+"""What a round learns: the target is frozen, and epochs over the buffers follow."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from bbq_torchrl.hooks import provides
+from bbq_torchrl.objectives.hooks import BeginsEpochs, FixedTargets, UsesNumData
+from bbq_torchrl.trainers.learn import Update, learn_epoch
+
+if TYPE_CHECKING:
+    from torch import nn
+
+    from bbq_torchrl.data import ReplicaReplay
+    from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
+    from bbq_torchrl.trainers.settings import RoundSettings
+
+__all__ = ["Learner", "SeedPhase", "TargetUpdater"]
+
+
+class TargetUpdater(Protocol):
+    """Freezes the target: ``HardUpdate(loss, value_network_update_interval=0)`` is one."""
+
+    def step(self) -> None:
+        """Copies the network as it is now to the target."""
+
+
+class SeedPhase(Protocol):
+    """Seeds every source of random numbers for a phase of a training."""
+
+    def __call__(self, *path: str | int) -> None:
+        """Takes what the phase is: its name, the round, and so on."""
+
+
+class Learner:
+    """Learns from the buffers of R replicas: freeze, some epochs, freeze again, some epochs.
+
+    Args:
+        loss (LossModule): see :class:`~bbq_torchrl.trainers.RoundTrainer`; what else it may have is
+            in :mod:`bbq_torchrl.objectives.hooks`.
+        replay (ReplicaReplay): the buffers.
+        optimizer (ReplicaOptimizer): of the loss's parameters.
+        target_updater (TargetUpdater): freezes the target.
+        settings (RoundSettings): how many freezes and epochs, and of which batches.
+        seed_phase (SeedPhase): called before each epoch.
+    """
+
+    def __init__(
+        self,
+        loss: nn.Module,
+        replay: ReplicaReplay,
+        optimizer: ReplicaOptimizer,
+        target_updater: TargetUpdater,
+        settings: RoundSettings,
+        seed_phase: SeedPhase,
+    ) -> None:
+        self.loss = loss
+        self.replay = replay
+        self.target_updater = target_updater
+        self.settings = settings
+        self.seed_phase = seed_phase
+        self._update = Update(loss, optimizer)
+
+    def learn(self, round_number: int) -> tuple[list[dict[str, float]], list[int]]:
+        """Learns for a round. Returns each replica's mean losses and number of updates."""
+        self._update.sums.reset()
+        if provides(self.loss, UsesNumData):
+            self.loss.set_num_data(self.replay.num_data())
+        self.update_all(round_number)
+        return self._update.sums.means(), self._update.sums.updates
+
+    def update_all(self, round_number: int) -> None:
+        """Freezes and learns, without waiting for the device."""
+        settings = self.settings
+        for freeze in range(settings.freezes):
+            self.target_updater.step()
+            self.compute_targets()
+            for epoch in range(settings.epochs):
+                # A seed for every epoch: its length is that of the longest replica's, and the
+                # draws of the next epoch must not depend on it.
+                self.seed_phase("learn", round_number, freeze, epoch)
+                if provides(self.loss, BeginsEpochs):
+                    self.loss.begin_epoch()
+                learn_epoch(self._update, self.replay.epoch(settings.batch_size))
+
+    def compute_targets(self) -> None:
+        """Has the frozen network's values computed for the whole buffer, where a loss allows it."""
+        loss = self.loss
+        if provides(loss, FixedTargets) and loss.has_fixed_targets:
+            self.replay.compute(("next", loss.tensor_keys.next_state_value), loss.next_state_values)
