@@ -45,7 +45,7 @@ def start(*arguments, cwd):
 
 def call(*arguments, cwd, code=0):
     process = start(*arguments, cwd=cwd)
-    out, err = process.communicate(timeout=300)
+    out, err = process.communicate(timeout=1_800)
     assert process.returncode == code, out + err
     return out, err
 
