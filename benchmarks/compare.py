@@ -2,19 +2,18 @@
 
     python benchmarks/compare.py                    everything: half an hour
     python benchmarks/compare.py simulator update   these parts
-    python benchmarks/compare.py --json             as JSON
+    python benchmarks/compare.py --save 0.2.0       keeps the figures in results/speed.csv
     python benchmarks/compare.py --tiny             in seconds; checks that the benchmark works
 
 Updates are counted as users run them: the learning of a trainer on a full replay buffer, with
 freezing, targets, shuffling and batching, divided by its updates and replicas. They are compared
 with the hand-written update of ``parts/yardstick.py``, which runs in turn with them, block by
-block. One thread.
+block. One thread; other work on the machine disturbs ratios less than times.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import sys
 from pathlib import Path
@@ -26,22 +25,40 @@ sys.path.insert(0, str(ROOT))  # so that `python benchmarks/compare.py` finds it
 import torch  # noqa: E402
 
 from bbq_torchrl.trainers import keep_freed_memory  # noqa: E402
-from benchmarks.parts.comparisons import PARTS  # noqa: E402
-from benchmarks.parts.rows import as_table  # noqa: E402
+from benchmarks.parts.floor import floor  # noqa: E402
+from benchmarks.parts.processes import process  # noqa: E402
+from benchmarks.parts.rounds import rounds  # noqa: E402
+from benchmarks.parts.rows import as_table, keep  # noqa: E402
+from benchmarks.parts.simulator import simulator  # noqa: E402
 from benchmarks.parts.sizes import FULL, TINY  # noqa: E402
+from benchmarks.parts.time_to_learn import time_to_learn  # noqa: E402
 from benchmarks.parts.timing import CLOCKS, Timer  # noqa: E402
+from benchmarks.parts.updates import agents, update  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+FILE = ROOT / "results" / "speed.csv"
+PARTS = {
+    "simulator": simulator,
+    "update": update,
+    "agents": agents,
+    "round": rounds,
+    "process": process,
+    "time_to_learn": time_to_learn,
+    "floor": floor,
+}
+"""Name -> what measures it, in the order of the table."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measures the parts named, or all, and prints them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="default: all")
-    parser.add_argument("--json", action="store_true", help="print JSON, not a table")
+    parser.add_argument("--save", metavar="VERSION", help="keep the figures as a version's")
     parser.add_argument("--tiny", action="store_true", help="sizes that only test the benchmark")
     parser.add_argument("--clock", choices=CLOCKS, default="wall", help="default: wall")
+    parser.add_argument("--file", type=Path, default=FILE, help="default: results/speed.csv")
     chosen = parser.parse_args(arguments)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -52,13 +69,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         for part in chosen.parts or PARTS:
             sys.stderr.write(f"measuring: {part}\n")
-            rows += PARTS[part](sizes, timer)
+            measured = PARTS[part](sizes, timer)
+            rows += measured
+            if chosen.save:
+                keep(chosen.file, chosen.save, measured)
     finally:
         torch.set_num_threads(threads)
-    if chosen.json:
-        print(json.dumps([row.as_json() for row in rows], indent=1))
-    else:
-        print(as_table(rows))
+    print(as_table(rows))
 
 
 if __name__ == "__main__":

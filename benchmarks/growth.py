@@ -1,12 +1,11 @@
 """Time and memory against rounds, buffer, replicas, dialogues of a round and records.
 
-    OMP_NUM_THREADS=1 python benchmarks/growth.py            what results/growth.csv lacks
-    OMP_NUM_THREADS=1 python benchmarks/growth.py --fresh    everything, under ten minutes
-    python benchmarks/growth.py --tiny                       seconds; tests the script itself
+    OMP_NUM_THREADS=1 python benchmarks/growth.py             everything, under ten minutes
+    OMP_NUM_THREADS=1 python benchmarks/growth.py replicas    in the place of the last figures
+    python benchmarks/growth.py --tiny                        seconds; tests the script itself
 
 Each cell runs in a process of its own, whose peak of memory is what it adds to the imported
-packages. A cell is written to results/growth.csv as soon as it is measured, so that a run that was
-stopped goes on. ``scripts/write_docs.py`` makes figure and table.
+packages, and is written to results/growth.csv as soon as it is measured.
 """
 
 from __future__ import annotations
@@ -15,59 +14,124 @@ import argparse
 import csv
 import logging
 import multiprocessing
+import random
 import resource
 import sys
 import tempfile
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python benchmarks/growth.py` finds its own packages
 
 import torch  # noqa: E402
 
+from bbq_torchrl.cli.store import compose  # noqa: E402
+from bbq_torchrl.cli.training import build_trainer  # noqa: E402
+from bbq_torchrl.domains import Domain, movie_domain  # noqa: E402
+from bbq_torchrl.envs import DialogueEnv  # noqa: E402
 from bbq_torchrl.trainers import keep_freed_memory  # noqa: E402
-from benchmarks.parts.cells import GROWTH, TINY_SIZES  # noqa: E402
+from benchmarks.parts.learning import full_trainer  # noqa: E402
+from benchmarks.parts.simulator import play_simulator  # noqa: E402
 from benchmarks.parts.timing import CLOCKS, Timer  # noqa: E402
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from multiprocessing.connection import Connection
 
 FILE = ROOT / "results" / "growth.csv"
 COLUMNS = ("what", "size", "seconds", "megabytes")
-
-Line = dict[str, Any]
-
-
-def read(file: Path) -> list[Line]:
-    """Returns the cells measured so far."""
-    if not file.is_file():
-        return []
-    with file.open(newline="", encoding="utf-8") as opened:
-        return [
-            {
-                "what": line["what"],
-                "size": int(line["size"]),
-                "seconds": float(line["seconds"]),
-                "megabytes": float(line["megabytes"]),
-            }
-            for line in csv.DictReader(opened)
-        ]
+BBQN, DQN = ("agent=bbqn",), ("agent=dqn",)
+LOCKSTEP = 250
+"""Dialogues played side by side on a knowledge base."""
 
 
-def write(file: Path, lines: list[Line]) -> None:
-    """Writes the cells in the order of the table."""
-    order = list(GROWTH)
-    lines = sorted(lines, key=lambda line: (order.index(line["what"]), line["size"]))
-    with file.open("w", newline="", encoding="utf-8") as opened:
-        writer = csv.DictWriter(opened, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(lines)
+def rounds(size: int, timer: Timer, run: Path) -> float:
+    """Trains DQN for so many rounds of hardly any work; the training is what counts."""
+    small = ("protocol.dialogues=2", "protocol.capacity=32", "spike=none", "agent.hidden=[8]")
+    # With longer dialogues rounds would take longer or shorter with what is learned.
+    config = compose([*DQN, *small, "env.max_turn=2", f"protocol.rounds={size}"])
+    trainer, _ = build_trainer(config, run)
+    trainer.progress = False
+    return timer.time(trainer.train)
 
 
-def measure(what: str, size: int, clock: str) -> Line:
-    """Measures one cell in a child process.
+def buffer(size: int, timer: Timer, run: Path) -> float:
+    """Learns with BBQN on a full buffer of so many transitions: a freeze, an epoch."""
+    once = (*BBQN, "protocol.freezes=1", "protocol.epochs=1")
+    trainer = full_trainer(once, run, replicas=1, capacity=size)
+    return timer.time(lambda: trainer._learn(0))
+
+
+def replicas(size: int, timer: Timer, run: Path) -> float:
+    """Trains so many BBQNs for a round of 50 dialogues and 40 updates each."""
+    trainer = full_trainer(BBQN, run, replicas=size, capacity=320)
+    trainer.train_round()
+    return timer.time(trainer.train_round)
+
+
+def dialogues(size: int, timer: Timer, run: Path) -> float:
+    """Plays and stores so many dialogues of a round with BBQN."""
+    trainer, _ = build_trainer(compose([*BBQN, f"protocol.dialogues={size}", "spike=none"]), run)
+    trainer._collect(0)
+    return min(timer.time(lambda: trainer._collect(1)) for _ in range(3))
+
+
+def records(size: int, timer: Timer, _: Path, new_every: int | None = None) -> float:
+    """Plays 250 dialogues on a knowledge base of so many records."""
+    domain = varied(movie_domain(), size, new_every=new_every)
+    play = play_simulator(DialogueEnv(domain, batch_size=(LOCKSTEP,), seed=0))
+    play()
+    return min(timer.time(play) for _ in range(3))
+
+
+def records_build(size: int, timer: Timer, _: Path) -> float:
+    """Makes the environment with such a knowledge base."""
+    domain = varied(movie_domain(), size)
+    return timer.time(lambda: DialogueEnv(domain, batch_size=(LOCKSTEP,), seed=0))
+
+
+def varied(domain: Domain, size: int, *, new_every: int | None = None) -> Domain:
+    """Returns the domain with so many records, mixed from its own.
+
+    A record has the slots of one of the domain's records and for each of them the value of some
+    other record.
+
+    Args:
+        domain: whose records are mixed.
+        size: number of records.
+        new_every: of so many records, one has a theatre that no other has.
+    """
+    rng = random.Random(0)
+    values: dict[str, list[str]] = {}
+    for record in domain.records:
+        for slot, value in record.items():
+            values.setdefault(slot, []).append(value)
+    mixed = []
+    for number in range(size):
+        record = {slot: rng.choice(values[slot]) for slot in rng.choice(domain.records)}
+        if new_every is not None and number % new_every == 0:
+            record["theater"] = f"theater number {number}"
+        mixed.append(record)
+    return replace(domain, records=tuple(mixed))
+
+
+GROWTH: dict[str, tuple[Callable[[int, Timer, Path], float], tuple[int, ...]]] = {
+    "rounds": (rounds, (30, 100, 300, 1_000)),
+    "buffer": (buffer, (1_000, 3_000, 10_000, 30_000, 100_000)),
+    "replicas": (replicas, (1, 2, 5, 10, 20, 50)),
+    "dialogues": (dialogues, (10, 30, 100, 300, 1_000, 3_000)),
+    "records": (records, (100, 1_000, 10_000, 100_000)),
+    "records_build": (records_build, (100, 1_000, 10_000, 100_000)),
+    "new_values": (partial(records, new_every=10), (100, 1_000, 10_000, 30_000)),
+}
+"""Name -> what is done, and how much of it."""
+
+
+def measure(what: str, size: int, clock: str) -> tuple[float, float]:
+    """Measures one cell in a child process. Returns seconds and megabytes.
 
     Raises:
         RuntimeError: if the child fails.
@@ -84,12 +148,7 @@ def measure(what: str, size: int, clock: str) -> Line:
         child.join()
         raise RuntimeError(f"{what} at {size} failed with exit code {child.exitcode}") from error
     child.join()
-    return {
-        "what": what,
-        "size": size,
-        "seconds": round(seconds, 6),
-        "megabytes": round(peak / 1e6, 3),
-    }
+    return round(seconds, 6), round(peak / 1e6, 3)
 
 
 def _cell(what: str, size: int, clock: str, sender: Connection) -> None:
@@ -97,7 +156,8 @@ def _cell(what: str, size: int, clock: str, sender: Connection) -> None:
     torch.set_num_threads(1)
     keep_freed_memory()
     before = _peak()
-    seconds = GROWTH[what][0](size, Timer(clock))
+    with tempfile.TemporaryDirectory() as folder:
+        seconds = GROWTH[what][0](size, Timer(clock), Path(folder) / "run")
     sender.send((seconds, max(_peak() - before, 1)))
 
 
@@ -107,34 +167,34 @@ def _peak() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
+def keep(file: Path, line: Sequence[object]) -> None:
+    """Writes a cell in the place of an earlier one, in the order of the table."""
+    lines = {}
+    if file.is_file():
+        with file.open(newline="", encoding="utf-8") as opened:
+            lines = {(kept[0], int(kept[1])): kept for kept in list(csv.reader(opened))[1:]}
+    lines[str(line[0]), int(str(line[1]))] = [*map(str, line)]
+    order = list(GROWTH)
+    with file.open("w", newline="", encoding="utf-8") as opened:
+        writer = csv.writer(opened, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(lines[key] for key in sorted(lines, key=lambda k: (order.index(k[0]), k)))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measures the cells that are missing."""
+    """Measures the cells of what is named, or of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", nargs="*", choices=[*GROWTH, []], help="default: all")
-    parser.add_argument("--fresh", action="store_true", help="measure again what is there")
-    parser.add_argument("--tiny", action="store_true", help="sizes that only test the script")
+    parser.add_argument("--tiny", action="store_true", help="a size that only tests the script")
     parser.add_argument("--clock", choices=CLOCKS, default="wall", help="default: wall")
     parser.add_argument("--file", type=Path, default=FILE, help="default: results/growth.csv")
     chosen = parser.parse_args(arguments)
-    if chosen.tiny:
-        with tempfile.TemporaryDirectory() as folder:
-            chosen.file = Path(folder) / "growth.csv"
-            _measure_all(chosen, dict(TINY_SIZES))
-    else:
-        _measure_all(chosen, {what: sizes for what, (_, sizes, _) in GROWTH.items()})
-
-
-def _measure_all(chosen: argparse.Namespace, sizes: dict[str, tuple[int, ...]]) -> None:
-    wanted = [(what, size) for what in chosen.what or sizes for size in sizes[what]]
-    lines = read(chosen.file)
-    if chosen.fresh:
-        lines = [line for line in lines if (line["what"], line["size"]) not in wanted]
-    done = {(line["what"], line["size"]) for line in lines}
-    for what, size in wanted:
-        if (what, size) not in done:
-            lines.append(measure(what, size, chosen.clock))
-            write(chosen.file, lines)
-            print(*(f"{name} {lines[-1][name]}" for name in COLUMNS), sep=", ", flush=True)
+    for what in chosen.what or GROWTH:
+        for size in (40,) if chosen.tiny else GROWTH[what][1]:
+            line = (what, size, *measure(what, size, chosen.clock))
+            if not chosen.tiny:
+                keep(chosen.file, line)
+            print(*(f"{name} {value}" for name, value in zip(COLUMNS, line, strict=True)), sep=", ")
 
 
 if __name__ == "__main__":

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import logging
 import os
+import runpy
 import signal
 import sys
 import tempfile
 import traceback
 import warnings
+from functools import partial
 from typing import IO, TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -22,6 +24,12 @@ if TYPE_CHECKING:
 
 SECONDS = 300
 """After so long a child is ended: it hangs."""
+
+
+def run_script(script: Path, *arguments: str, cwd: Path, code: int = 0) -> tuple[str, str]:
+    """Runs a script as ``python <script> <arguments>`` does; see :func:`call`."""
+    main = partial(runpy.run_path, str(script), run_name="__main__")
+    return call(lambda: main() and 0, *arguments, cwd=cwd, code=code)
 
 
 def call(main: Callable[[], object], *arguments: str, cwd: Path, code: int = 0) -> tuple[str, str]:
@@ -52,8 +60,9 @@ def _run(
     for number, file in ((1, out), (2, err)):
         os.dup2(file.fileno(), number)
     sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
-    warnings.resetwarnings()
-    warnings.simplefilter("ignore")  # pytest's filters make errors of them
+    warnings.resetwarnings()  # pytest's filters make errors of them; those that Python has stay
+    for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+        warnings.simplefilter("ignore", category)
     logging.getLogger().handlers.clear()  # pytest's
     code: object = 1
     try:

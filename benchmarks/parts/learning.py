@@ -77,7 +77,6 @@ class Learner:
         chosen = [*overrides, f"protocol.freezes={freezes}"]
         self.trainer = full_trainer(chosen, folder, replicas=replicas, capacity=capacity)
         self.timer = timer
-        self.replicas = replicas
         self._round = 0
         env = self.trainer.env
         rollout = play(env, scripted_policy("random", env))
@@ -104,21 +103,3 @@ class Learner:
         self._round += 1
         _, updates = self.trainer._learn(self._round)
         return sum(updates)
-
-    def update_ready_batch(self, updates: int) -> float:
-        """Updates again and again with one batch: loss, gradient and optimizer alone.
-
-        Returns:
-            seconds of an update and replica.
-        """
-        trainer = self.trainer
-        batch = next(iter(trainer.replay.epoch(trainer.settings.batch_size)))
-
-        def update() -> None:
-            loss = trainer.loss(batch.transitions)["loss"]
-            trainer.optimizer.zero_grad()
-            loss.backward()
-            trainer.optimizer.step(batch.active)
-
-        seconds = self.timer.time(lambda: [update() for _ in range(updates)])
-        return seconds / (updates * self.replicas)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+import csv
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Literal
 
 from bbq_torchrl.evaluation.markdown import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
 HEAD = ("what", "unit", "measured", "to reach", "reached")
 
@@ -46,10 +48,6 @@ class Row:
             return self.measured >= self.target
         return self.measured <= self.target and not self.is_bound
 
-    def as_json(self) -> dict[str, Any]:
-        """Returns the row as JSON values."""
-        return {**asdict(self), "reached": self.reached}
-
 
 def as_table(rows: Sequence[Row]) -> str:
     """Returns rows as a Markdown table."""
@@ -72,3 +70,31 @@ def number(value: float) -> str:
         ('1,234', '0.988')
     """
     return f"{value:,.0f}" if abs(value) >= 1_000 else f"{value:.3g}"
+
+
+def read(file: Path) -> dict[str, list[Row]]:
+    """Returns the rows of every version in a CSV file, the oldest version first."""
+    found: dict[str, list[Row]] = {}
+    with file.open(newline="", encoding="utf-8") as opened:
+        for line in csv.DictReader(opened):
+            rows = found.setdefault(line.pop("version"), [])
+            target = float(line["target"]) if line["target"] else None
+            given = {**line, "measured": float(line["measured"]), "target": target}
+            rows.append(Row(**{**given, "is_bound": line["is_bound"] == "yes"}))
+    return found
+
+
+def keep(file: Path, version: str, rows: Sequence[Row]) -> None:
+    """Writes rows as a version's, in the place of what it had of the same parts."""
+    versions = read(file) if file.is_file() else {}
+    measured = {row.part for row in rows}
+    versions[version] = [r for r in versions.get(version, []) if r.part not in measured] + [*rows]
+    with file.open("w", newline="", encoding="utf-8") as opened:
+        writer = csv.writer(opened, lineterminator="\n")
+        writer.writerow(("version", *(item.name for item in fields(Row))))
+        for name, kept in versions.items():
+            for row in kept:
+                target = "" if row.target is None else f"{row.target:g}"
+                measured = f"{float(format(row.measured, '.4g')):g}"
+                told = (row.better, "yes" if row.is_bound else "", row.remark)
+                writer.writerow((name, row.part, row.what, row.unit, measured, target, *told))

@@ -59,19 +59,8 @@ def interleaved(base: Block, candidate: Block, repeats: int) -> Comparison:
     for _ in range(repeats):
         seconds.append(candidate())
         bases.append(base())
-    return compared(bases, seconds)
-
-
-def compared(bases: list[float], seconds: list[float]) -> Comparison:
-    """Compares times of a candidate with those of the base before and after each of them.
-
-    Args:
-        bases: one more than ``seconds``; or as many, if none was taken after the last.
-    """
-    after = bases[1:] if len(bases) > len(seconds) else bases
-    ratios = [
-        2 * own / (left + right) for own, left, right in zip(seconds, bases, after, strict=False)
-    ]
+    sides = zip(seconds, bases, bases[1:], strict=False)
+    ratios = [2 * own / (before + after) for own, before, after in sides]
     return Comparison(median(seconds), median(bases), median(ratios))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import Field, fields
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -57,11 +57,23 @@ def _search() -> str:
     return table(_HEAD, [(code(f"{SEARCH}.{key.strip('`')}"), *rest) for key, *rest in rows])
 
 
+@cache
+def _composed() -> dict[tuple[str, str], DictConfig]:
+    """Returns every option of every group with its defaults; one of each group at a time."""
+    found = {}
+    names = {group: options(group) for group in schemas()}
+    with session():
+        for number in range(max(map(len, names.values()))):
+            chosen = {group: known[min(number, len(known) - 1)] for group, known in names.items()}
+            raw = compose_raw([f"{group}={name}" for group, name in chosen.items()])
+            found |= {(group, name): raw[group] for group, name in chosen.items()}
+    return found
+
+
 def _group(group: str) -> str:
     """Returns what each option is, and one table of all keys with each option's default."""
     names = options(group)
-    with session():
-        nodes = [compose_raw([f"{group}={name}"])[group] for name in names]
+    nodes = [_composed()[group, name] for name in names]
     schemas = [OmegaConf.get_type(node) for node in nodes]
     summaries = [
         f"- `{group}={name}`: {_summary(schema)}"

@@ -1,4 +1,4 @@
-"""Tables of actions, features and the corpus, from the objects that the code uses."""
+"""Actions, features, corpus and dialogues to read, from the objects that the code uses."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains import DONT_CARE, NONE, movie_domain, tensorize
-from bbq_torchrl.simulator import FeatureLayout
+from bbq_torchrl.envs import DialogueEnv, scripted_policy
+from bbq_torchrl.simulator import FeatureLayout, Transcript
 from scripts.docs_blocks.markdown import code, table
 
 if TYPE_CHECKING:
@@ -14,12 +15,12 @@ if TYPE_CHECKING:
 
 __all__ = ["domain_blocks"]
 
-_SHOWN_SLOTS = 15
+_SHOWN_SLOTS, _PLAYED, _POLICY = 15, 64, "careful_essential"
 
 
 def domain_blocks() -> dict[str, Callable[[], str]]:
     """Returns the blocks about the movie domain."""
-    return {"actions": _actions, "features": _features, "corpus": _corpus}
+    return {"actions": _actions, "features": _features, "corpus": _corpus, "dialogues": _dialogues}
 
 
 def _actions() -> str:
@@ -70,3 +71,33 @@ def _corpus() -> str:
     shown = sorted(shares, key=lambda slot: -shares[slot])[:_SHOWN_SLOTS]
     filled = ", ".join(f"{slot} {shares[slot]:.2f}" for slot in shown if shares[slot] > 0)
     return f"{sizes}\n\nShare of its records that have a slot: {filled}; the rest less."
+
+
+def _dialogues() -> str:
+    """Returns the first dialogue that succeeds and the first that a misheard value spoils."""
+    env = DialogueEnv(movie_domain(), batch_size=(_PLAYED,), seed=0)
+    policy = scripted_policy(_POLICY, env)
+    transcript = Transcript(env.simulator.domain)
+    state = env.reset()
+    texts = [
+        [f"goal:  {transcript.goal(dialogue)}", *_lines(transcript.lines(dialogue))]
+        for dialogue in env.dialogues
+    ]
+    for _ in range(env.max_agent_turns):
+        ended = state["done"].squeeze(-1).tolist()
+        state = env.step(policy(state))["next"]
+        for text, dialogue, is_over in zip(texts, env.dialogues, ended, strict=True):
+            if not is_over:
+                text += _lines(transcript.lines(dialogue))
+    played = list(zip(texts, state["success"].squeeze(-1).tolist(), strict=True))
+    good = next(text for text, success in played if success)
+    spoiled = next(
+        text for text, success in played if not success and any("[heard" in line for line in text)
+    )
+    parts = (("A dialogue that succeeds:", good), ("One that a misheard value spoils:", spoiled))
+    return "\n\n".join(f"{title}\n\n```text\n{chr(10).join(text)}\n```" for title, text in parts)
+
+
+def _lines(lines: list[str]) -> list[str]:
+    """Returns the lines with both speakers' names equally wide."""
+    return [line.replace("user: ", "user:  ", 1) for line in lines]

@@ -1,110 +1,111 @@
-"""Tables of speeds: the targets, the versions, and every benchmark."""
+"""What things cost, from results/speed.csv, beside the floor; how time and memory grow."""
 
 from __future__ import annotations
 
-import ast
 import csv
-import json
-from dataclasses import fields
+from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from benchmarks.parts.rows import Row, as_table
-from scripts.docs_blocks.markdown import code, table
+import numpy as np
+
+from bbq_torchrl.evaluation.figures import COLORS
+from benchmarks.parts.rows import Row, as_table, number, read
+from scripts.docs_blocks.markdown import table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-__all__ = ["number", "speed_blocks"]
+__all__ = ["draw_growth", "slope", "speed_blocks"]
 
 ROOT = Path(__file__).resolve().parents[2]
-FILE = ROOT / "results" / "speed.json"
-COMPARED = ROOT / "results" / "compare.json"
-HISTORY = ROOT / "results" / "speed_history.csv"
-
-_OWN = ("name", "seconds", "rounds")
+SPEED, GROWTH = ROOT / "results" / "speed.csv", ROOT / "results" / "growth.csv"
+FIGURE = ROOT / "docs" / "figures" / "growth.png"
+UPDATES = {
+    "bare dqn": "bare DQN update",
+    **{
+        agent: f"update of {agent}, replicas=1, buffer of 10,000, sampling included"
+        for agent in ("dqn", "bbqn-map", "bbqn-mc")
+    },
+}
+"""Agent -> the row of its measured milliseconds."""
+SIZES = {
+    "rounds": "rounds",
+    "buffer": "transitions in the buffer",
+    "replicas": "replicas",
+    "dialogues": "dialogues of a round",
+    "records": "records, a batch of dialogues",
+    "records_build": "records, building",
+    "new_values": "records, every tenth a new value",
+}
+"""What grows -> what its size counts."""
 
 
 def speed_blocks() -> dict[str, Callable[[], str]]:
-    """Returns the blocks of the targets, of the versions and of all benchmarks."""
-    return {"speed": _all, "speed.targets": _targets, "speed.versions": _versions}
+    """Returns the blocks of the page on performance."""
+    return {"speed": _costs, "speed.floor": _floor}
 
 
-def _targets() -> str:
-    """Returns what is to be reached beside what was measured in one run."""
-    if not COMPARED.is_file():
-        return "Not measured yet; `python scripts/measure_speed.py compare` does."
-    report = json.loads(COMPARED.read_text(encoding="utf-8"))
-    names = [item.name for item in fields(Row)]  # older files lack some, and hold `reached`
-    rows = [Row(**{name: row[name] for name in names if name in row}) for row in report["rows"]]
-    return f"{as_table(rows)}\n\n{_machine(report)}\n\n```bash\n{report['command']}\n```"
+def _measured() -> tuple[str, list[Row]]:
+    versions = read(SPEED)
+    return list(versions.items())[-1]
 
 
-def _versions() -> str:
-    """Returns a row for every figure, with each version's prediction and measurement."""
-    with HISTORY.open(newline="", encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
-    versions = list(dict.fromkeys(line["version"] for line in lines))
-    figures = {
-        (line["version"], line["what"], column): line[column]
-        for line in lines
-        for column in ("predicted", "measured")
-    }
-    rows = []
-    for what, unit in dict.fromkeys((line["what"], line["unit"]) for line in lines):
-        texts = (
-            figures.get((version, what, column), "")
-            for version in versions
-            for column in ("predicted", "measured")
-        )
-        rows.append((what, unit, *(number(float(text)) if text else "–" for text in texts)))
-    head = [f"{version} {column}" for version in versions for column in ("predicted", "measured")]
-    return table(("what", "unit", *head), rows, numbers=len(head))
+def _costs() -> str:
+    """Returns what is to be reached beside what the last version took."""
+    version, rows = _measured()
+    wanted = [row for row in rows if row.target is not None]
+    return f"{as_table(wanted)}\n\n(version {version})"
 
 
-def _all() -> str:
-    """Returns a section for every file of benchmarks, headed by its first line."""
-    measured = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {}
-    return "\n\n".join(
-        f"### {_title(path)}\n\n{_times(path.stem, measured)}"
-        for path in sorted((ROOT / "benchmarks").glob("bench_*.py"))
-    )
-
-
-def _title(path: Path) -> str:
-    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or path.stem
-    return docstring.splitlines()[0].rstrip(".")
-
-
-def _times(name: str, measured: dict[str, Any]) -> str:
-    if name not in measured:
-        return f"Not measured yet; `python scripts/measure_speed.py {name}` does."
-    report: dict[str, Any] = measured[name]
-    extra = list(dict.fromkeys(key for time in report["times"] for key in time if key not in _OWN))
-    rows = [
-        (
-            code(time["name"].removeprefix("test_")),
-            number(1e3 * time["seconds"]),
-            *(number(time.get(key)) for key in extra),
-        )
-        for time in report["times"]
+def _floor() -> str:
+    """Returns the least time beside the one measured."""
+    figures = {(row.what, row.unit): row.measured for row in _measured()[1]}
+    pairs = [
+        (f"update of {agent}", 1e3 * figures[f"least time of an update of {agent}", "ms"], what)
+        for agent, what in UPDATES.items()
     ]
-    head = ("what", "ms (minimum)", *(key.replace("_", " ") for key in extra))
-    return (
-        f"{table(head, rows, numbers=1 + len(extra))}\n\n"
-        f"{_machine(report)}\n\n```bash\n{report['command']}\n```"
-    )
+    rows = [(what, least, 1e3 * figures[row, "ms"]) for what, least, row in pairs]
+    turns = figures["simulator, 1,000 dialogues in parallel", "turns/s"]
+    rows.append(("turn of a dialogue", figures["least time of a valid turn", "µs"], 1e6 / turns))
+    lines = [(what, number(a), number(b), f"{b / a:.2g}") for what, a, b in rows]
+    return table(("what", "least µs", "measured µs", "times the least"), lines, numbers=3)
 
 
-def _machine(report: dict[str, Any]) -> str:
-    versions = ", ".join(f"{package} {text}" for package, text in report["versions"].items())
-    return f"({report['processor']}, one thread; {versions})"
+def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
+    """Returns the exponent b of the fit values = a · sizes^b, by least squares of the logarithms.
+
+    Example:
+        >>> round(slope([1, 10, 100], [3.0, 30.0, 300.0]), 3)
+        1.0
+    """
+    return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
-def number(value: object) -> str:
-    """Returns a figure as it is shown: three digits, or all before the point."""
-    if value is None:
-        return "–"
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
-        return str(value)
-    return f"{value:,.0f}" if abs(value) >= 1_000 else f"{value:.3g}"
+def draw_growth() -> list[Path]:
+    """Draws time and memory against every size. Returns the file."""
+    from matplotlib.figure import Figure
+
+    cells: dict[str, list[tuple[float, ...]]] = defaultdict(list)
+    with GROWTH.open(newline="", encoding="utf-8") as file:
+        for what, *cell in list(csv.reader(file))[1:]:
+            cells[what].append(tuple(map(float, cell)))
+    figure = Figure(figsize=(2.6 * len(cells), 5.2), layout="constrained")
+    axes = figure.subplots(2, len(cells), squeeze=False)
+    for column, (what, found) in enumerate(cells.items()):
+        sizes, *kinds = zip(*found, strict=True)
+        for ax, values, unit, color in zip(
+            axes[:, column], kinds, ("seconds", "MB"), COLORS, strict=False
+        ):
+            ax.loglog(sizes, values, "o-", color=color)
+            # from the last point down: what a linear growth would have been
+            ax.loglog(sizes, [values[-1] * size / sizes[-1] for size in sizes], ":", color="0.5")
+            ax.set_ylim(min(values) / 3, max(values) * 3)
+            ax.set_title(f"slope {slope(sizes, values):.2f}", fontsize=9)
+            ax.set_xlabel(SIZES[what], fontsize=8)
+            ax.set_ylabel(unit if column == 0 else "")
+            ax.tick_params(labelsize=7)
+            ax.grid(alpha=0.3)
+    figure.suptitle("Time and memory by size (dotted: linear)")
+    figure.savefig(FIGURE, dpi=110)
+    return [FIGURE]

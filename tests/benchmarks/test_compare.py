@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import pytest
 
 from benchmarks import compare
-from benchmarks.parts import comparisons, processes
-from benchmarks.parts.comparisons import PARTS
+from benchmarks.compare import PARTS
+from benchmarks.parts import processes, updates
 from benchmarks.parts.processes import Used
-from benchmarks.parts.rows import Row, as_table
+from benchmarks.parts.rows import Row, as_table, keep, read
 from benchmarks.parts.sizes import FULL, TINY
 from benchmarks.parts.timing import Timer
 
-IN_THIS_PROCESS = ("simulator", "update", "bootstrap", "run", "evaluation")
-SLOW = ("replicas", "vime", "time_to_learn")
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.fixture(autouse=True)
-def no_processes(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
+def commands(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
     """Commands are noted, not run: their imports alone take seconds."""
     asked: list[tuple[str, ...]] = []
 
@@ -32,42 +31,47 @@ def no_processes(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
     return asked
 
 
-@pytest.mark.parametrize(
-    "part", [*IN_THIS_PROCESS, *(pytest.param(part, marks=pytest.mark.slow) for part in SLOW)]
-)
+SLOW = [pytest.param(part, marks=pytest.mark.slow) for part in ("agents", "time_to_learn", "floor")]
+
+
+@pytest.mark.parametrize("part", ["simulator", "update", "round", *SLOW])
 def test_part_gives_positive_figures(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(comparisons, "PAPER", ("bbqn-map",))
+    monkeypatch.setattr(updates, "TARGETS", {"bbqn-map": (1.0, 1.0)})
     rows = PARTS[part](TINY, Timer())
     assert rows
     assert all(row.part == part for row in rows)
     assert all(row.measured > 0 for row in rows if row.unit != "%")
 
 
-def test_every_target_is_in_the_full_comparison() -> None:
-    assert set(PARTS) >= {*IN_THIS_PROCESS, *SLOW, "agents", "memory", "start"}
-    assert FULL.dialogues == (50, 1_000, 16_384)
-    assert FULL.many == 10
-    assert FULL.capacity == 10_000
+def test_the_process_part_measures_a_run_with_full_buffers_and_medians_of_starts(
+    commands: list[tuple[str, ...]],
+) -> None:
+    memory, *starts = PARTS["process"](FULL, Timer())
+    assert (memory.measured, memory.target, memory.reached) == (1.0, 1.5, True)
+    assert {"agent=bbqn", "env=full", "replicas=5", "spike.dialogues=500"} <= set(commands[0])
+    assert [row.measured for row in starts] == [2.0] * 5
+    assert starts[0].target == 6
 
 
-def test_memory_is_that_of_a_run_with_full_buffers(no_processes: list[tuple[str, ...]]) -> None:
-    (row,) = PARTS["memory"](FULL, Timer())
-    assert (row.measured, row.target, row.reached) == (1.0, 1.5, True)
-    (command,) = no_processes
-    assert {"agent=bbqn", "env=full", "replicas=5", "spike.dialogues=500"} <= set(command)
+def test_figures_are_printed_and_kept_as_a_versions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "speed.csv"
+    compare.main(["process", "--tiny", "--save=0.2.0", f"--file={file}"])
+    assert "| python train.py --help | s | 2 | ≤ 6 | yes |" in capsys.readouterr().out
+    assert [row.what for row in read(file)["0.2.0"]][1:] == ["python train.py --help"]
 
 
-def test_start_is_the_median_of_processes() -> None:
-    rows = PARTS["start"](replace(FULL, repeats=3), Timer())
-    assert [row.measured for row in rows] == [2.0] * len(rows)
-    assert rows[0].target == 6
-
-
-def test_json_is_all_that_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    compare.main(["start", "--tiny", "--json"])
-    (row,) = json.loads(capsys.readouterr().out)
-    assert row["what"] == "python train.py --help"
-    assert row["reached"] is True
+def test_rows_take_the_place_of_the_same_version_and_part(tmp_path: Path) -> None:
+    file = tmp_path / "speed.csv"
+    other = Row("b", "wait", "s", 3.0, 9.0, "lower", True, "1 of 5")
+    keep(file, "one", [Row("a", "time", "s", 1.0), other])
+    keep(file, "two", [Row("a", "turns", "turns/s", 123456.0, 100.0, "higher")])
+    keep(file, "one", [Row("a", "time", "s", 2.0)])
+    assert read(file) == {
+        "one": [other, Row("a", "time", "s", 2.0)],
+        "two": [Row("a", "turns", "turns/s", 123500.0, 100.0, "higher")],
+    }
 
 
 def test_table_says_what_is_reached() -> None:

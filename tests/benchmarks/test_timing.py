@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from benchmarks.parts.timing import Stopwatch, compared, interleaved
+from benchmarks.parts.timing import Stopwatch, interleaved
 
 
 def test_slow_spell_that_hits_both_leaves_the_ratio() -> None:
@@ -16,10 +16,6 @@ def test_slow_spell_that_hits_both_leaves_the_ratio() -> None:
     assert result.ratio == pytest.approx((2.0 + 2.0) / 2)
     assert result.seconds == 11.0
     assert result.base == 1.0
-
-
-def test_candidates_without_a_last_base_are_compared_with_the_one_before() -> None:
-    assert compared([1.0, 2.0], [3.0, 6.0]).ratio == 3.0
 
 
 class Ticks:

@@ -52,10 +52,7 @@ AGENTS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def without_curves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes as long as training here, and is tested elsewhere."""
-    monkeypatch.setattr("bbq_torchrl.run._draw", lambda *_: None)
+pytestmark = pytest.mark.usefixtures("without_curves")
 
 
 @pytest.fixture
@@ -74,8 +71,10 @@ def trained(config: Config, folder: Path) -> RoundTrainer:
 
 @pytest.mark.parametrize("agent", AGENTS)
 def test_training_is_bitwise_the_same_with_and_without(small, tmp_path, agent):
-    with_it = trained(small(*AGENTS[agent]), tmp_path / "with")
-    without = trained(small(*AGENTS[agent], "protocol.eval_every=0"), tmp_path / "without")
+    config = small(*AGENTS[agent])
+    with_it = trained(config, tmp_path / "with")
+    never = dataclasses.replace(config.protocol, eval_every=0)
+    without = trained(dataclasses.replace(config, protocol=never), tmp_path / "without")
 
     ours, theirs = with_it.loss.state_dict(), without.loss.state_dict()
     assert ours.keys() == theirs.keys()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import figure
+import forked
 import pytest
 import sweep
 import torch
@@ -23,19 +22,11 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "deep_sea"
 SMALL = Settings(hidden=(8,), heads=3, batch_size=4, capacity=20, updates_per_step=0.5)
 
 
-def test_driver_says_how_each_seed_did():
+def test_driver_says_how_each_seed_did(tmp_path):
     arguments = ["--agent", "epsilon_greedy", "--size", "2", "--episodes", "6", "--seed", "3"]
-    process = subprocess.run(
-        [sys.executable, str(EXAMPLE / "train.py"), *arguments],
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(EXAMPLE.parents[1])},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert process.returncode == 0, process.stdout + process.stderr
+    out, _ = forked.run_script(EXAMPLE / "train.py", *arguments, cwd=tmp_path)
     pattern = r"seed (\d+): (?:not solved|solved after \d+ episodes); treasure in \d of \d"
-    assert re.findall(pattern, process.stdout) == ["3", "4", "5", "6", "7"]
+    assert re.findall(pattern, out) == ["3", "4", "5", "6", "7"]
 
 
 def test_sweep_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):

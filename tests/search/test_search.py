@@ -15,7 +15,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from bbq_torchrl.cli import searches
 from bbq_torchrl.cli.searches import Search, compose_search
 from bbq_torchrl.cli.store import compose, save_config
 from bbq_torchrl.options import ConfigError
@@ -96,7 +95,6 @@ def composed_once(monkeypatch):
         return changed
 
     monkeypatch.setattr(Search, "config", config)
-    monkeypatch.setattr(searches, "_check_bounds", lambda search: None)
 
 
 def search(folder, *arguments, trials=4):

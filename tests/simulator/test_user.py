@@ -47,23 +47,6 @@ def test_first_turns_draw_goals_constraints_and_requests_evenly(movie):
     assert (share.mean() - expected.mean()).abs() < 5 * sigma
 
 
-CONTINUE = [
-    # agenda, pending, draw; after a right value: act, informs, pending; after an answer: the same
-    ((), ("theater",), "", ("request", {}, {"theater"}), ("request", {}, {"theater"})),
-    (("date",), (), "date", ("inform", {"date": "today"}, set()), None),
-    (
-        ("date", "ticket"),
-        (),
-        "date",
-        ("inform", {"date": "today"}, set()),
-        ("request", {"date": "today"}, {"ticket"}),
-    ),
-    (("date", "theater"), (), "theater", ("request", {}, {"theater"}), None),
-    (("ticket",), (), "ticket", ("request", {}, {"ticket"}), None),
-    ((), (), "", ("thanks", {}, set()), None),
-]
-
-
 def test_the_ticket_is_never_the_random_choice_while_another_slot_is_left():
     scene = Scene({"city": "seattle"}, ("theater",))
     before = scene.situation(agenda=("theater", "ticket"))

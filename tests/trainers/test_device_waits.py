@@ -63,8 +63,7 @@ def config_of(agent: str, domain: Path, *further: str) -> Config:
     return compose([*AGENTS[agent], *SHRUNKEN, *further, "domain=folder", f"domain.path={domain}"])
 
 
-def make_trainer(agent: str, domain: Path, folder: Path, *further: str) -> RoundTrainer:
-    config = config_of(agent, domain, *further)
+def make_trainer(config: Config, folder: Path) -> RoundTrainer:
     trainer, _ = build_trainer(config, folder)
     trainer.progress = False
     return trainer
@@ -75,7 +74,8 @@ def test_a_rounds_updates_never_wait_and_find_all_on_their_device(
     agent, restaurant_folder, tmp_path, monkeypatch
 ):
     draw_as_on_a_device(monkeypatch)
-    trainer = make_trainer(agent, restaurant_folder, tmp_path)
+    config = config_of(agent, restaurant_folder)
+    trainer = make_trainer(config, tmp_path)
     trainer.begin()
     trainer.train_round()
     with NeverWaits():
@@ -85,7 +85,7 @@ def test_a_rounds_updates_never_wait_and_find_all_on_their_device(
     batch = next(trainer.replay.epoch(8)).transitions.to("meta")
     # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
     # tensors of the CPU, fails.
-    env, config = trainer.env, config_of(agent, restaurant_folder)
+    env = trainer.env
     spec, device = env.action_spec_unbatched, torch.device("meta")
     task = Task(env.layout.size, spec, replicas=3, rounds=2, device=device)
     q_loss = config.agent.make_loss(config.agent.make_actor(task), task)

@@ -57,7 +57,7 @@ def test_what_one_replica_does_leaves_the_others_bitwise_alone(
     """With buffers that stay ragged (1000), and that fill up and evict (70)."""
     trainers = []
     for name in ("as it is", "changed"):
-        trainer = make_trainer(tmp_path / name, rounds=8, capacity=capacity)
+        trainer = make_trainer(tmp_path / name, rounds=5, capacity=capacity)
         if name == "changed":
             change(trainer)
         trainer.train()

@@ -1,0 +1,160 @@
+"""What an update and a turn cost at least: their work, at the machine's measured rates.
+
+The work is counted for a 268-256-256-39 network and a batch of 32, in vectors of float32 that are
+read and written once in each step, as if every step were one pass. What could be left out by
+merging steps (a gradient that is never written, say) is not.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import astuple, dataclass
+from statistics import median
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.bayes.noise import fill_normal_
+from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.envs import DialogueEnv
+from benchmarks.parts.rows import Row
+from benchmarks.parts.yardstick import ACTIONS, BATCH, FEATURES, HIDDEN, bare_block
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from benchmarks.parts.sizes import Sizes
+    from benchmarks.parts.timing import Timer
+
+FLOAT, BLOCKS, LOCKSTEP = 4, 15, 1_000
+EPOCHS, UPDATES_PER_EPOCH = 2, 313
+"""A target is computed once for so many epochs; updates of 10,000 transitions."""
+POOL = 8
+"""Weight draws whose normal numbers an epoch's draws are windows of."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a step does; or how much of it the machine does in a second.
+
+    Attributes:
+        operations: multiplications and additions of matrix products.
+        bytes: read and written.
+        normals: normally distributed random numbers drawn.
+        uniforms: uniformly distributed ones.
+        functions: exponentials and logarithms.
+    """
+
+    operations: float = 0.0
+    bytes: float = 0.0
+    normals: float = 0.0
+    uniforms: float = 0.0
+    functions: float = 0.0
+
+    def __add__(self, other: Work) -> Work:
+        return Work(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    def seconds(self, rates: Work) -> float:
+        """Returns what it takes at these rates, one thing after the other."""
+        return sum(a / b for a, b in zip(astuple(self), astuple(rates), strict=True))
+
+
+LAYERS = tuple(itertools.pairwise((FEATURES, *HIDDEN, ACTIONS)))
+WEIGHTS = sum(inputs * outputs for inputs, outputs in LAYERS)
+PARAMETERS = WEIGHTS + sum(outputs for _, outputs in LAYERS)
+VECTOR = FLOAT * PARAMETERS
+"""Bytes of a vector as long as the network has parameters."""
+
+_BEHIND_FIRST = sum(inputs * outputs for inputs, outputs in LAYERS[1:])
+_PASS = 2.0 * BATCH * WEIGHTS
+_GATHER = Work(bytes=2.0 * BATCH * (2 * (FEATURES * FLOAT + ACTIONS) + 8 + FLOAT + 2))
+_FORWARD = Work(_PASS, VECTOR)
+_FIXED_TARGET = Work(_PASS / EPOCHS)
+_BACKWARD = Work(_PASS + 2.0 * BATCH * _BEHIND_FIRST, FLOAT * _BEHIND_FIRST + VECTOR)
+# reads μ, ρ and noise; writes the weights, and σ for the gradient: softplus is an exponential and
+# a logarithm. Pool and value of the KL are an epoch's
+_DRAW = Work(
+    bytes=5 * VECTOR,
+    normals=POOL * PARAMETERS / UPDATES_PER_EPOCH,
+    functions=(2.0 + 1.0 / UPDATES_PER_EPOCH) * PARAMETERS,
+)
+# reads the weights' gradient, noise, σ and μ; writes the gradients of μ and ρ
+_DRAW_BACKWARD = Work(bytes=6 * VECTOR, functions=PARAMETERS)
+# reads the frozen μ, its σ, which is an epoch's, and noise; writes weights
+_TARGET_DRAW = Work(bytes=4 * VECTOR)
+# reads parameters, gradients and both moments; writes all but the gradients
+_ADAM = Work(bytes=7 * VECTOR)
+_BBQN = _GATHER + _DRAW + _FORWARD + _BACKWARD + _DRAW_BACKWARD + _ADAM + _ADAM
+
+UPDATES = {
+    "bare dqn": _FORWARD + _FORWARD + _BACKWARD + _ADAM,
+    "dqn": _GATHER + _FORWARD + _FIXED_TARGET + _BACKWARD + _ADAM,
+    "bbqn-map": _BBQN + _FIXED_TARGET,
+    "bbqn-mc": _BBQN + _TARGET_DRAW + _FORWARD,
+}
+"""Agent -> the work of an update; the bare one has its batch ready, and two passes forward."""
+
+
+def turn(env: DialogueEnv) -> Work:
+    """Returns the work of a dialogue's turn; counted on the simulator's own tensors."""
+    simulator = env.simulator
+    state = simulator.reset(simulator.draw_reset((1,)), env.active_slots)
+    numbers = sum(entry.numel() for entry in simulator.draw_turn((1,)).values())
+    shelf = simulator.knowledge_base
+    words = shelf.sets.shape[-1] + shelf.ordered_sets.shape[-1]
+    return Work(
+        bytes=2.0 * FLOAT * numbers  # the random numbers
+        + 2.0 * sum(entry.nbytes for entry in state.values())
+        + 8.0 * words * shelf.slots.numel()  # to match records and fill a slot
+        + FLOAT * simulator.layout.size,
+        uniforms=numbers,
+    )
+
+
+def valid_share(env: DialogueEnv) -> float:
+    """Returns the share of a random policy's turns in lockstep that are before a dialogue's end."""
+    env.set_seed(0)
+    torch.manual_seed(0)
+    rollout = env.rollout(env.max_agent_turns, break_when_any_done=False, break_when_all_done=True)
+    done = rollout["next", "done"].squeeze(-1)
+    return ((done.cumsum(-1) - done.long()) == 0).float().mean().item()
+
+
+def rates(timer: Timer, seconds: float = 0.02) -> Work:
+    """Measures the machine on one thread: the best of short blocks of about so many seconds.
+
+    A large matrix product; a copy within the third-level cache, where the vectors of one network
+    fit; the library's normal numbers, torch's uniform ones and exponentials.
+    """
+
+    def rate(count: float, work: Callable[[], object]) -> float:
+        work()
+        repeats = max(1, int(seconds / max(timer.time(work), 1e-7)))
+        blocks = (timer.time(lambda: [work() for _ in range(repeats)]) for _ in range(BLOCKS))
+        return count * repeats / min(blocks)
+
+    left, right, out = (torch.randn(1024, 1024) for _ in range(3))
+    source, target = (torch.zeros(1024**2) for _ in range(2))
+    vector, other = torch.rand(PARAMETERS), torch.empty(PARAMETERS)
+    return Work(
+        rate(2.0 * 1024**3, lambda: torch.mm(left, right, out=out)),
+        rate(2.0 * source.nbytes, lambda: target.copy_(source)),
+        rate(PARAMETERS, lambda: fill_normal_(vector)),
+        rate(PARAMETERS, vector.uniform_),
+        rate(PARAMETERS, lambda: torch.exp(vector, out=other)),
+    )
+
+
+def floor(sizes: Sizes, timer: Timer) -> list[Row]:
+    """The least times, and that of the bare update, which runs in the same process."""
+    measured, bare = rates(timer), bare_block(timer, sizes.bare_updates)
+    env = DialogueEnv(movie_domain(), batch_size=(LOCKSTEP,), seed=0)
+    valid_turn = turn(env).seconds(measured) / valid_share(env)
+    return [
+        *(
+            Row("floor", f"least time of an update of {agent}", "ms", 1e3 * work.seconds(measured))
+            for agent, work in UPDATES.items()
+        ),
+        Row("floor", "bare DQN update", "ms", 1e3 * median(bare() for _ in range(sizes.repeats))),
+        Row("floor", "least time of a valid turn", "µs", 1e6 * valid_turn),
+    ]

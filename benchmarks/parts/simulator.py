@@ -1,0 +1,94 @@
+"""Dialogues a second: on the simulator alone, and in an evaluation."""
+
+from __future__ import annotations
+
+from statistics import median
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.cli.agent import make_agent
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.envs import DialogueEnv
+from bbq_torchrl.evaluation.play import evaluate
+from benchmarks.parts.rows import Row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from benchmarks.parts.sizes import Sizes
+    from benchmarks.parts.timing import Timer
+
+TURNS = (15_000, 80_000, 100_000)
+PUBLIC = {"random": (411, 100), "rule": (1_560, 40)}
+"""Policy -> the public simulator's turns a second on one core under errors, and times to reach."""
+
+
+def play_simulator(env: DialogueEnv, policy: str = "random") -> Callable[[], int]:
+    """Returns a function that plays a batch to its end and counts the turns before each end.
+
+    Args:
+        env: whose simulator and errors are used.
+        policy: ``"random"``, or a domain's policy that is a fixed sequence, such as ``"rule"``.
+    """
+    simulator, active, batch = env.simulator, env.active_slots, env.batch_size
+    domain = env.domain
+    if policy != "random":
+        steps = [domain.action_index(step) for step in domain.policies[policy].steps]
+
+    def play() -> int:
+        generator = torch.Generator().manual_seed(0)
+        state = simulator.reset(simulator.draw_reset(batch, generator), active)
+        simulator.observe(state, active)
+        valid = turn = 0
+        while not state["done"].all():
+            valid += int((~state["done"]).sum())
+            if policy == "random":
+                action = torch.randint(len(domain.actions), batch, generator=generator)
+            else:
+                action = torch.tensor(steps[min(turn, len(steps) - 1)]).expand(batch)
+            state = simulator.turn(state, action, simulator.draw_turn(batch, generator), active)
+            simulator.observe(state, active)
+            turn += 1
+        return valid
+
+    return play
+
+
+def simulator(sizes: Sizes, timer: Timer) -> list[Row]:
+    """Turns a second, features included, how many times the public simulator's; evaluation."""
+    rows = [
+        Row(
+            "simulator",
+            f"simulator, {dialogues:,} dialogues in parallel",
+            "turns/s",
+            _turns_per_second(dialogues, "random", sizes, timer),
+            target,
+            "higher",
+        )
+        for dialogues, target in zip(sizes.dialogues, TURNS, strict=True)
+    ]
+    dialogues = sizes.dialogues[1]
+    for policy, (public, target) in PUBLIC.items():
+        times = _turns_per_second(dialogues, policy, sizes, timer) / public
+        what = f"simulator, {policy} policy under errors, {dialogues:,} dialogues"
+        unit = f"times the public one's {public:,} turns/s"
+        rows.append(Row("simulator", what, unit, times, target, "higher"))
+    return [*rows, _evaluation(sizes, timer)]
+
+
+def _turns_per_second(dialogues: int, policy: str, sizes: Sizes, timer: Timer) -> float:
+    play = play_simulator(DialogueEnv(movie_domain(), batch_size=(dialogues,), seed=0), policy)
+    valid = play()
+    return valid / median(timer.time(play) for _ in range(sizes.repeats))
+
+
+def _evaluation(sizes: Sizes, timer: Timer) -> Row:
+    config = compose(["agent=bbqn", *sizes.overrides])
+    lanes = min(config.protocol.eval_batch, sizes.eval_dialogues)
+    env = DialogueEnv(movie_domain(), batch_size=(1, lanes), seed=0)
+    _, policy = config.agent.make_evaluation(make_agent(config, env).actor)
+    seconds = timer.time(lambda: evaluate(env, policy, sizes.eval_dialogues))
+    what = f"evaluation of bbqn, {sizes.eval_dialogues:,} dialogues, {lanes:,} in parallel"
+    return Row("simulator", what, "dialogues/s", sizes.eval_dialogues / seconds)

@@ -1,0 +1,98 @@
+"""Blocks that show a file as it is: figures of results/, and files of the examples."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from scripts.docs_blocks.markdown import table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["table_blocks"]
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS, EXAMPLES = ROOT / "results", ROOT / "examples"
+EXTENDING = ("ucb_policy", "ucb", "langevin", "visits", "chain")
+QUALITY = (
+    ("frame exactly right, free sentences", "frame", "≥ .85"),
+    ("slot F1, free sentences", "slot_f1", "≥ .93"),
+    ("act right, free sentences", "act", "≥ .95"),
+    ("slot F1, templates of another hand", "other_hand_slot_f1", "≥ .97"),
+    ("answered without asking again", "answered", "≥ .80"),
+    ("right among the answered", "right_of_answered", "≥ .95"),
+    ("calibration error", "calibration_error", "≤ .05"),
+    ("slot F1 lost by typos in 10 % of the words", "typos_cost_slot_f1", "≤ .05"),
+    ("slot F1 lost by lower case without marks", "lowered_cost_slot_f1", "≤ .01"),
+    ("round trip, frame exactly right", "round_trip_frame", "≥ .97"),
+    ("round trip, slot F1", "round_trip_slot_f1", ""),
+    ("training, seconds of one core", "training_seconds", "≤ 60"),
+    ("size, MB", "megabytes", "≤ 3"),
+    ("milliseconds a sentence", "milliseconds_a_sentence", "≤ 5"),
+)
+"""How well the language layer understands: what, its key in results/language.json, the aim."""
+
+# An example is a folder of scripts, no package.
+sys.path.append(str(EXAMPLES / "deep_sea"))
+
+
+def table_blocks() -> dict[str, Callable[[], str]]:
+    """Returns the blocks."""
+    return {
+        "adversary": _adversary,
+        "deep_sea.results": _deep_sea,
+        "deep_sea.trials": _deep_sea_trials,
+        "language.quality": _quality,
+        "language.voices": _voices,
+        **{f"extending.{name}": partial(_extending, name) for name in EXTENDING},
+    }
+
+
+def _adversary() -> str:
+    """Returns what was done to runs, and what became of them."""
+    file, make = RESULTS / "adversary.json", "BBQ_RECORD=results/adversary.json"
+    if not file.is_file():
+        return f"Not measured yet; `{make} scripts/check adversary` does."
+    found = json.loads(file.read_text(encoding="utf-8"))
+    rows = [(*name.split(": ", 1), times) for name, times in found["outcomes"].items()]
+    shown = table(("tried", "what came of it", "times"), rows, numbers=1)
+    return f"{shown}\n\n```bash\n{make} {found['command']}\n```"
+
+
+def _deep_sea() -> str:
+    from deep_sea_results import AGENT_NAMES, read
+    from deep_sea_results import table as results_table
+
+    return results_table(read(), list(AGENT_NAMES))
+
+
+def _deep_sea_trials() -> str:
+    with (RESULTS / "deep_sea_trials.csv").open(newline="", encoding="utf-8") as file:
+        head, *lines = csv.reader(file)
+    return table(head, lines)
+
+
+def _quality() -> str:
+    measured = json.loads((RESULTS / "language.json").read_text(encoding="utf-8"))
+    rows = [(what, f"{measured[key]:.3g}", aim) for what, key, aim in QUALITY]
+    return table(("", "measured", "aim"), rows)
+
+
+def _voices() -> str:
+    measured = json.loads((RESULTS / "language.json").read_text(encoding="utf-8"))
+    rows = [
+        (voice, *(f"{figures[key]:.3f}" for key in ("frame", "slot_f1", "act")))
+        for voice, figures in measured["voices"].items()
+    ]
+    return table(("voice", "frame", "slot F1", "act"), rows)
+
+
+def _extending(name: str) -> str:
+    """Returns a file of the example package of options, so that the page shows what runs."""
+    file = EXAMPLES / "extending" / "bbq_extending" / f"{name}.py"
+    return f"```python\n{file.read_text(encoding='utf-8')}```"
