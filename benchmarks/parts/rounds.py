@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.trainers import round_trainer
+from bbq_torchrl.trainers import learner
 from bbq_torchrl.trainers.learn import LossSums
 from benchmarks.parts import processes
 from benchmarks.parts.learning import full_trainer
@@ -33,12 +33,11 @@ def watched_round(trainer: RoundTrainer, timer: Timer) -> dict[str, float]:
     """
     watch = Stopwatch(timer.now)
     watch.watch(trainer.env, "rollout", "playing")
-    watch.watch(round_trainer, "learn_epoch", "epochs")
+    watch.watch(learner, "learn_epoch", "epochs")
     watch.watch_iterator(trainer.replay, "epoch", "batches")
     watch.watch(LossSums, "add", "sums")
     watch.watch(trainer.replay, "extend", "storing")
-    if hasattr(trainer, "_compute_targets"):
-        watch.watch(trainer, "_compute_targets", "targets")
+    watch.watch(trainer.learner, "compute_targets", "targets")
     try:
         total = timer.time(trainer.train_round)
     finally:
