@@ -27,6 +27,7 @@ class Sizes:
         spike: dialogues that fill its buffers.
         eval_dialogues: of its evaluation, and of the measured one.
         learning_seeds: trainings of each agent, until it has learned.
+        learning_rounds: of each of these at most.
         learning_overrides: of the configuration of these.
         imports: whether the sub-packages' import times are measured too.
         overrides: of every configuration.
@@ -47,6 +48,7 @@ class Sizes:
     spike: int = 500
     eval_dialogues: int = 10_000
     learning_seeds: int = 5
+    learning_rounds: int = 100
     learning_overrides: tuple[str, ...] = ()
     imports: bool = True
     overrides: tuple[str, ...] = ()
@@ -69,6 +71,7 @@ TINY = Sizes(
     spike=2,
     eval_dialogues=8,
     learning_seeds=1,
+    learning_rounds=3,
     learning_overrides=(
         "protocol.rounds=2",
         "protocol.eval_every=1",
