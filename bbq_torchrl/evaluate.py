@@ -31,7 +31,8 @@ usage: python -m bbq_torchrl.evaluate policy=<policy> [<key>=<value> ...]
 Plays dialogues and prints one line of JSON: success_rate, standard_error, reward, turns,
 dialogues, turns_per_second.
 
-  policy=      random, a scripted policy of the domain (rule, careful, ...), or a run folder
+  policy=      random, a scripted policy of the domain (rule, careful, ...), clairvoyant (it is
+               privileged: it reads the user's hidden goal), or a run folder
   dialogues=   how many; for each replica of a run folder
   batch=       how many run side by side
   env=, domain=  as in train.py; a run folder's own unless given
@@ -98,7 +99,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         config.domain = config.domain if "domain" in given else run.domain
     domain = make_domain(config)
     if run is None:
-        names = (*config.env.policies(domain), RANDOM_POLICY)
+        names = (*config.env.policies(domain), RANDOM_POLICY, *config.env.references(domain))
         if config.policy not in names:
             raise ConfigError(
                 f"policy must be a run folder or one of {', '.join(names)}, "
@@ -110,6 +111,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
             raise ConfigError(
                 f"weights must be last for policy={config.policy}, got {config.weights!r}"
             )
+    is_privileged = run is None and config.policy in config.env.references(domain)
     replicas = 1 if run is None else run.replicas
     values = [] if run is None else replica_values(run)
     check_memory(evaluation_needs(config, domain, replicas), config.device)
@@ -136,6 +138,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     return {
         "policy": config.policy,
         **({} if mode is None else {"mode": mode, "weights": config.weights}),
+        **({"privileged": True} if is_privileged else {}),
         "env": config.env.name,
         **({} if domain is None else {"domain": domain.name}),
         "seed": config.seed,

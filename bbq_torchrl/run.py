@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from torchrl.envs import EnvBase
-
     from bbq_torchrl.cli.agent import Agent
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
@@ -53,8 +51,8 @@ __all__ = ["run"]
 
 _LOG = logging.getLogger(__name__)
 
-SCRIPTED_DIALOGUES = 2_000
-"""Dialogues of each scripted policy, to set the agent's beside."""
+OTHERS_DIALOGUES = 1_000
+"""Dialogues of each policy that the agent is set beside: all of them take a second."""
 
 
 def run(
@@ -149,7 +147,7 @@ def _tell_of_domain(domain: Domain, never: set[str]) -> None:
 
 
 def _result_line(config: Config, result: RunResult) -> str:
-    """Returns how well the agent does, beside the scripted policies."""
+    """Returns how well the agent does, beside the scripted policies and the privileged ones."""
     rates = [item.success_rate for item in result.per_replica]
     spread = (
         f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
@@ -157,7 +155,8 @@ def _result_line(config: Config, result: RunResult) -> str:
         else ""
     )
     others = ", ".join(
-        f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in result.scripted.items()
+        [f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in result.scripted.items()]
+        + [f"privileged {name} {_short(rate)}" for name, rate in result.references.items()]
     )
     name = agent_name(dataclasses.asdict(config))
     does = "books {} of dialogues" if config.env.has_domain else "succeeds in {} of episodes"
@@ -242,20 +241,30 @@ def _evaluated(
         rounds=protocol.rounds,
         wall_seconds=trained + time.perf_counter() - started,
         versions=_versions(),
-        scripted=_scripted(config, env, domain),
         skipped=() if domain is None else domain.skipped,
+        **_others(config, domain),
     )
 
 
-def _scripted(config: Config, env: EnvBase, domain: Domain | None) -> dict[str, float]:
-    """Returns success rates of the scripted policies with the users of the final evaluation."""
-    dialogues = min(config.protocol.eval_dialogues, -(-SCRIPTED_DIALOGUES // config.replicas))
-    rates = {}
-    for name in (*config.env.policies(domain), RANDOM_POLICY):
+def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]]:
+    """Returns success rates of policies that do not learn, as :class:`RunResult` has them.
+
+    In the state of the domain in which training ended.
+    """
+    dialogues = min(config.protocol.eval_dialogues, OTHERS_DIALOGUES)
+    env = config.env.make(domain, (1, dialogues), device=config.device)
+    config.env.enter_round(env, max(config.protocol.rounds - 1, 0))
+
+    def rate(name: str) -> float:
         policy = config.env.make_policy(name, env)
         played = evaluate(env, policy, dialogues, seed=config.seed, max_steps=config.env.steps())
-        rates[name] = played.success.double().mean().item()
-    return rates
+        return played.success.double().mean().item()
+
+    scripted = (*config.env.policies(domain), RANDOM_POLICY)
+    return {
+        "scripted": {name: rate(name) for name in scripted},
+        "references": {name: rate(name) for name in config.env.references(domain)},
+    }
 
 
 def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None) -> None:
@@ -288,6 +297,7 @@ def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None
         if spike.dialogues
         else None,
         extensions=config.env.additions(domain),
+        references=result.references,
     )
 
 

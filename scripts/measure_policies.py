@@ -1,10 +1,11 @@
-"""Measures the scripted policies and writes results/policies.json.
+"""Measures the scripted policies and the privileged one, and writes results/policies.json.
 
 Plays every line of the table below by ``python -m bbq_torchrl.evaluate`` and keeps the command
 beside its answer; ``scripts/write_docs.py`` makes the documentation's tables from them.
 
     python scripts/measure_policies.py                        our corpus
     python scripts/measure_policies.py --miulab <folder>      also the public MiuLab corpus
+    python scripts/measure_policies.py --policy clairvoyant   this policy alone
 """
 
 from __future__ import annotations
@@ -48,22 +49,28 @@ class Measurement(NamedTuple):
 MEASUREMENTS = (
     *(
         Measurement("movie", "reference", policy, REFERENCE if policy == "rule" else SHORT)
-        for policy in ("rule", "rule_inform", "careful_essential", "careful", "random")
+        for policy in (
+            *("rule", "rule_inform", "careful_essential", "careful", "random"),
+            "clairvoyant",
+        )
     ),
     *(
         Measurement("movie", "no error", policy, f"{SHORT} env.slot_error_prob=0")
-        for policy in ("rule", "rule_inform", "careful_essential", "careful")
+        for policy in ("rule", "rule_inform", "careful_essential", "careful", "clairvoyant")
     ),
     *(
         Measurement(
             "miulab", "reference", policy, f"{REFERENCE if policy == 'rule' else SHORT} {MIULAB}"
         )
-        for policy in ("rule", "rule_inform", "careful_essential", "careful", "random")
+        for policy in (
+            *("rule", "rule_inform", "careful_essential", "careful", "random"),
+            "clairvoyant",
+        )
     ),
     Measurement("miulab", "v2, error .05", "rule", f"{SHORT} {MIULAB} env.slot_error_prob=.05"),
     *(
         Measurement("miulab", "v2, no error", policy, f"{SHORT} {MIULAB} env.slot_error_prob=0")
-        for policy in ("rule", "rule_inform", "careful")
+        for policy in ("rule", "rule_inform", "careful", "clairvoyant")
     ),
     *(
         Measurement(
@@ -72,7 +79,7 @@ MEASUREMENTS = (
             policy,
             f"{SHORT} {MIULAB} domain.goals={GOALS_V1} env.slot_error_prob=0",
         )
-        for policy in ("rule", "rule_inform", "careful_essential", "careful")
+        for policy in ("rule", "rule_inform", "careful_essential", "careful", "clairvoyant")
     ),
     *(
         Measurement(
@@ -108,18 +115,21 @@ def measure(measurement: Measurement, miulab: Path | None) -> dict[str, object]:
 
 
 def main() -> None:
-    """Measures, and keeps what was measured before of a corpus that is not given now."""
+    """Measures, and keeps what was measured before and is not to be measured now."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--miulab", type=Path, help="folder of the MiuLab files")
-    miulab = parser.parse_args().miulab
+    parser.add_argument("--policy", help="measure this policy alone")
+    given = parser.parse_args()
+    miulab = given.miulab
     corpora = {"movie"} if miulab is None else {"movie", "miulab"}
     before = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else []
-    entries = [entry for entry in before if entry["corpus"] not in corpora]
+    known = {(entry["corpus"], entry["setting"], entry["policy"]): entry for entry in before}
     for measurement in MEASUREMENTS:
-        if measurement.corpus in corpora:
+        if measurement.corpus in corpora and given.policy in (None, measurement.policy):
             entry = measure(measurement, miulab and miulab.resolve())
             sys.stdout.write(f"{shlex.join(map(str, measurement[:3]))}: {entry['result']}\n")
-            entries.append(entry)
+            known[measurement[:3]] = entry
+    entries = [known[item[:3]] for item in MEASUREMENTS if item[:3] in known]
     FILE.parent.mkdir(exist_ok=True)
     FILE.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.envs.schedule import ExtensionSchedule
@@ -9,6 +10,7 @@ from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPoli
 
 __all__ = [
     "CarefulPolicy",
+    "ClairvoyantPolicy",
     "DialogueEnv",
     "ExtensionSchedule",
     "SequencePolicy",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
 from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
 
 if TYPE_CHECKING:
@@ -13,10 +14,13 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.simulator import FeatureLayout
 
-__all__ = ["RANDOM_POLICY", "scripted_policy"]
+__all__ = ["PRIVILEGED_POLICY", "RANDOM_POLICY", "scripted_policy"]
 
 RANDOM_POLICY = "random"
 """The name of the policy that every domain has besides its own."""
+
+PRIVILEGED_POLICY = "clairvoyant"
+"""The name of the policy that reads the user's hidden goal, to set a ceiling beside agents."""
 
 
 def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
@@ -24,7 +28,8 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
 
     Args:
         name: one of the domain's policies (the movie domain has ``rule``, ``rule_inform``,
-            ``careful_essential`` and ``careful``), or ``"random"``.
+            ``careful_essential`` and ``careful``), ``"random"``, or the privileged
+            ``"clairvoyant"``.
         env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms.
 
     Raises:
@@ -41,10 +46,11 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
     domain: Domain = env.domain
     if name == RANDOM_POLICY:
         return UniformPolicy()
+    if name == PRIVILEGED_POLICY:
+        return ClairvoyantPolicy(env)
     if name not in domain.policies:
-        raise ValueError(
-            f"policy must be one of {', '.join((RANDOM_POLICY, *domain.policies))}, got {name!r}"
-        )
+        names = (RANDOM_POLICY, *domain.policies, PRIVILEGED_POLICY)
+        raise ValueError(f"policy must be one of {', '.join(names)}, got {name!r}")
     specification = domain.policies[name]
     policy: TensorDictModuleBase
     if specification.kind == "script":

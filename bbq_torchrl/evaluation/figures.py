@@ -64,6 +64,7 @@ def draw_run(
     title: str,
     spiked: str | None = None,
     extensions: Mapping[int, str] | None = None,
+    references: Mapping[str, float] | None = None,
 ) -> None:
     """Draws the learning curve of one run into a PNG file.
 
@@ -76,6 +77,7 @@ def draw_run(
         title: the heading.
         spiked: what the buffer was spiked with, said at round 0; ``None`` for an empty buffer.
         extensions: round to slot: where the domain grew.
+        references: success rates of privileged policies, by name.
     """
     figure, axes = _axes()
     groups = [curves] if isinstance(curves, Curves) else list(curves)
@@ -98,10 +100,17 @@ def draw_run(
         if start <= rounds[-1]:
             axes.axvline(start, color="0.6", lw=0.8, ls=":")
             axes.text(start, 1.0, f" {slot}", rotation=90, va="top", ha="left", fontsize=7)
+    _draw_references(axes, references or {})
     _finish(figure, axes, file, title)
 
 
-def draw_comparison(file: Path, groups: Sequence[Curves], *, title: str) -> None:
+def draw_comparison(
+    file: Path,
+    groups: Sequence[Curves],
+    *,
+    title: str,
+    references: Mapping[str, float] | None = None,
+) -> None:
     """Draws groups of seeds: every seed's curve, their mean, and its 95 % band.
 
     The band is the bootstrap interval of the mean over seeds (five or more), round by round.
@@ -110,12 +119,14 @@ def draw_comparison(file: Path, groups: Sequence[Curves], *, title: str) -> None
         file: a PNG or SVG file.
         groups: at most seven, one for each setting.
         title: the heading.
+        references: success rates of privileged policies, by name.
     """
     if not 1 <= len(groups) <= len(COLORS):
         raise ValueError(f"between 1 and {len(COLORS)} groups can be drawn, got {len(groups)}")
     figure, axes = _axes()
     for group, color in zip(groups, COLORS, strict=False):
         _draw_group(axes, group, color, band=True)
+    _draw_references(axes, references or {})
     _finish(figure, axes, file, title)
 
 
@@ -218,6 +229,12 @@ def _draw_evaluated(axes: Any, group: Curves, color: Any) -> None:
     noun = "1 seed" if seeds == 1 else f"{seeds} seeds"
     label = f"{group.label} ({noun}, evaluated)"
     axes.plot(rounds + 1, rates[rounds].mean(1), "o-", ms=3, color=color, lw=2.2, label=label)
+
+
+def _draw_references(axes: Any, references: Mapping[str, float]) -> None:
+    for name, rate in references.items():
+        label = f"{name} (privileged: it reads what no agent is shown): {rate:.3f}"
+        axes.axhline(rate, color="0.35", lw=1, ls=":", label=label)
 
 
 def _bounds(row: Any) -> tuple[float, float]:

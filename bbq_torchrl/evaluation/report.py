@@ -48,6 +48,7 @@ __all__ = [
     "curves",
     "draw_table1",
     "main",
+    "references",
     "setting_of",
     "table1_text",
     "write_replicas",
@@ -143,6 +144,24 @@ def _replica_rows(group: Group) -> list[dict[str, Any]]:
     ]
 
 
+def references(groups: Sequence[Group]) -> dict[str, float]:
+    """Returns the success of the privileged policies, by name, mean over the runs.
+
+    Empty unless the runs all know it and have the same users.
+    """
+    runs = [run for group in groups for run in group.runs]
+    users = [
+        {key: value for key, value in run.setting.items() if key.startswith(("env.", "domain."))}
+        for run in runs
+    ]
+    known = [run.result.references for run in runs]
+    if any(other != users[0] for other in users) or any(
+        one.keys() != known[0].keys() for one in known
+    ):
+        return {}
+    return {name: math.fsum(one[name] for one in known) / len(known) for name in known[0]}
+
+
 def write_report(groups: Sequence[Group], folder: Path) -> str:
     """Writes ``report.md``, a CSV file of each of its tables, and the learning curves.
 
@@ -158,7 +177,12 @@ def write_report(groups: Sequence[Group], folder: Path) -> str:
         figures.append(folder / ("curves.png" if number == 1 else f"curves_{number}.png"))
         drawn = groups[start : start + len(COLORS)]
         title = f"Training success: {setting_of(drawn)}"
-        draw_comparison(figures[-1], [curves(group) for group in drawn], title=title)
+        draw_comparison(
+            figures[-1],
+            [curves(group) for group in drawn],
+            title=title,
+            references=references(drawn),
+        )
     pictures = [f"![Training success by round]({figure.name})" for figure in figures]
     compared = pairings(groups)
     text = _markdown(groups, compared)

@@ -112,6 +112,7 @@ class RunResult:
             the best too; None where there were none.
         scripted: success rates of the scripted policies in the environment of the final
             evaluation, by name; empty in results of versions without it.
+        references: the same of the privileged policies, which read what no agent is shown.
         skipped: what of the corpus was left out, a sentence each.
     """
 
@@ -135,6 +136,7 @@ class RunResult:
     intrinsic: str = "none"
     while_training: TrainingEvaluation | None = None
     scripted: dict[str, float] = field(default_factory=dict)
+    references: dict[str, float] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
 
     @classmethod

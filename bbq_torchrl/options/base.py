@@ -309,8 +309,15 @@ class EnvOption(Option):
         """Returns the names of the scripted policies; there is also ``random``."""
         return ()
 
+    def references(self, domain: Domain | None) -> tuple[str, ...]:
+        """Returns the names of the privileged policies: they read what no agent is shown.
+
+        They say how far an agent could get, and stand beside it in results and figures.
+        """
+        return ()
+
     def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
-        """Makes a scripted policy, or the random one."""
+        """Makes a scripted policy, a privileged one, or the random one."""
         from torchrl.envs.utils import RandomPolicy
 
         from bbq_torchrl.envs import UniformPolicy as RandomLegalPolicy

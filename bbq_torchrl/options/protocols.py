@@ -84,4 +84,4 @@ class QuickProtocol(ProtocolOption):
     capacity: int = other_default(ProtocolOption, "capacity", 5_000)
     eval_dialogues: int = other_default(ProtocolOption, "eval_dialogues", 2_000)
     eval_batch: int = other_default(ProtocolOption, "eval_batch", 2_000)
-    eval_every_dialogues: int = other_default(ProtocolOption, "eval_every_dialogues", 200)
+    eval_every_dialogues: int = other_default(ProtocolOption, "eval_every_dialogues", 150)

@@ -20,6 +20,7 @@ class Sizes:
         eval_dialogues: of the evaluation.
         memory: of the run whose memory is measured.
         learning_seeds: trainings of each agent, until it has learned.
+        learning_rounds: of each of these at most.
         learning_overrides: of the configuration of these.
         imports: whether the sub-packages' import times are measured too.
         overrides: of every configuration.
@@ -33,6 +34,7 @@ class Sizes:
     eval_dialogues: int = 10_000
     memory: tuple[str, ...] = ("replicas=5", "spike.dialogues=500", "protocol.rounds=3")
     learning_seeds: int = 5
+    learning_rounds: int = 100
     learning_overrides: tuple[str, ...] = ()
     imports: bool = True
     overrides: tuple[str, ...] = ()
@@ -49,6 +51,7 @@ TINY = Sizes(
     eval_dialogues=8,
     memory=("replicas=2", "spike.dialogues=2", "protocol.rounds=1"),
     learning_seeds=1,
+    learning_rounds=3,
     learning_overrides=(
         "protocol.rounds=2",
         "protocol.eval_every=1",

@@ -44,26 +44,31 @@ class Learned(NamedTuple):
 def time_to_learn(sizes: Sizes, _: Timer) -> list[Row]:
     """Processor time of ``protocol=quick`` until evaluation success, whatever the clock asked for.
 
-    From the start of the process: imports, spiking, rounds, evaluations and checkpoints.
+    From the start of the process: imports, spiking, rounds, evaluations and checkpoints. Who is not
+    there after the protocol's rounds goes on, with all schedules at their end, for up to
+    ``sizes.learning_rounds`` rounds in all.
     """
     start = processes.python("-c", "import bbq_torchrl.run").cpu
     rows = []
     for name in ("bbqn-map", "dqn"):
         overrides = (*AGENTS[name], "protocol=quick", *sizes.overrides, *sizes.learning_overrides)
-        learned = [train([*overrides, f"seed={seed}"]) for seed in range(sizes.learning_seeds)]
+        learned = [
+            train([*overrides, f"seed={seed}"], sizes.learning_rounds)
+            for seed in range(sizes.learning_seeds)
+        ]
         rows.append(_row(name, learned, start))
     return rows
 
 
-def train(overrides: Sequence[str]) -> Learned:
-    """Trains one replica until it reaches the level, or to the end."""
+def train(overrides: Sequence[str], rounds: int) -> Learned:
+    """Trains one replica until it reaches the level, at most so many rounds."""
     now = CLOCKS["cpu"]
     started = now()
     with tempfile.TemporaryDirectory() as folder:
         config = compose(overrides)
         trainer, _ = build_trainer(config, Path(folder) / "run")
         trainer.begin()
-        return until(trainer.train_round, config.protocol.rounds, now, started)
+        return until(trainer.train_round, rounds, now, started)
 
 
 def until(

@@ -8,11 +8,13 @@ from collections import defaultdict
 from functools import partial
 from pathlib import Path
 from statistics import fmean, median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from scipy import stats
 
+from bbq_torchrl.evaluation.results import read_metrics
 from scripts.docs_blocks.markdown import table
+from scripts.docs_blocks.policies import success_rate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,12 +23,16 @@ __all__ = ["learning_blocks"]
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 
+LEVEL = 0.6
+"""Success of an evaluation that shows that an agent has learned to book."""
+
 
 def learning_blocks() -> dict[str, Callable[[], str]]:
     """Returns the blocks of the page."""
     return {
         "learning.plateau": _plateau,
         "learning.quick": _quick,
+        "learning.expect": _expect,
         "learning.search": _search,
         "learning.tried": partial(_tried, "tried.csv", "success_rate", "final"),
         "learning.targets": partial(_tried, "tried_targets.csv", "late_success", "rounds 26 to 30"),
@@ -52,24 +58,104 @@ def _plateau() -> str:
     return table(("start, after updates", *columns), rows, numbers=len(columns))
 
 
-def _quick() -> str:
-    """Returns a line for each seed of the README's first command."""
+class _Quick(NamedTuple):
+    """One seed of the README's first command.
+
+    Attributes:
+        seed: of the run.
+        final: success rate of the final evaluation.
+        training: share of all training dialogues that succeeded.
+        reached: the round at whose end an evaluation was first at .6 or above; None: in none.
+        wall: seconds of the whole command.
+        processor: seconds of a core that it took.
+    """
+
+    seed: int
+    final: float
+    training: float
+    reached: int | None
+    wall: float
+    processor: float
+
+
+def _quick_runs() -> list[_Quick]:
+    """Returns what is kept in results/quick, in order of the seeds."""
     found = []
+    took = {int(line["seed"]): line for line in _read("quick_seconds.csv")}
     for file in (RESULTS / "quick").glob("*/result.json"):
         result = json.loads(file.read_text(encoding="utf-8"))
         [replica] = result["per_replica"]
-        found.append((result["seed"], replica["success_rate"], replica["training_success"]))
+        metrics = read_metrics(file.parent)
+        is_there = metrics["eval_success_rate"][:, 0] >= LEVEL
+        found.append(
+            _Quick(
+                result["seed"],
+                replica["success_rate"],
+                replica["training_success"],
+                int(is_there.argmax()) + 1 if is_there.any() else None,
+                *(float(took[result["seed"]][key]) for key in ("wall", "processor")),
+            )
+        )
+    return sorted(found)
+
+
+def _quick() -> str:
+    """Returns a line for each seed of the README's first command."""
+    found = _quick_runs()
     if not found:
         return "Not measured yet."
-    rows = [(seed, f"{final:.3f}", f"{training:.3f}") for seed, final, training in sorted(found)]
-    finals = [final for _, final, _ in found]
-    mean = ("mean", f"{fmean(finals):.3f}", f"{fmean(item[2] for item in found):.3f}")
-    head = ("seed", "final success", "cumulative training success")
-    return (
-        f"{table(head, [*rows, mean], numbers=3)}\n\n"
-        f"The final success of {len(found)} seeds is between {min(finals):.2f} and "
-        f"{max(finals):.2f}."
+    rows = [
+        (
+            run.seed,
+            f"{run.final:.3f}",
+            f"{run.training:.3f}",
+            "not reached" if run.reached is None else run.reached,
+            f"{run.wall:.0f}",
+            f"{run.processor:.0f}",
+        )
+        for run in found
+    ]
+    wall, processor = [run.wall for run in found], [run.processor for run in found]
+    mean = (
+        "mean",
+        f"{fmean(run.final for run in found):.3f}",
+        f"{fmean(run.training for run in found):.3f}",
+        "",
+        f"{fmean(wall):.0f}",
+        f"{fmean(processor):.0f}",
     )
+    head = (
+        *("seed", "final success", "cumulative training success", f"rounds to {LEVEL}"),
+        *("seconds", "of a core"),
+    )
+    finals = [run.final for run in found]
+    return (
+        f"{table(head, [*rows, mean], numbers=6)}\n\n"
+        f"The final success of {len(found)} seeds is between {min(finals):.2f} and "
+        f"{max(finals):.2f}. Rounds to {LEVEL}: until an evaluation while training was there. "
+        "Seconds are of the whole command, from the start of the process to its end, on a machine "
+        f"of two cores beside another process (median {median(wall):.0f}), and those of a core "
+        f"that it took (median {median(processor):.0f})."
+    )
+
+
+def _expect() -> str:
+    """Returns what a user of the README's first command can expect."""
+    finals = [run.final for run in _quick_runs()]
+    rule, ceiling = (success_rate("movie", "reference", name) for name in ("rule", "clairvoyant"))
+    if not finals or rule is None or ceiling is None:
+        return "Not measured yet."
+    return (
+        "What to expect: nothing in the first five rounds, then success rises; "
+        f"{len(finals)} fresh seeds end between {_rate(min(finals))} and {_rate(max(finals))} of "
+        f"dialogues booked (mean {_rate(fmean(finals))}), where the rule agent books {_rate(rule)} "
+        f"and a privileged policy that reads the user's hidden goal {_rate(ceiling)} "
+        "([each seed, and why nothing happens at first](docs/learning_starts.md))."
+    )
+
+
+def _rate(value: float) -> str:
+    return f"{value:.2f}".lstrip("0")
 
 
 def _search() -> str:

@@ -1,4 +1,4 @@
-"""Tables of how the scripted policies do, from results/policies.json."""
+"""Tables of how the scripted policies and the privileged one do, from results/policies.json."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scripts.docs_blocks.markdown import code, table
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["policies_blocks"]
+__all__ = ["policies_blocks", "success_rate"]
 
 FILE = Path(__file__).resolve().parents[2] / "results" / "policies.json"
 MAKE = "python scripts/measure_policies.py --miulab <folder>"
@@ -31,12 +31,21 @@ PUBLIC: dict[tuple[str, str], tuple[float, float]] = {
 
 
 def policies_blocks() -> dict[str, Callable[[], str]]:
-    """Returns the blocks about scripted policies."""
+    """Returns the blocks about policies that do not learn."""
     return {"policies.reference": _reference, "policies.comparison": _comparison}
 
 
 def _entries() -> list[dict[str, Any]]:
     return json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else []
+
+
+def success_rate(corpus: str, setting: str, policy: str) -> float | None:
+    """Returns what was measured; None if it was not."""
+    wanted = (corpus, setting, policy)
+    for entry in _entries():
+        if (entry["corpus"], entry["setting"], entry["policy"]) == wanted:
+            return entry["result"]["success_rate"]
+    return None
 
 
 def _reference() -> str:
@@ -45,7 +54,7 @@ def _reference() -> str:
     rows = [
         (
             code(entry["corpus"]),
-            code(entry["policy"]),
+            code(entry["policy"]) + (", privileged" if "privileged" in entry["result"] else ""),
             entry["result"]["dialogues"],
             _rate(entry["result"]),
             f"{entry['result']['reward']:.2f}",

@@ -23,6 +23,7 @@ from bbq_torchrl.evaluation.tables import (
     success_table,
 )
 from scripts.docs_blocks.markdown import table
+from scripts.docs_blocks.policies import success_rate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,6 +43,16 @@ EXPERIMENTS = {
     "no_spike_movie": "Without spiking, our corpus, first defaults",
 }
 """Folder in results/ -> what was trained on."""
+
+PRIVILEGED = {
+    "tcbot": ("miulab", "v1, no error"),
+    "quick": ("movie", "reference"),
+    "learning_movie": ("movie", "reference"),
+    "learning_miulab": ("miulab", "reference"),
+    "extension_movie": ("movie", "reference"),
+    "no_spike_movie": ("movie", "reference"),
+}
+"""Folder in results/ -> corpus and setting of results/policies.json in which its training ended."""
 
 IN_README = ("tcbot", "learning_miulab", "learning_movie", "extension_movie")
 
@@ -70,7 +81,13 @@ def draw_figures() -> list[Path]:
     for experiment, title in EXPERIMENTS.items():
         if kept := groups(experiment):
             drawn.append(FIGURES / f"{experiment}.png")
-            draw_comparison(drawn[-1], [curves(group) for group in kept], title=title)
+            ceiling = success_rate(*PRIVILEGED[experiment], "clairvoyant")
+            draw_comparison(
+                drawn[-1],
+                [curves(group) for group in kept],
+                title=title,
+                references={} if ceiling is None else {"clairvoyant": ceiling},
+            )
     return drawn
 
 

@@ -55,7 +55,8 @@ def test_the_median_says_what_was_cut_off(
 ) -> None:
     asked: list[list[str]] = []
 
-    def train(overrides: list[str]) -> Learned:
+    def train(overrides: list[str], rounds: int) -> Learned:
+        assert rounds == FULL.learning_rounds
         took = seconds[len(asked) % 5]
         asked.append(overrides)
         return Learned(45, False, 25) if took is None else Learned(took, True, 25)

@@ -70,6 +70,7 @@ def make_run(
     eval_every: int = 0,
     changes: Mapping[str, object] | None = None,
     values: list[dict[str, float]] | None = None,
+    references: Mapping[str, float] | None = None,
     **agent_keys: object,
 ) -> Path:
     """Writes what a finished run leaves behind. Returns the folder.
@@ -95,6 +96,7 @@ def make_run(
         (config[group] if group else config)[name] = value
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     (folder / "metrics.csv").write_text(metrics_text(rates, rounds, eval_every))
-    result = run_result(rates, values, agent=agent, explore=explore, seed=seed, rounds=rounds)
+    described = {"agent": agent, "explore": explore, "seed": seed, "rounds": rounds}
+    result = run_result(rates, values, references=dict(references or {}), **described)
     write_json(result, folder / "result.json")
     return folder

@@ -48,16 +48,19 @@ def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(t
         title="a run",
         spiked="spiked with 100 rule dialogues",
         extensions={10: "price", 20: "zip", 40: "state"},
+        references={"clairvoyant": 0.8},
     )
     (axes,) = drawn[0].axes
-    # Three replicas, their mean, three final points, their mean, the spike, two slots in time.
-    assert len(axes.get_lines()) == 3 + 1 + 1 + 1 + 1 + 2
+    # Three replicas, their mean, three final points, their mean, the spike, two slots in time, and
+    # what knows the goal.
+    assert len(axes.get_lines()) == 3 + 1 + 1 + 1 + 1 + 2 + 1
     assert [text.get_text() for text in axes.texts] == [" price", " zip"]
     assert axes.get_title() == "a run"
     assert labels(drawn[0]) == [
         "DQN (3 seeds, mean of 10 rounds)",
         "final evaluation: 0.500",
         "spiked with 100 rule dialogues",
+        "clairvoyant (privileged: it reads what no agent is shown): 0.800",
     ]
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 from bbq_torchrl.evaluation import estimate, interquartile_mean, probability_of_improvement
 from bbq_torchrl.evaluation.groups import find_results, read_groups
-from bbq_torchrl.evaluation.report import main
+from bbq_torchrl.evaluation.report import main, references
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
@@ -19,6 +19,19 @@ BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
 def read_csv(file):
     with file.open(newline="") as stream:
         return list(csv.DictReader(stream))
+
+
+def test_a_privileged_policy_is_drawn_where_all_runs_know_it_and_have_the_same_users(tmp_path):
+    known = {"clairvoyant": 0.8}
+    first = make_run(tmp_path / "first", [0.5], references=known)
+    other = make_run(tmp_path / "other", [0.5], seed=1, references={"clairvoyant": 0.7})
+    older = make_run(tmp_path / "older", [0.5], seed=2)
+    changes = {"env.slot_error_prob": 0.3}
+    harder = make_run(tmp_path / "harder", [0.5], references=known, changes=changes)
+
+    assert references(read_groups([first, other])) == {"clairvoyant": pytest.approx(0.75)}
+    assert references(read_groups([first, other, older])) == {}
+    assert references(read_groups([first, harder])) == {}
 
 
 def test_results_are_found_in_and_below_folders_once(tmp_path):

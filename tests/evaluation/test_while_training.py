@@ -180,16 +180,19 @@ def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_pat
 
     domain = config.domain.make()
     assert list(result.scripted) == [*domain.policies, "random"]
+    assert list(result.references) == ["clairvoyant"]
+    assert result.references["clairvoyant"] > max(result.scripted.values())
     line = next(text for text in caplog.messages if " books " in text)
     assert line.startswith("DQN books ")
     assert "over 2 replicas (" in line
+    assert "privileged clairvoyant ." in line
     for name, rate in result.scripted.items():
         given = [f"policy={name}", "dialogues=1000", "seed=5", "domain=folder"]
         alone = command.evaluation(
             compose([*given, f"domain.path={config.domain.path}"], EvaluateConfig)
         )
-        # 800 dialogues and 1,000 others: at most five standard errors apart.
-        spread = math.sqrt(0.25 / 800 + 0.25 / 1000)
+        # 400 dialogues and 1,000 others: at most five standard errors apart.
+        spread = math.sqrt(0.25 / 400 + 0.25 / 1000)
         assert rate == pytest.approx(alone["success_rate"], abs=5 * spread)
         shown = f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}"
         assert f"{name.replace('_', ' ')} {shown}" in line

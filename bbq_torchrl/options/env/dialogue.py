@@ -79,8 +79,14 @@ class DialogueOption(EnvOption):
         assert domain is not None
         return tuple(domain.policies)
 
+    def references(self, domain: Domain | None) -> tuple[str, ...]:
+        """The one that knows the user's goal."""
+        from bbq_torchrl.envs.policies import PRIVILEGED_POLICY
+
+        return (PRIVILEGED_POLICY,)
+
     def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
-        """A policy of the domain, or ``random``."""
+        """A policy of the domain, ``clairvoyant``, or ``random``."""
         from bbq_torchrl.envs import scripted_policy
 
         return scripted_policy(name, env)

@@ -1,0 +1,154 @@
+"""A privileged policy, which reads the user's hidden goal: what perfect knowledge is worth."""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+
+from bbq_torchrl.domains.values import DONT_CARE, NONE
+from bbq_torchrl.simulator.bits import pack, popcount
+
+if TYPE_CHECKING:
+    from tensordict import NestedKey, TensorDictBase
+    from torchrl.envs import EnvBase
+
+__all__ = ["ClairvoyantPolicy"]
+
+
+class ClairvoyantPolicy(TensorDictModuleBase):
+    """Books as well as one can who knows the user's goal and all that was misheard.
+
+    Privileged: it reads ``env.dialogues``, the state of the simulator, which no agent is shown. It
+    is there to compare with, not to be learned from. Each turn it takes the first of these that
+    there is reason for:
+
+    1. Constraints are unsaid and a question is open: request what the question is about, which has
+       the user say all that is unsaid at once.
+    2. A constraint is unsaid, or was misheard: request it. (``confirm_answer`` has the user go on
+       where an unsaid one cannot be requested.)
+    3. An error has put a value into a slot that is no matter of the goal: request it.
+    4. A question is open: answer it. Of several first the one whose answer leaves most records that
+       have something to answer to all the others.
+    5. Nothing was offered yet: offer the booking.
+    6. End the dialogue.
+
+    It is not proven to be the best: it does not wait for errors that would happen to help. No goal
+    whose constraints and questions no one record meets is met without an error.
+
+    Args:
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms; the policy plays
+            in no other one.
+        mask_key: bool ``[*batch, N]``, the legal actions.
+        action_key: where the action is written, int64 ``[*batch]``.
+
+    Example:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> from bbq_torchrl.envs import DialogueEnv
+        >>> env = DialogueEnv(movie_domain(), batch_size=(100,), slot_error_prob=0.0, seed=0)
+        >>> rollout = env.rollout(21, ClairvoyantPolicy(env), break_when_any_done=False)
+        >>> bool(rollout["next", "success"].any(1).double().mean() > 0.7)
+        True
+    """
+
+    def __init__(
+        self,
+        env: EnvBase,
+        *,
+        mask_key: NestedKey = "action_mask",
+        action_key: NestedKey = "action",
+    ) -> None:
+        super().__init__()
+        self.mask_key, self.action_key = mask_key, action_key
+        self.in_keys, self.out_keys = [mask_key], [action_key]
+        domain, tensors = env.domain, env.simulator.domain
+        names = domain.action_names
+        self._request = _actions_of_slots(names, "request", domain.slots).to(env.device)
+        self._inform = _actions_of_slots(names, "inform", domain.slots).to(env.device)
+        # Booked and offered, not answered.
+        self._inform[[tensors.ticket, tensors.complete]] = -1
+        self._offer = domain.action_index(f"inform({domain.complete_slot})")
+        self._end = names.index("thanks" if "thanks" in names else "closing")
+        self._go_on = names.index("confirm_answer") if "confirm_answer" in names else self._offer
+        self._ticket, self._complete = tensors.ticket, tensors.complete
+        self._constrains = tensors.constrains
+        self._knowledge_base = env.simulator.knowledge_base
+        self._records_with = pack((tensors.records != NONE).t())
+        # Kept in a closure: an environment is a module, and would become part of this one.
+        self._dialogues = lambda: env.dialogues
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that comes next."""
+        state = self._dialogues()
+        is_legal = tensordict.get(self.mask_key)
+        may_request, may_inform = _legal(is_legal, self._request), _legal(is_legal, self._inform)
+        constraints, held, agenda = state["constraints"], state["held"], state["agenda"]
+        is_constraint = constraints != NONE
+        is_open = (agenda | state["pending"]) & ~is_constraint
+        is_open[..., self._ticket] = False
+        is_unsaid = (agenda & is_constraint).any(-1)
+        has_offered = state["constraints_met"] | (state["agent_informs"][..., self._complete] > 0)
+
+        all_at_once = is_open & agenda & may_request & is_unsaid[..., None]
+        wrong = is_constraint & (held != constraints) & may_request
+        stray = ~is_constraint & ~state["requests"] & self._constrains & may_request
+        stray = stray & (held > DONT_CARE)
+        answers = is_open & may_inform
+        asks = all_at_once.any(-1) | wrong.any(-1) | is_unsaid | stray.any(-1)
+        order = self._records_left(held, is_open, answers & ~asks[..., None])
+
+        action = torch.where(has_offered, self._end, self._offer)
+        action = torch.where(answers.any(-1), self._inform[order.argmax(-1)], action)
+        action = torch.where(stray.any(-1), self._first(stray), action)
+        action = torch.where(is_unsaid, self._go_on, action)
+        action = torch.where(wrong.any(-1), self._first(wrong), action)
+        action = torch.where(all_at_once.any(-1), self._first(all_at_once), action)
+        return tensordict.set(self.action_key, action)
+
+    def _first(self, slots: torch.Tensor) -> torch.Tensor:
+        """Returns the request of the first of the slots, long ``[*B]``; of any where none is."""
+        return self._request[slots.to(torch.uint8).argmax(-1)]
+
+    def _records_left(
+        self, held: torch.Tensor, is_open: torch.Tensor, answers: torch.Tensor
+    ) -> torch.Tensor:
+        """Returns what is left after each possible answer.
+
+        Args:
+            held: long ``[*B, S]``, the values that the tracker holds.
+            is_open: bool ``[*B, S]``, the questions.
+            answers: bool ``[*B, S]``, those of them to look at.
+
+        Returns:
+            Long ``[*B, S]``: how many records match what is held after the answer and have a value
+            of every other slot in question; -1 where there is no answer to look at.
+        """
+        left = torch.full_like(held, -1)
+        *places, slot = answers.nonzero(as_tuple=True)
+        if slot.numel() == 0:
+            return left
+        held, others = held[tuple(places)], is_open[tuple(places)]
+        value, _ = self._knowledge_base.fill(held, slot)
+        held = held.scatter(-1, slot[:, None], value[:, None])
+        others = others.scatter(-1, slot[:, None], False)
+        # Records that lack a slot in question are taken away, one slot after the other.
+        records = reduce(
+            lambda kept, item: torch.where(item[0][:, None], kept & item[1], kept),
+            zip(others.unbind(-1), self._records_with, strict=True),
+            self._knowledge_base.matching(held),
+        )
+        left[(*places, slot)] = popcount(records)
+        return left
+
+
+def _actions_of_slots(names: tuple[str, ...], act: str, slots: tuple[str, ...]) -> torch.Tensor:
+    """Returns the action of each slot, long ``[S]``; -1 where there is none."""
+    index = {name: number for number, name in enumerate(names)}
+    return torch.tensor([index.get(f"{act}({slot})", -1) for slot in slots])
+
+
+def _legal(is_legal: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+    """Returns which slots have an action that is legal now, bool ``[*B, S]``."""
+    return is_legal[..., actions.clamp(min=0)] & (actions >= 0)
