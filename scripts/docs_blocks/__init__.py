@@ -12,6 +12,7 @@ from scripts.docs_blocks.domain import domain_blocks
 from scripts.docs_blocks.extending import extending_blocks
 from scripts.docs_blocks.floor import floor_blocks
 from scripts.docs_blocks.growth import draw_growth, growth_blocks
+from scripts.docs_blocks.house import draw_house, house_blocks
 from scripts.docs_blocks.language import language_blocks
 from scripts.docs_blocks.learning import learning_blocks
 from scripts.docs_blocks.policies import policies_blocks
@@ -31,6 +32,7 @@ BLOCKS = (
     extending_blocks,
     floor_blocks,
     growth_blocks,
+    house_blocks,
     language_blocks,
     learning_blocks,
     policies_blocks,
@@ -44,4 +46,4 @@ __all__ = ["BLOCKS", "draw_figures"]
 
 def draw_figures() -> list[Path]:
     """Draws every figure that is made from results; returns the files."""
-    return [*draw_learning_curves(), *draw_growth()]
+    return [*draw_learning_curves(), *draw_growth(), *draw_house()]
