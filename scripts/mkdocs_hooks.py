@@ -1,4 +1,4 @@
-"""MkDocs hooks: TeX becomes MathML, Sphinx roles in docstrings become links.
+"""MkDocs hooks: files of the root as pages, TeX as MathML, Sphinx roles in docstrings as links.
 
 ``pymdownx.arithmatex`` marks the formulas; browsers show MathML without any script, so the site
 needs no MathJax from elsewhere. The docstrings name other objects by Sphinx roles, as TorchRL's do.
@@ -8,14 +8,25 @@ from __future__ import annotations
 
 import html
 import re
+from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
 
+_ROOT = Path(__file__).resolve().parents[1]
+_INCLUDED = re.compile(r'^--8<-- "(?P<file>[\w.]+)"$', re.MULTILINE)
 _FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<tex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
 )
 _ROLE = re.compile(r":(?:class|func|meth|data|attr|mod|exc|obj):<code>(?P<path>~?[\w.]+)</code>")
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Returns the page with files of the root put in, their links to docs/ as seen from there."""
+    return _INCLUDED.sub(
+        lambda match: (_ROOT / match["file"]).read_text(encoding="utf-8").replace("](docs/", "]("),
+        markdown,
+    )
 
 
 def on_page_content(content: str, **_: Any) -> str:

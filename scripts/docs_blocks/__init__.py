@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from scripts.docs_blocks.config import config_blocks
 from scripts.docs_blocks.domain import domain_blocks
+from scripts.docs_blocks.house import draw_house, house_blocks
 from scripts.docs_blocks.learning import learning_blocks
 from scripts.docs_blocks.policies import policies_blocks
 from scripts.docs_blocks.results import draw_figures as draw_learning_curves
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 BLOCKS = (
     config_blocks,
     domain_blocks,
+    house_blocks,
     learning_blocks,
     policies_blocks,
     results_blocks,
@@ -32,4 +34,4 @@ __all__ = ["BLOCKS", "draw_figures"]
 
 def draw_figures() -> list[Path]:
     """Draws every figure that is made from results; returns the files."""
-    return [*draw_learning_curves(), *draw_growth()]
+    return [*draw_learning_curves(), *draw_growth(), *draw_house()]

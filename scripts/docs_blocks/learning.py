@@ -33,6 +33,7 @@ def learning_blocks() -> dict[str, Callable[[], str]]:
         "learning.plateau": _plateau,
         "learning.quick": _quick,
         "learning.expect": _expect,
+        "learning.from_scratch": _from_scratch,
         "learning.search": _search,
         "learning.tried": partial(_tried, "tried.csv", "success_rate", "final"),
         "learning.targets": partial(_tried, "tried_targets.csv", "late_success", "rounds 26 to 30"),
@@ -156,6 +157,16 @@ def _expect() -> str:
 
 def _rate(value: float) -> str:
     return f"{value:.2f}".lstrip("0")
+
+
+def _from_scratch() -> str:
+    """Returns what the example in one file came to."""
+    ends = [
+        f"{float(line['final_success']):.3f} (seed {line['seed']})"
+        for line in _read("from_scratch.csv")
+    ]
+    file = "`examples/bbqn_from_scratch.py`"
+    return f"The same in one file of plain torch, {file}, ends at {', '.join(ends)}."
 
 
 def _search() -> str:

@@ -107,10 +107,20 @@ def test_figure_is_drawn_for_what_there_is(kept: Path) -> None:
     assert (results.FIGURES / "learning_movie.png").stat().st_size > 10_000
 
 
-def test_readme_shows_every_main_experiment_there_is(kept: Path) -> None:
+def test_readme_has_a_line_of_every_main_experiment_there_is(kept: Path) -> None:
     text = results.results_blocks()["results.readme"]()
-    assert f"| {results.EXPERIMENTS['learning_movie']} | BBQN-MAP | 5 | 0.750 [" in text
-    assert "(docs/figures/learning_movie.png)" in text
+    assert "| trained on | BBQN-MAP | DQN | difference |" in text
+    [line] = [line for line in text.splitlines() if "0.750 [" in line]
+    assert line.startswith(f"| {results.EXPERIMENTS['learning_movie']} | 0.750 [")
+    assert "| 0.500 [" in line
+    assert line.endswith("+0.250 [+0.131, +0.369] |")
+
+
+def test_main_results_have_a_line_of_every_agent(kept: Path) -> None:
+    text = results.results_blocks()["results.main"]()
+    setting = results.EXPERIMENTS["learning_movie"]
+    assert f"| {setting} | BBQN-MAP | 5 | 0.750 [" in text
+    assert f"| {setting} | BBQN-MAP minus DQN | 5 | +0.250 [" in text
 
 
 SETTINGS = sorted({m.overrides for m in measure_policies.MEASUREMENTS})

@@ -1,0 +1,171 @@
+"""The rooms of the package, their layers and arrows: the table and the picture of docs/house.md."""
+
+from __future__ import annotations
+
+import ast
+import re
+from configparser import ConfigParser
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import grimp
+
+from scripts.docs_blocks.markdown import code, table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+__all__ = [
+    "FIGURE",
+    "HELPERS",
+    "arrows",
+    "draw_house",
+    "house_blocks",
+    "layers",
+    "picture",
+    "rooms",
+]
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "bbq_torchrl"
+FIGURE = ROOT / "docs" / "figures" / "house.svg"
+
+HELPERS = ("interruption", "text")
+"""Modules that any room may use; they import no room."""
+
+_BAND, _BOX, _WIDTH = 62, (104, 34), 760  # pixels
+_ALONE = (0.22, 0.5, 0.78)  # where a room that is alone in its layer stands, so that arrows pass
+
+
+def house_blocks() -> dict[str, Callable[[], str]]:
+    """Returns the block of the table."""
+    return {"house.rooms": _table}
+
+
+def layers() -> list[list[str]]:
+    """Returns the rooms of each layer of the import contract, the highest layer first.
+
+    Rooms that the contract of the layers does not name, which nobody imports, are above all others.
+    """
+    found = [
+        [name.strip().removeprefix(f"{PACKAGE}.") for name in re.split("[|:]", line)]
+        for line in _contracts()["importlinter:contract:layers"]["layers"].strip().split("\n")
+    ]
+    others = sorted(rooms() - {name for layer in found for name in layer})
+    return [others, *found] if others else found
+
+
+def rooms() -> set[str]:
+    """Returns the package's packages, and its modules that are no helpers."""
+    folder = ROOT / PACKAGE
+    packages = {file.parent.name for file in folder.glob("*/__init__.py")}
+    modules = {file.stem for file in folder.glob("*.py")} - {"__init__", *HELPERS}
+    return packages | modules
+
+
+@cache
+def arrows() -> Mapping[str, frozenset[str]]:
+    """Returns which rooms each room imports, but for the imports that the contract lets pass."""
+    passed = _contracts()["importlinter:contract:layers"]["ignore_imports"].split("\n")
+    graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True, cache_dir=None)
+    known = rooms()
+    found: dict[str, set[str]] = {name: set() for name in known}
+    for module in graph.modules:
+        for other in graph.find_modules_directly_imported_by(module):
+            room, imported = _room(module), _room(other)
+            is_shown = room in known and imported in known and room != imported
+            if is_shown and f"{module} -> {other}" not in passed:
+                found[room].add(imported)
+    return {name: frozenset(imported) for name, imported in found.items()}
+
+
+def _room(module: str) -> str:
+    return [*module.split("."), ""][1]
+
+
+@cache
+def _contracts() -> ConfigParser:
+    parser = ConfigParser()
+    parser.read(ROOT / ".importlinter", encoding="utf-8")
+    return parser
+
+
+def _holds(room: str) -> str:
+    """Returns the first sentence that a room says of itself."""
+    folder = ROOT / PACKAGE
+    file = folder / room / "__init__.py" if (folder / room).is_dir() else folder / f"{room}.py"
+    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    return text.partition("\n\n")[0].replace("\n", " ").replace("``", "`").rstrip(".")
+
+
+def _table() -> str:
+    """Returns a row for each room, from the highest layer to the lowest, which is 1."""
+    order = [room for layer in layers() for room in layer]
+    rows = [
+        (str(height), code(room), _holds(room), _listed(sorted(arrows()[room], key=order.index)))
+        for height, layer in zip(range(len(layers()), 0, -1), layers(), strict=True)
+        for room in layer
+    ]
+    return table(("layer", "room", "holds", "imports"), rows)
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names) or "–"
+
+
+def _shown_arrows() -> list[tuple[str, str]]:
+    """Returns the arrows that go down and do not follow from two others, sorted."""
+    height = {room: -row for row, layer in enumerate(layers()) for room in layer}
+    down = {
+        room: {other for other in imported if height[other] < height[room]}
+        for room, imported in arrows().items()
+    }
+
+    def below(room: str) -> set[str]:
+        return down[room].union(*(below(other) for other in down[room]))
+
+    return sorted(
+        (room, other)
+        for room, imported in down.items()
+        for other in imported
+        if not any(other in below(between) for between in imported)
+    )
+
+
+def picture() -> str:
+    """Returns the picture as SVG: a band for each layer, an arrow for each import of a room."""
+    places: dict[str, tuple[float, float]] = {}
+    width, height = _BOX
+    for row, layer in enumerate(layers()):
+        for column, room in enumerate(layer):
+            share = _ALONE[row % 3] if len(layer) == 1 else (column + 1) / (len(layer) + 1)
+            places[room] = (round(_WIDTH * share, 1), row * _BAND + _BAND / 2)
+    total = len(layers()) * _BAND
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {total}" '
+        'font-family="sans-serif" font-size="13" text-anchor="middle">',
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" '
+        'markerHeight="7" orient="auto"><path d="M0 0 8 4 0 8z" fill="#78909c"/></marker></defs>',
+    ]
+    for row in range(len(layers())):
+        fill = "#f5f7f8" if row % 2 else "#e8edf0"
+        parts.append(f'<rect y="{row * _BAND}" width="{_WIDTH}" height="{_BAND}" fill="{fill}"/>')
+    for room, other in _shown_arrows():
+        (x, y), (to_x, to_y) = places[room], places[other]
+        parts.append(
+            f'<path d="M{x} {y + height / 2}C{x} {y + _BAND * 0.6} {to_x} {to_y - _BAND * 0.6} '
+            f'{to_x} {to_y - height / 2}" fill="none" stroke="#78909c" marker-end="url(#tip)"/>'
+        )
+    for room, (x, y) in places.items():
+        parts.append(
+            f'<rect x="{x - width / 2}" y="{y - height / 2}" width="{width}" height="{height}" '
+            f'rx="6" fill="#fff" stroke="#455a64"/><text x="{x}" y="{y + 4.5}">{room}</text>'
+        )
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def draw_house() -> list[Path]:
+    """Draws the picture; returns the file."""
+    FIGURE.write_text(picture(), encoding="utf-8")
+    return [FIGURE]

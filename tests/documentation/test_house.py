@@ -1,0 +1,44 @@
+"""The page of the house says what the packages and the import contract are."""
+
+from __future__ import annotations
+
+import re
+
+from scripts.docs_blocks import house
+
+from .pages import ROOT
+
+PAGE = (ROOT / "docs" / "house.md").read_text(encoding="utf-8")
+ROWS = re.findall(r"^\| (\d+) \| `(\w+)` \| (.+?) \| (.+?) \|$", PAGE, re.MULTILINE)
+
+
+def _layer_of() -> dict[str, int]:
+    return {room: int(layer) for layer, room, _, _ in ROWS}
+
+
+def test_every_package_has_a_row() -> None:
+    packages = {file.parent.name for file in (ROOT / "bbq_torchrl").glob("*/__init__.py")}
+    assert packages <= set(_layer_of())
+
+
+def test_the_layers_are_those_of_the_contract() -> None:
+    contract = (ROOT / ".importlinter").read_text(encoding="utf-8")
+    section = contract.partition("\nlayers =\n")[2].partition("\nignore_imports")[0]
+    lines = [re.findall(r"bbq_torchrl\.(\w+)", line) for line in section.splitlines()]
+    layers = _layer_of()
+    expected = {room: len(lines) - row for row, rooms in enumerate(lines) for room in rooms}
+    assert {room: layers[room] for room in expected} == expected
+
+
+def test_a_room_imports_only_from_below() -> None:
+    layers = _layer_of()
+    for _, room, _, imports in ROWS:
+        beside = {"cli", "run"} - {room} if room in ("cli", "run") else set()
+        imported = set() if imports == "–" else set(imports.split(", "))
+        assert [name for name in imported - beside if layers[name] >= layers[room]] == []
+
+
+def test_the_picture_is_the_contracts() -> None:
+    assert house.FIGURE.read_text(encoding="utf-8") == house.picture(), (
+        "run python scripts/write_docs.py"
+    )
