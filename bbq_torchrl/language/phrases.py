@@ -17,7 +17,13 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["LANGUAGE_FILE", "Phrases", "PhrasesError", "SlotPhrases", "load_phrases"]
+__all__ = [
+    "LANGUAGE_FILE",
+    "Phrases",
+    "PhrasesError",
+    "SlotPhrases",
+    "load_phrases",
+]
 
 LANGUAGE_FILE = "language.yaml"
 _GENERIC = Path(__file__).with_name("generic.yaml")
@@ -36,7 +42,7 @@ _SLOT_KEYS = (
     "check",
     "clear",
 )
-_DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "q")
+_DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
 """Rules that are filled in while a sentence is made."""
 
 

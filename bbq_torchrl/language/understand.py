@@ -33,10 +33,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Understander"]
 
-_VERSION = 1
+_VERSION = 2
 _MOST_WORDS = 120
-_CALM = 0.6  # sentences of the grammar are more crowded than those of people
-_CUES = 8
+_CALM = 0.3  # sentences of the grammar are more crowded than those of people
+_PLAYED = 3  # sentences of simulated users to one of the grammar's own
+_CUES = 9
+_NONE = [0.0] * (_CUES + 1)
 
 
 class Understander:
@@ -46,7 +48,7 @@ class Understander:
         domain: what is spoken of.
         phrases: how.
         model: the learned parts.
-        calibration: weights ``[9]`` from cues to the log-odds that a frame is right.
+        calibration: weights ``[10]`` from cues to the log-odds that a frame is right.
         threshold: the confidence below which the caller should ask again.
 
     Example:
@@ -90,7 +92,8 @@ class Understander:
         Args:
             domain: what is spoken of.
             folder: where the domain's ``language.yaml`` is, if it has one.
-            sentences: how many to learn from.
+            sentences: how many to learn from; the net learns from three times as many of
+                simulated users.
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
             threshold: the confidence below which the caller should ask again.
@@ -101,12 +104,16 @@ class Understander:
         torch.set_num_threads(1)
         try:
             own = make_examples(domain, phrases, lexicon, sentences, seed)
-            examples = [*own, *labeled]
-            model = fit(domain, phrases, lexicon, examples, seed=seed, steps=60, epochs=14)
-            others = make_examples(
-                domain, phrases, lexicon, max(sentences // 8, 200), seed + 1, noise=_CALM
+            played = make_examples(
+                domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
             )
-            calibration = _calibrate(cls(domain, phrases, model, [0.0] * (_CUES + 1)), others)
+            model = fit(
+                domain, phrases, lexicon, [*own, *labeled], played, seed=seed, steps=60, epochs=14
+            )
+            others = make_examples(
+                domain, phrases, lexicon, max(sentences // 5, 200), seed + 1, noise=_CALM
+            )
+            calibration = _calibrate(cls(domain, phrases, model, _NONE), others)
         finally:
             torch.set_num_threads(threads)
         return cls(domain, phrases, model, calibration, threshold)
@@ -135,7 +142,7 @@ class Understander:
     def _cues(
         self, words: Sequence[str], reading: Reading, unclear: Sequence[Unclear], worst: float
     ) -> np.ndarray:
-        """Returns what tells whether a frame is right, ``[9]``, the last one 1."""
+        """Returns what tells whether a frame is right, ``[10]``, the last one 1."""
         acts = reading.acts.max().item()
         requests = _doubt(reading.requests)
         cares = _doubt(reading.dont_care)
@@ -148,6 +155,7 @@ class Understander:
                 cares,
                 worst - 1.0,
                 reading.unknown,
+                reading.novel,
                 bool(unclear),
                 len(words) / 20,
                 1.0,
