@@ -71,7 +71,9 @@ class EvaluateConfig:
     env: EnvOption = REQUIRED  # type: ignore[assignment]
     domain: DomainOption = REQUIRED  # type: ignore[assignment]
     policy: str = setting(
-        REQUIRED, ANY_TEXT, "random, a scripted policy of the domain (rule, careful, ...), or a run"
+        REQUIRED,
+        ANY_TEXT,
+        "random, a scripted policy of the domain (rule, careful, ...), a run, or shipped:<name>",
     )
     dialogues: int = setting(10_000, COUNT, "dialogues played; for each replica of a run folder")
     batch: int = setting(2_500, COUNT, "dialogues that run side by side")
