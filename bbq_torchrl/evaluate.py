@@ -14,6 +14,7 @@ from bbq_torchrl.cli.resume import run_config
 from bbq_torchrl.cli.store import compose_raw, session, to_config
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.shipped import run_folder
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
@@ -32,7 +33,8 @@ Plays dialogues and prints one line of JSON: success_rate, standard_error, rewar
 dialogues, turns_per_second.
 
   policy=      random, a scripted policy of the domain (rule, careful, ...), clairvoyant (it is
-               privileged: it reads the user's hidden goal), or a run folder
+               privileged: it reads the user's hidden goal), a run folder, or shipped:<name>, an
+               agent that comes with the package
   dialogues=   how many; for each replica of a run folder
   batch=       how many run side by side
   env=, domain=  as in train.py; a run folder's own unless given
@@ -90,7 +92,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     check_device(config.device)
     torch.set_num_threads(config.threads)
     keep_freed_memory()
-    folder = Path(config.policy).expanduser()
+    folder = run_folder(config.policy)
     run = run_config(folder) if folder.is_dir() else None
     if run is not None:
         keys = [override.lstrip("+~").partition("=")[0] for override in overrides]

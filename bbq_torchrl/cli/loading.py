@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bbq_torchrl.cli.agent import make_agent, make_domain
 from bbq_torchrl.cli.resume import description, run_config
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.shipped import is_shipped, run_folder
 from bbq_torchrl.trainers import BestWeights, CheckpointDamagedError, CheckpointFolder
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import torch
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
@@ -51,7 +53,7 @@ def load_run(
     Nothing is written into the folder.
 
     Args:
-        folder: the run folder.
+        folder: the run folder, or ``shipped:<name>`` for an agent that comes with the package.
         dialogues: how many run side by side in the environment, of each replica.
         mode: the policy of a Bayesian agent: ``mean``, ``average``, ``draw`` or ``thompson``;
             None for the run's own.
@@ -67,7 +69,7 @@ def load_run(
         >>> env, policy, config, mode = load_run("runs/my_run")  # doctest: +SKIP
         >>> env.rollout(20, policy, break_when_any_done=False)  # doctest: +SKIP
     """
-    folder = Path(folder).expanduser()
+    folder = run_folder(folder)
     config = run_config(folder)
     env = config.env.make(
         make_domain(config), (config.replicas, dialogues), seed=seed, device=device
@@ -97,13 +99,17 @@ def trained_policy(
     name, policy = config.agent.make_evaluation(agent.actor, mode)
     best = None
     if weights == "best":
+        if is_shipped(folder):
+            raise ConfigError(f"weights must be last for shipped:{folder.name}, got 'best'")
         if not config.protocol.eval_every:
             raise ConfigError(
                 f"weights must be last for {folder}, which was not evaluated while it was trained "
                 "(protocol.eval_every=0), got 'best'"
             )
         best = BestWeights(policy, config.replicas)
-    saved = {"loss": agent.loss} if best is None else {"best": best}
+    saved: dict[str, Any] = {"loss": agent.loss} if best is None else {"best": best}
+    if is_shipped(folder):
+        saved = {"actor": agent.actor}
     try:
         found = CheckpointFolder(folder / "checkpoint", **saved).restore(description(config))
     except CheckpointDamagedError as error:

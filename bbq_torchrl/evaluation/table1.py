@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.statistics import Estimate
 
 __all__ = [
+    "NOT_RUN",
     "PAPER",
     "TABLE1_NOTE",
     "Comparison",

@@ -14,21 +14,29 @@ import yaml
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.groups import Group, Run, read_groups
 from bbq_torchrl.evaluation.pairs import pair, pairings
-from bbq_torchrl.evaluation.report import curves
+from bbq_torchrl.evaluation.report import cells_of_table1, curves, draw_table1, write_replicas
 from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.evaluation.table1 import (
+    PAPER,
+    comparisons_table,
+    find_cells,
+    missing_cells,
+    table1,
+)
 from bbq_torchrl.evaluation.tables import (
     improvement_table,
     learning_table,
     pairs_table,
     success_table,
 )
+from scripts.docs_blocks.claims import DOMAINS, claims_table
 from scripts.docs_blocks.markdown import table
 from scripts.docs_blocks.policies import success_rate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["EXPERIMENTS", "command", "draw_figures", "groups", "results_blocks"]
+__all__ = ["EXPERIMENTS", "command", "draw_figures", "groups", "results_blocks", "table1_groups"]
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
@@ -63,6 +71,11 @@ def groups(experiment: str) -> list[Group]:
     return read_groups(sorted(file.parent for file in (RESULTS / experiment).glob("*/result.json")))
 
 
+def table1_groups() -> list[Group]:
+    """Returns what is kept of Table 1: ``results/table1/<domain>/<agent>/seed<n>``."""
+    return read_groups(sorted(file.parent for file in (RESULTS / "table1").rglob("result.json")))
+
+
 def command(run: Run) -> str:
     """Returns the command that made a run."""
     overrides = yaml.safe_load((run.folder / "overrides.yaml").read_text(encoding="utf-8"))
@@ -70,15 +83,26 @@ def command(run: Run) -> str:
 
 
 def results_blocks() -> dict[str, Callable[[], str]]:
-    """Returns a block for every experiment, and two of the main ones: one short, for the README."""
-    blocks: dict[str, Callable[[], str]] = {"results.readme": _readme, "results.main": _main}
+    """Returns a block for every experiment, and three of the main ones."""
+    blocks: dict[str, Callable[[], str]] = {
+        "results.readme": _readme,
+        "results.main": _main,
+        "results.claims": lambda: claims_table(table1_groups(), groups),
+        "results.table1": _table1,
+    }
     return blocks | {f"results.{name}": partial(_experiment, name) for name in EXPERIMENTS}
 
 
 def draw_figures() -> list[Path]:
-    """Draws the learning curves of every experiment; returns the files."""
+    """Draws the learning curves of every experiment, and writes table1.csv; returns the files."""
     FIGURES.mkdir(exist_ok=True)
     drawn = []
+    for env in PAPER:
+        if draw_table1(table1_groups(), env, FIGURES / f"table1_{env}.png"):
+            drawn.append(FIGURES / f"table1_{env}.png")
+    if drawn:
+        drawn.append(RESULTS / "table1.csv")
+        write_replicas(cells_of_table1(table1_groups()), drawn[-1])
     for experiment, title in EXPERIMENTS.items():
         if kept := groups(experiment):
             drawn.append(FIGURES / f"{experiment}.png")
@@ -90,6 +114,24 @@ def draw_figures() -> list[Path]:
                 references={} if ceiling is None else {"clairvoyant": ceiling},
             )
     return drawn
+
+
+def _table1() -> str:
+    """Returns Table 1 with what is missing, its figures, and the commands of what was run."""
+    kept = table1_groups()
+    if not kept:
+        return "No cell has been run with the present defaults yet."
+    missing = missing_cells(kept)
+    parts = [f"Not run yet: {'; '.join(missing)}."] if missing else []
+    for env, title in DOMAINS.items():
+        parts += [f"### {title}", table1(kept, env)]
+        if find_cells(kept, env):
+            parts.append(comparisons_table(kept, env))
+            parts.append(f"![{title}: learning curves](figures/table1_{env}.png)")
+    commands = [command(run) for group in kept for run in group.runs]
+    if commands:
+        parts.append("```bash\n" + "\n".join(commands) + "\n```")
+    return "\n\n".join(parts)
 
 
 def _experiment(experiment: str) -> str:

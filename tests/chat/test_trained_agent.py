@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
+from bbq_torchrl.bayes.weight_mode import given_weights
 from scipy.stats import ks_2samp
 
 from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.bayes.weight_mode import given_weights
 from bbq_torchrl.chat import TrainedAgent
 from bbq_torchrl.chat.posterior import q_draws
 from bbq_torchrl.exploration import EvaluationPolicy

@@ -144,18 +144,19 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
     assert log.count("  success\n") + log.count("  failure\n") == 4
 
 
-def test_a_sweep_trains_each_agent_with_its_own_exploration(tmp_path):
+def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_says(tmp_path):
     train(
         "--multirun",
         "hydra/launcher=basic",  # the default is tested, slowly, in test_launchers.py
-        "agent=bbqn,dqn",
+        "+experiment/table1=full_bbqn_map,full_dqn",
         *SMALL,
         "protocol.rounds=1",
+        "replicas=1",
         "+hydra.callbacks.keep._target_=returned.KeepReturned",
         f"hydra.sweep.dir={tmp_path / 'sweep'}",
         cwd=tmp_path,
     )
-    folders = sorted(file.parent for file in (tmp_path / "sweep").glob("*/result.json"))
+    folders = [tmp_path / "sweep" / "full" / agent / "seed0" for agent in ("bbqn_map", "dqn")]
     results = [json.loads((folder / "result.json").read_text()) for folder in folders]
     assert [(item["agent"], item["explore"]) for item in results] == [
         ("bbqn", "thompson"),

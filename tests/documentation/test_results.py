@@ -123,6 +123,29 @@ def test_main_results_have_a_line_of_every_agent(kept: Path) -> None:
     assert f"| {setting} | BBQN-MAP minus DQN | 5 | +0.250 [" in text
 
 
+def test_claims_are_judged_by_what_is_there_and_the_rest_is_named(kept: Path) -> None:
+    text = results.results_blocks()["results.claims"]()
+    rows = [line for line in text.splitlines() if line.startswith("| BBQN-MAP ends higher")]
+    (row,) = rows
+    assert "| full domain, first defaults | yes | 5 | +0.250 [" in row
+    assert "Not run (Table 1, full domain): BBQN-MAP ends higher than BBQN-MC; " in text
+    assert "Not run (full domain): nobody learns without spiking; " in text
+
+
+def test_table1_is_made_of_what_is_kept_of_it(kept: Path, tmp_path: Path) -> None:
+    assert "Not run yet: BBQN-MAP with env=full; " in results.results_blocks()["results.table1"]()
+    keep_result.keep(tmp_path / "dqn", kept / "table1" / "full" / "dqn" / "seed0")
+    text = results.results_blocks()["results.table1"]()
+    assert "DQN with env=full;" not in text
+    assert "| DQN | 5 | 2 | 0.500 [" in text
+    assert text.count("python train.py") == 1
+    drawn = [file.name for file in results.draw_figures()]
+    assert drawn == ["table1_full.png", "table1.csv", "learning_movie.png"]
+    lines = (kept / "table1.csv").read_text().splitlines()
+    assert len(lines) == 6
+    assert lines[1] == "miulab,full,DQN,0,0,2,,0.5,10.0,8.0,0.25,"
+
+
 SETTINGS = sorted({m.overrides for m in measure_policies.MEASUREMENTS})
 
 

@@ -95,9 +95,7 @@ def test_a_claim_is_judged_by_sign_and_p_value(differences, p_value, expected):
 
 def test_two_settings_of_a_cell_are_refused(runs):
     make_run(runs / "other", GOOD, prior_std=0.2)
-    with pytest.raises(
-        ValueError, match=r"one setting, got two of BBQN-MAP with env=full: .*other"
-    ):
+    with pytest.raises(ValueError, match=r"got two of BBQN-MAP with env=full: .*other"):
         missing_cells(read_groups(sorted(runs.iterdir())))
 
 

@@ -1,0 +1,93 @@
+"""Makes a shipped agent of a finished run.
+
+    python scripts/ship_agent.py <run folder> bbqn_map
+
+writes ``bbq_torchrl/shipped/bbqn_map``: the Q-network's weights of one replica in half precision,
+with the run's configuration, command line and result. ``load_run("shipped:bbqn_map")`` loads it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bbq_torchrl import shipped
+from bbq_torchrl.cli.agent import make_agent, make_domain
+from bbq_torchrl.cli.resume import description, run_config
+from bbq_torchrl.cli.store import save_config
+from bbq_torchrl.evaluation.results import RESULT_FILE, read_result
+from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.trainers import CheckpointFolder
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class _Weights:
+    """A state dict as what a checkpoint saves."""
+
+    def __init__(self, state: dict[str, Tensor]) -> None:
+        self._state = state
+
+    def state_dict(self) -> dict[str, Tensor]:
+        return self._state
+
+    def load_state_dict(self, state_dict: dict[str, Tensor]) -> None:
+        self._state = state_dict
+
+
+def ship(run: Path, target: Path, replica: int = 0) -> None:
+    """Writes a shipped agent.
+
+    Args:
+        run: a finished run folder.
+        target: the folder to make; one that exists is replaced.
+        replica: which of the run's.
+
+    Raises:
+        ValueError: the run is not finished, has no such replica or no checkpoint, or its replicas
+            have values of their own.
+    """
+    config, result = run_config(run), read_result(run)
+    if not 0 <= replica < config.replicas:
+        raise ValueError(f"replica must be from 0 to {config.replicas - 1}, got {replica}")
+    if any(replica_values(config)):
+        raise ValueError(f"{run} has a list of values: a shipped agent is of a run without")
+    domain = make_domain(config)
+    whole = make_agent(config, config.env.make(domain, (config.replicas, 1)))
+    own = replace(config, replicas=1, resume=None)
+    single = make_agent(own, own.env.make(domain, (1, 1)))
+    if CheckpointFolder(run / "checkpoint", loss=whole.loss).restore(description(config)) is None:
+        raise ValueError(f"{run} has no checkpoint")
+    shapes = {name: value.shape for name, value in single.actor.state_dict().items()}
+    state = {
+        name: (value if value.shape == shapes[name] else value[replica : replica + 1]).half()
+        for name, value in whole.actor.state_dict().items()
+    }
+    shutil.rmtree(target, ignore_errors=True)
+    target.mkdir(parents=True)
+    save_config(own, target / "config.yaml")
+    shutil.copyfile(run / ".hydra" / "overrides.yaml", target / "overrides.yaml")
+    text = json.dumps(asdict(result.only([replica])), indent=1)
+    (target / RESULT_FILE).write_text(f"{text}\n", encoding="utf-8")
+    CheckpointFolder(target / "checkpoint", actor=_Weights(state)).save(
+        result.rounds, description(own)
+    )
+
+
+def main() -> None:
+    """Ships the run that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("run", type=Path, help="a finished run folder")
+    parser.add_argument("name", help="of the shipped agent")
+    parser.add_argument("--replica", type=int, default=0, help="which of the run's")
+    arguments = parser.parse_args()
+    ship(arguments.run, shipped.SHIPPED / arguments.name, arguments.replica)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""Agents that come with the package load as runs do, and are what was trained."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import yaml
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from bbq_torchrl import evaluate, load_run, shipped
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.options import ConfigError, EvaluateConfig
+from bbq_torchrl.run import run
+from scripts import ship_agent
+
+SHRUNKEN = (
+    "protocol.rounds=1",
+    "protocol.dialogues=3",
+    "protocol.capacity=200",
+    "protocol.eval_dialogues=4",
+    "protocol.eval_every=0",
+    "spike.dialogues=3",
+    "agent.hidden=[8]",
+    "replicas=2",
+)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run of two replicas."""
+    folder = tmp_path_factory.mktemp("run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bbq_torchrl.run._draw", lambda *_: None)
+        run(compose(list(SHRUNKEN)), folder)
+    (folder / ".hydra").mkdir()
+    (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(list(SHRUNKEN)))
+    return folder
+
+
+def evaluated(*given):
+    return evaluate.evaluation(compose(given, EvaluateConfig), given)
+
+
+@pytest.mark.parametrize("name", shipped.shipped_agents())
+def test_a_shipped_agent_does_what_its_result_says(name):
+    line = evaluated(f"policy=shipped:{name}", "dialogues=500", "batch=500")
+    result = read_result(shipped.SHIPPED / name)
+    assert result.replicas == 1
+    # five standard errors of a difference of two rates
+    assert line["success_rate"] == pytest.approx(result.success_rate, abs=0.11)
+    assert line["mode"] == result.policy
+
+
+def test_shipped_agents_are_small_files_without_a_path_of_a_machine():
+    files = [file for file in shipped.SHIPPED.rglob("*") if file.is_file()]
+    assert sum(file.stat().st_size for file in files) < 3_000_000
+    for name in shipped.shipped_agents():
+        config = yaml.safe_load((shipped.SHIPPED / name / "config.yaml").read_text())
+        assert config["domain"].get("path") is None
+        assert (shipped.SHIPPED / name / "overrides.yaml").is_file()
+
+
+def test_what_is_shipped_is_one_replica_of_the_run(finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
+    ship_agent.ship(finished, tmp_path / "second", replica=1)
+    env, policy, config, mode = load_run("shipped:second", dialogues=4)
+    assert (config.replicas, mode, env.batch_size) == (1, "mean", torch.Size([1, 4]))
+    whole_env, whole, _, _ = load_run(finished, dialogues=4)
+    rows = whole_env.reset()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = whole(rows.clone())["action_value"][1:]
+        found = policy(rows[1:].clone())["action_value"]
+    assert torch.allclose(found, expected, atol=0.02)
+    assert not torch.allclose(found, whole(rows.clone())["action_value"][:1], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"replica": 2}, "replica must be from 0 to 1, got 2"),
+        ({"run": "nowhere"}, "nowhere is not a run folder"),
+    ],
+)
+def test_what_cannot_be_shipped_is_refused(finished, tmp_path, change, message):
+    given = {"run": finished, "target": tmp_path / "new", **change}
+    given["run"] = tmp_path / given["run"]
+    with pytest.raises(ValueError, match=message):
+        ship_agent.ship(**given)
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["policy=shipped:nobody"], "shipped:<name> must name one of bbqn_map"),
+        (["policy=shipped:../cli"], "shipped:<name> must name one of bbqn_map"),
+        (["policy=shipped:bbqn_map", "weights=best"], "weights must be last for shipped:bbqn_map"),
+    ],
+)
+def test_a_shipped_agent_that_there_is_not_is_refused(given, message):
+    with pytest.raises(ConfigError, match=message):
+        evaluated(*given)
