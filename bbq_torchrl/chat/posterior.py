@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from tensordict import TensorDict
 
-from bbq_torchrl.bayes.layers import bayesian_layers
-from bbq_torchrl.bayes.weight_mode import given_weights, set_weight_mode
+from bbq_torchrl.bayes import posteriors, weight_scope
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP
 
@@ -67,11 +66,11 @@ def path_draws(
         return heads, of_heads
     if _is_bayesian(policy):
         weights = {
-            layer: layer.draw_weights((draws,)).detach() for layer in bayesian_layers(policy)
+            posterior: posterior.sample((draws,)).detach() for posterior in posteriors(policy)
         }
 
         def of_draws(rows: Tensor) -> Tensor:
-            with given_weights(weights):
+            with weight_scope(weights=weights):
                 return _values(policy, rows, None)
 
         return draws, of_draws
@@ -84,7 +83,7 @@ def _is_bayesian(policy: TensorDictModuleBase) -> bool:
     if not isinstance(policy, (EvaluationPolicy, Greedy)):
         return False
     try:
-        bayesian_layers(policy)
+        posteriors(policy)
     except ValueError:
         return False
     return True
@@ -94,6 +93,6 @@ def _values(policy: TensorDictModuleBase, rows: Tensor, mode: str | None) -> Ten
     """Returns the values of the network behind a policy, ``[*stack, rows, ..., N]``."""
     network, choice = policy.actor[0], policy.actor[-1]
     tensordict = TensorDict({network.in_keys[0]: rows}, batch_size=rows.shape[:-1])
-    with set_weight_mode(mode):  # type: ignore[arg-type]
+    with weight_scope(mode):  # type: ignore[arg-type]
         values: Tensor = network(tensordict).get(choice.action_value_key)
     return values

@@ -73,8 +73,8 @@ class EvaluateConfig:
     policy: str = setting(
         REQUIRED,
         ANY_TEXT,
-        "random, a scripted policy of the domain (rule, ...), the privileged clairvoyant, a run, or "
-        "shipped:<name>",
+        "random, a scripted policy of the domain (rule, ...), the privileged clairvoyant, a run, "
+        "or shipped:<name>",
     )
     dialogues: int = setting(10_000, COUNT, "dialogues played; for each replica of a run folder")
     batch: int = setting(2_500, COUNT, "dialogues that run side by side")
