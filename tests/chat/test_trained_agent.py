@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from bbq_torchrl.bayes.weight_mode import given_weights
 from scipy.stats import ks_2samp
 
-from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.bayes import BayesMLP, weight_scope
 from bbq_torchrl.chat import TrainedAgent
 from bbq_torchrl.chat.posterior import q_draws
 from bbq_torchrl.exploration import EvaluationPolicy
@@ -26,7 +25,7 @@ def test_rows_of_local_noise_are_draws_of_the_weights(movie):
     policy = EvaluationPolicy(q_actor(network, Categorical(3), action_mask_key=None), mode="mean")
     state = torch.rand(1, 6)
     rows = q_draws(policy, state, 4_000)
-    with torch.no_grad(), given_weights({network: network.draw_weights((4_000,))}):
+    with torch.no_grad(), weight_scope(weights={network: network.draw_weights((4_000,))}):
         draws = network(state.expand(4_000, 6))
     for function in (lambda q: q[:, 0], lambda q: q[:, 0] - q[:, 1], lambda q: q.amax(-1)):
         with torch.no_grad():
