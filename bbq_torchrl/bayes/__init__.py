@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.bayes.bayes_conv import BayesConv2d
+from bbq_torchrl.bayes.bayes_gru import BayesGRU
 from bbq_torchrl.bayes.bayes_mlp import BayesLinear, BayesMLP
 from bbq_torchrl.bayes.functional import FlatLayout
 from bbq_torchrl.bayes.kl import kl_divergence, posteriors
@@ -17,6 +19,8 @@ from bbq_torchrl.bayes.scope import (
 )
 
 __all__ = [
+    "BayesConv2d",
+    "BayesGRU",
     "BayesLayer",
     "BayesLinear",
     "BayesMLP",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import torch
 
-from bbq_torchrl.bayes.noise import fill_normal_
+from bbq_torchrl.bayes.noise import fill_normal_, is_transformed
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -74,7 +74,7 @@ class NoisePool:
     def normal(self, posterior: GaussianPosterior, shape: torch.Size) -> Tensor:
         """Returns the noise of a draw: a window of the pool, or new noise; see the class."""
         mu = posterior.mu
-        if shape != mu.shape or mu.device.type != "cpu":
+        if shape != mu.shape or mu.device.type != "cpu" or is_transformed():
             return posterior.new_noise(shape)
         count = shape[-1]
         pool = self._pools.get(posterior)

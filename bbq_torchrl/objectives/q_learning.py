@@ -42,6 +42,10 @@ class OneStepQLoss(DQNLoss):
     :meth:`next_state_values` once a freeze for many batches, the loss takes them from the entry
     ``next_state_value`` under "next" and runs the online network only.
 
+    The actor may be any sequence of modules, see
+    :func:`~bbq_torchrl.networks.q_actor.split_actor`. A recurrent state is one of its in_keys: that
+    of the next state is read under "next", as it was stored.
+
     Differences from TorchRL's: the target is the one-step one (TD0) and computed without
     TensorDicts in between; only index and one-hot actions; the network's dropout and weight
     draws are set by the loss and not by the exploration type or the training flag.

@@ -1,0 +1,134 @@
+"""A Bayes-by-Backprop convolution."""
+
+from __future__ import annotations
+
+from math import prod
+from typing import TYPE_CHECKING, Literal
+
+import torch.nn.functional as F
+
+from bbq_torchrl.bayes.layers import BayesLayer, MeanInit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import torch
+    from torch import Tensor
+
+__all__ = ["BayesConv2d"]
+
+
+class BayesConv2d(BayesLayer):
+    """A 2d convolution with a Gaussian over every weight and bias.
+
+    In mode "local" each row has a draw of its own of the whole kernel. (Noise for each position
+    of the output, as Kingma, Salimans and Welling have it for dense layers, would be no draw of a
+    kernel: its positions would be independent.)
+
+    Args:
+        in_channels: channels of the input.
+        out_channels: channels of the output.
+        kernel_size: height and width of the kernel, or one number for both.
+
+    Keyword Args:
+        stride: as in ``nn.Conv2d``. Defaults to 1.
+        padding: as in ``nn.Conv2d``, a number or a pair. Defaults to 0.
+        stack: leading shape of the weights; with (R,) these are R independent convolutions, whose
+            inputs have R as their first dimension. Defaults to ().
+        prior_std: standard deviation of the prior, a number, a tensor [*stack], or "fan_in" for
+            √(2/(in_channels · kernel)). Defaults to 0.1.
+        mean_init: "zero", or "kaiming" (uniform in ±1/√fan_in, what ``nn.Conv2d`` starts with).
+        std_init: standard deviation to start with. Defaults to None, the prior's.
+        device: of the parameters.
+        dtype: of the parameters.
+
+    Raises:
+        ValueError: for an argument outside of what is listed; when called, for an input that does
+            not fit.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.bayes import BayesConv2d
+        >>> net = BayesConv2d(3, 8, 3, stack=(5,), padding=1)
+        >>> net(torch.ones(5, 32, 3, 10, 10), "draw").shape
+        torch.Size([5, 32, 8, 10, 10])
+    """
+
+    def __init__(
+        self,
+        in_channels: int,
+        out_channels: int,
+        kernel_size: int | tuple[int, int],
+        *,
+        stride: int | tuple[int, int] = 1,
+        padding: int | tuple[int, int] = 0,
+        stack: Sequence[int] = (),
+        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
+        mean_init: MeanInit = "zero",
+        std_init: float | Tensor | None = None,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        kernel = (kernel_size, kernel_size) if isinstance(kernel_size, int) else tuple(kernel_size)
+        if min(in_channels, out_channels, *kernel) < 1:
+            raise ValueError(
+                "in_channels, out_channels and kernel_size must be positive, got "
+                f"{in_channels}, {out_channels} and {kernel_size}"
+            )
+        self.in_channels, self.out_channels = in_channels, out_channels
+        self.kernel_size = kernel
+        self.stride, self.padding = stride, padding
+        inputs = in_channels * prod(kernel)
+        super().__init__(
+            [(inputs + 1) * out_channels],
+            [inputs],
+            stack=stack,
+            prior_std=prior_std,
+            mean_init=mean_init,
+            std_init=std_init,
+            device=device,
+            dtype=dtype,
+        )
+
+    def run(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Returns the outputs [*stack, *batch, out_channels, height, width] with these weights.
+
+        Args:
+            x: inputs, [*stack, *batch, in_channels, height, width].
+            weights: [*stack, *rows, P]: the kernel as ``nn.Conv2d`` has it, then the bias.
+        """
+        lead = weights.shape[:-1]
+        n = len(lead)
+        if x.ndim < n + 3 or x.shape[:n] != lead or x.shape[-3] != self.in_channels:
+            shape = "".join(f"{size}, " for size in lead)
+            raise ValueError(
+                f"input must have shape [{shape}*batch, {self.in_channels}, height, width], got "
+                f"{list(x.shape)}"
+            )
+        count, image = prod(lead), x.shape[-3:]
+        flat = weights.reshape(count, -1)
+        kernel, bias = flat.split([flat.shape[-1] - self.out_channels, self.out_channels], -1)
+        # networks side by side are groups of channels of one convolution
+        rows = x.reshape(count, -1, *image).transpose(0, 1).flatten(1, 2)
+        out = F.conv2d(
+            rows,
+            kernel.reshape(count * self.out_channels, self.in_channels, *self.kernel_size),
+            bias.reshape(-1),
+            self.stride,
+            self.padding,
+            groups=count,
+        )
+        out = out.unflatten(1, (count, self.out_channels)).transpose(0, 1)
+        return out.reshape(*x.shape[:-3], *out.shape[-3:])
+
+    def run_local(self, x: Tensor) -> Tensor:
+        """Returns the outputs where each row has a kernel of its own."""
+        rows = x.shape[len(self.stack) : -3]
+        return self.run(x, self.draw_weights(rows))
+
+    def extra_repr(self) -> str:
+        """Returns the sizes for ``repr``."""
+        return (
+            f"{self.in_channels}, {self.out_channels}, kernel_size={self.kernel_size}, "
+            f"stride={self.stride}, padding={self.padding}, stack={tuple(self.stack)}"
+        )

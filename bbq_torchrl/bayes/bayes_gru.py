@@ -1,0 +1,209 @@
+"""A Bayes-by-Backprop gated recurrent unit."""
+
+from __future__ import annotations
+
+from math import prod
+from typing import TYPE_CHECKING, Literal
+
+import torch
+from torch import Tensor
+
+from bbq_torchrl.bayes.layers import BayesLayer, MeanInit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.bayes.scope import WeightMode
+
+__all__ = ["BayesGRU"]
+
+
+class BayesGRU(BayesLayer):
+    """A layer of gated recurrent units (as ``nn.GRU``) with a Gaussian over every weight and bias.
+
+    One weight draw is used in all steps of a sequence (Fortunato, Blundell, Vinyals, "Bayesian
+    Recurrent Neural Networks", 2017). In mode "local" the pre-activations of one step are drawn
+    for each row, which is exactly a weight draw for each row; over several steps it is not, as
+    they would not share their weights, and it is refused.
+
+    Args:
+        input_size: features of the input.
+        hidden_size: features of the state.
+
+    Keyword Args:
+        stack: leading shape of the weights; with (R,) these are R independent layers, whose
+            inputs have R as their first dimension. Defaults to ().
+        prior_std: standard deviation of the prior, a number, a tensor [*stack], or "fan_in" for
+            √(2/input_size) and √(2/hidden_size). Defaults to 0.1.
+        mean_init: "zero", or "kaiming" (uniform in ±1/√hidden_size, what ``nn.GRU`` starts with).
+        std_init: standard deviation to start with. Defaults to None, the prior's.
+        device: of the parameters.
+        dtype: of the parameters.
+
+    Raises:
+        ValueError: for an argument outside of what is listed; when called, for shapes that do not
+            fit, or mode "local" for more than one step.
+
+    Example:
+        >>> import torch
+        >>> from bbq_torchrl.bayes import BayesGRU
+        >>> net = BayesGRU(3, 8, stack=(5,))
+        >>> outputs, state = net(torch.ones(5, 32, 10, 3), mode="draw")  # ten steps
+        >>> outputs.shape, state.shape
+        (torch.Size([5, 32, 10, 8]), torch.Size([5, 32, 8]))
+        >>> output, state = net(torch.ones(5, 32, 3), state, mode="draw")  # one step
+        >>> output.shape
+        torch.Size([5, 32, 8])
+    """
+
+    def __init__(
+        self,
+        input_size: int,
+        hidden_size: int,
+        *,
+        stack: Sequence[int] = (),
+        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
+        mean_init: MeanInit = "zero",
+        std_init: float | Tensor | None = None,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        if min(input_size, hidden_size) < 1:
+            raise ValueError(
+                f"input_size and hidden_size must be positive, got {input_size} and {hidden_size}"
+            )
+        self.input_size, self.hidden_size = input_size, hidden_size
+        units = 3 * hidden_size
+        super().__init__(
+            [(input_size + 1) * units, (hidden_size + 1) * units],
+            [input_size, hidden_size],
+            stack=stack,
+            prior_std=prior_std,
+            mean_init=mean_init,
+            std_init=std_init,
+            device=device,
+            dtype=dtype,
+        )
+
+    @torch.no_grad()
+    def init_means_(self) -> None:
+        """Draws the means uniformly in ±1/√hidden_size."""
+        bound = self.hidden_size**-0.5
+        self.posterior.mu.uniform_(-bound, bound)
+
+    def forward(  # type: ignore[override]
+        self,
+        x: Tensor,
+        state: Tensor | None = None,
+        mode: WeightMode | None = None,
+        weights: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Returns the outputs and the last state.
+
+        Args:
+            x: a sequence [*stack, *batch, time, input_size]; where a state is given, also one
+                step [*stack, *batch, input_size].
+            state: [*stack, *batch, hidden_size]; None for 0.
+            mode: as in :meth:`BayesLayer.forward`.
+            weights: as in :meth:`BayesLayer.forward`.
+
+        Returns:
+            the outputs, shaped as x with hidden_size features, and the state after the last step,
+            [*stack, *batch, hidden_size].
+        """
+        is_step = state is not None and state.ndim == x.ndim
+        steps = x.unsqueeze(-2) if is_step else x
+        if state is None:
+            state = steps.new_zeros((*steps.shape[:-2], self.hidden_size))
+        batch = steps.shape[:-2]
+        if (
+            steps.ndim < len(self.stack) + 2
+            or steps.shape[-1] != self.input_size
+            or state.shape != (*batch, self.hidden_size)
+        ):
+            raise ValueError(
+                f"input must have shape [*stack, *batch, time, {self.input_size}] and state "
+                f"[*stack, *batch, {self.hidden_size}] (or one step of input beside a state), got "
+                f"{list(x.shape)} and {list(state.shape)}"
+            )
+        # both as one tensor: what BayesLayer hands on to run and run_local
+        both = torch.cat([steps.flatten(-2), state], -1)
+        outputs = super().forward(both, mode, weights)
+        outputs = outputs.unflatten(-1, (steps.shape[-2], self.hidden_size))
+        return (outputs.squeeze(-2) if is_step else outputs), outputs[..., -1, :]
+
+    def run(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Returns the states after each step, [*stack, *batch, time · hidden_size].
+
+        Args:
+            x: inputs of all steps and the state before, [*stack, *batch, time · in + hidden].
+            weights: [*stack, *rows, P].
+        """
+        lead = weights.shape[:-1]
+        if x.shape[: len(lead)] != lead:
+            raise ValueError(
+                f"input must have shape [{', '.join(map(str, lead))}, *batch, time, "
+                f"{self.input_size}], got batch {list(x.shape[:-1])}"
+            )
+        count = prod(lead)
+        steps, state = self._split(x.reshape(count, -1, x.shape[-1]))
+        from_input, from_state = self._matrices(weights.reshape(count, -1))
+        # all steps' inputs in one product
+        gates = _affine(steps.flatten(1, 2), *from_input).unflatten(1, steps.shape[1:3])
+        states = []
+        for gate in gates.unbind(2):
+            state = _next_state(gate, _affine(state, *from_state), state)
+            states.append(state)
+        return torch.stack(states, -2).reshape(*x.shape[:-1], -1)
+
+    def run_local(self, x: Tensor) -> Tensor:
+        """Returns the state after one step by local reparameterization, where it is exact."""
+        count = prod(self.stack)
+        steps, state = self._split(x.reshape(count, -1, x.shape[-1]))
+        if steps.shape[2] != 1:
+            raise ValueError(
+                f'BayesGRU in mode "local" takes one step, got {steps.shape[2]}: independent '
+                "noise for each step is no draw of weights that the steps share; use mode "
+                '"draw", or give each row weights of its own by draw_weights(rows)'
+            )
+        sigma = self.posterior.sigma
+        means = self._matrices(self.posterior.mu.reshape(count, -1))
+        variances = self._matrices(sigma.square().reshape(count, -1))
+        tiny = torch.finfo(x.dtype).tiny
+        gates = []
+        for inputs, mean, variance in zip((steps[:, :, 0], state), means, variances, strict=True):
+            std = _affine(inputs.square(), *variance).clamp_min(tiny).sqrt()
+            gates.append(torch.addcmul(_affine(inputs, *mean), std, torch.randn_like(std)))
+        return _next_state(gates[0], gates[1], state).reshape(*x.shape[:-1], -1)
+
+    def _split(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the inputs [count, rows, time, in] and the state [count, rows, hidden]."""
+        steps, state = x.split([x.shape[-1] - self.hidden_size, self.hidden_size], -1)
+        return steps.unflatten(-1, (-1, self.input_size)), state
+
+    def _matrices(self, flat: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Returns matrix [count, in, 3 · hidden] and bias of the inputs and of the state."""
+        found = []
+        sizes = (self.input_size, self.hidden_size)
+        for part, inputs in zip(flat.split(self.posterior.group_sizes, -1), sizes, strict=True):
+            units = 3 * self.hidden_size
+            matrix, bias = part.split([inputs * units, units], -1)
+            found.append((matrix.reshape(-1, inputs, units), bias))
+        return found
+
+    def extra_repr(self) -> str:
+        """Returns the sizes for ``repr``."""
+        return f"{self.input_size}, {self.hidden_size}, stack={tuple(self.stack)}"
+
+
+def _affine(x: Tensor, matrix: Tensor, bias: Tensor) -> Tensor:
+    return torch.baddbmm(bias.unsqueeze(-2), x, matrix)
+
+
+def _next_state(from_input: Tensor, from_state: Tensor, state: Tensor) -> Tensor:
+    """Returns the state after a step, of pre-activations [*, 3 · hidden] in torch's order."""
+    reset, update, new = from_input.chunk(3, -1)
+    reset_state, update_state, new_state = from_state.chunk(3, -1)
+    update = torch.sigmoid(update + update_state)
+    new = torch.tanh(new + torch.sigmoid(reset + reset_state) * new_state)
+    return torch.lerp(new, state, update)

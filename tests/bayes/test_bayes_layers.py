@@ -1,0 +1,323 @@
+"""Bayesian layers: what torch's own layers compute with the same weights, draws, KL, own layers."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+import torch
+import torch.nn.functional as F
+from tensordict import TensorDict
+from torch import nn
+from torch.distributions import Normal, kl_divergence
+from torch.func import functional_call, stack_module_state, vmap
+from torchrl.data import Categorical
+
+from bbq_torchrl.bayes import (
+    BayesConv2d,
+    BayesGRU,
+    BayesLayer,
+    BayesLinear,
+    BayesMLP,
+    GaussianPosterior,
+    posteriors,
+    weight_scope,
+)
+from bbq_torchrl.bayes import kl_divergence as kl_of
+from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
+from bbq_torchrl.networks import q_actor
+from bbq_torchrl.objectives import BBQNLoss
+
+STACKS = [(), (3,), (2, 2)]
+
+
+class BayesScale(BayesLayer):
+    """A layer of one's own: a weight a feature."""
+
+    def __init__(self, features, **settings):
+        super().__init__([features], [1], **settings)
+
+    def run(self, x, weights):
+        extra = x.ndim - weights.ndim
+        shape = (*weights.shape[:-1], *(1 for _ in range(extra)), weights.shape[-1])
+        return x * weights.reshape(shape)
+
+
+class Gain(nn.Module):
+    """A module that only holds a posterior."""
+
+    def __init__(self, features, **settings):
+        super().__init__()
+        self.posterior = GaussianPosterior([features], 0.5, **settings)
+
+    def forward(self, x):
+        return x * self.posterior.weights()
+
+
+class OldGain(Gain):
+    """The same with a draw of its own, past the scope."""
+
+    def forward(self, x):
+        return x * self.posterior.sample()
+
+
+# name -> (layer, the features of an input)
+LAYERS = {
+    "linear": (lambda **s: BayesLinear(4, 3, **s), (4,)),
+    "mlp": (lambda **s: BayesMLP(4, 3, (5,), **s), (4,)),
+    "conv": (lambda **s: BayesConv2d(2, 3, (3, 2), stride=2, padding=1, **s), (2, 6, 5)),
+    "gru": (lambda **s: First(BayesGRU(4, 3, **s)), (7, 4)),
+    "own": (lambda **s: BayesScale(4, **s), (4,)),
+}
+
+
+class First(nn.Module):
+    """The first output of a layer."""
+
+    def __init__(self, layer):
+        super().__init__()
+        self.layer = layer
+
+    def forward(self, x, mode=None, weights=None):
+        return self.layer(x, mode=mode, weights=weights)[0]
+
+
+def made(name, **settings):
+    make, features = LAYERS[name]
+    net = make(**{"dtype": torch.double, **settings})
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.uniform_(-1, 0.5)
+    return net, features
+
+
+@pytest.mark.parametrize("stack", STACKS, ids=str)
+@pytest.mark.parametrize("name", LAYERS)
+def test_an_element_of_a_stack_is_a_layer_of_its_own(name, stack):
+    net, features = made(name, stack=stack)
+    alone, _ = made(name)
+    (own,) = posteriors(net)
+    x = torch.randn(*stack, 6, *features).double()
+    weights = own.sample()
+    out = net(x, weights=weights)
+    for index in product(*map(range, stack)):
+        torch.testing.assert_close(out[index], alone(x[index], weights=weights[index]))
+    # rows with weights of their own
+    rows = own.sample((6,))
+    out = net(x, weights=rows)
+    for index in product(*map(range, (*stack, 6))):
+        torch.testing.assert_close(out[index], alone(x[index], weights=rows[index]))
+
+
+@pytest.mark.parametrize("stack", STACKS, ids=str)
+@pytest.mark.parametrize("kind", ["closed", "sampled"])
+@pytest.mark.parametrize("name", LAYERS)
+def test_the_kl_is_that_of_torch_distributions(name, kind, stack):
+    net, features = made(name, stack=stack, prior_std=0.3)
+    (posterior,) = posteriors(net)
+    seen = []
+    with weight_scope("draw", kl=kind, noise=Recorder(seen)) as scope:
+        net(torch.randn(*stack, 2, *features).double())
+    (noise,) = seen
+    q = Normal(posterior.mu, posterior.sigma)
+    p = Normal(torch.zeros_like(posterior.mu), 0.3)
+    drawn = posterior.mu + posterior.sigma * noise
+    expected = kl_divergence(q, p) if kind == "closed" else q.log_prob(drawn) - p.log_prob(drawn)
+    torch.testing.assert_close(scope.kl.total(), expected.sum(-1))
+    parameters = list(net.parameters())
+    torch.testing.assert_close(
+        torch.autograd.grad(scope.kl.total().sum(), parameters),
+        torch.autograd.grad(expected.sum(), parameters),
+    )
+
+
+class Recorder:
+    """A noise source that keeps what it gives."""
+
+    def __init__(self, seen):
+        self.seen = seen
+
+    def normal(self, posterior, shape):
+        self.seen.append(posterior.new_noise(shape))
+        return self.seen[-1]
+
+
+def test_a_convolution_is_torchs():
+    for settings in ({}, {"stride": 2, "padding": 1}, {"stride": (1, 2), "padding": (2, 0)}):
+        net = BayesConv2d(2, 4, (3, 2), dtype=torch.double, **settings)
+        x, weights = torch.randn(5, 2, 8, 7).double(), net.draw_weights()
+        kernel, bias = weights[:-4].reshape(4, 2, 3, 2), weights[-4:]
+        expected = F.conv2d(x, kernel, bias, **settings)
+        torch.testing.assert_close(net(x, weights=weights), expected)
+        torch.testing.assert_close(net(x[0], weights=weights), expected[0])
+    with pytest.raises(ValueError, match=r"input must have shape \[\*batch, 2, height, width\]"):
+        net(torch.randn(5, 3, 8, 7).double())
+
+
+@pytest.mark.parametrize("steps", [1, 6])
+def test_a_gru_is_torchs(steps):
+    net = BayesGRU(4, 3, dtype=torch.double)
+    weights = 5 * net.draw_weights()
+    reference = nn.GRU(4, 3, batch_first=True, dtype=torch.double)
+    (w_in, b_in), (w_state, b_state) = net._matrices(weights.unsqueeze(0))
+    with torch.no_grad():
+        reference.weight_ih_l0.copy_(w_in[0].mT)
+        reference.weight_hh_l0.copy_(w_state[0].mT)
+        reference.bias_ih_l0.copy_(b_in[0])
+        reference.bias_hh_l0.copy_(b_state[0])
+    x, state = torch.randn(5, steps, 4).double(), torch.randn(5, 3).double()
+    for start in (None, state):
+        expected, last = reference(x, None if start is None else start.unsqueeze(0))
+        outputs, end = net(x, start, weights=weights)
+        torch.testing.assert_close(outputs, expected)
+        torch.testing.assert_close(end, last[0])
+    # step by step
+    for k in range(steps):
+        output, state = net(x[:, k], state, weights=weights)
+        torch.testing.assert_close(output, outputs[:, k])
+
+
+@pytest.mark.parametrize("name", ["linear", "conv", "gru"])
+def test_mode_local_is_a_weight_draw_of_its_own_for_each_row(name):
+    # mean and covariance of the outputs of one input, by either way
+    net, features = made(name)
+    features = (1, 4) if name == "gru" else features
+    (posterior,) = posteriors(net)
+    n = 20_000
+    x = torch.randn(features).double().expand(n, *features)
+    with torch.no_grad():
+        local = net(x, "local").flatten(1)
+        drawn = net(x, weights=posterior.sample((n,))).flatten(1)
+    spread = drawn.std(0)
+    assert ((local.mean(0) - drawn.mean(0)).abs() < 8 * spread * n**-0.5).all()
+    scale = spread.unsqueeze(0) * spread.unsqueeze(1)
+    # a covariance of n pairs has a standard deviation of about scale · √(2/n)
+    assert ((local.T.cov() - drawn.T.cov()).abs() < 10 * scale * (2 / n) ** 0.5 + 1e-9).all()
+
+
+def test_local_noise_that_would_be_no_weight_draw_is_refused():
+    x = torch.randn(2, 7, 4).double()
+    with pytest.raises(ValueError, match='BayesGRU in mode "local" takes one step, got 7'):
+        made("gru")[0](x, "local")
+    with pytest.raises(ValueError, match="BayesScale has no local reparameterization"):
+        made("own")[0](x, "local")
+
+
+def loss_on(*modules, **settings):
+    net = nn.Sequential(*modules)
+    actor = q_actor(net, Categorical(4), action_mask_key=None)
+    state = {"observation": torch.randn(8, 3)}
+    end = {"reward": torch.randn(8, 1), "terminated": torch.zeros(8, 1, dtype=torch.bool)}
+    td = TensorDict({**state, "action": torch.ones(8).long(), "next": {**state, **end}}, [8])
+    return BBQNLoss(actor, num_data=100, delay_value=False, **settings), td, net
+
+
+@pytest.mark.parametrize("make", [BayesScale, Gain, OldGain])
+@pytest.mark.parametrize("beside", [False, True])
+def test_every_posterior_of_a_network_counts(make, beside):
+    own = make(4)
+    with torch.no_grad():
+        own.posterior.mu.fill_(50.0)
+    loss, td, net = loss_on(*([BayesMLP(3, 4)] if beside else [nn.Linear(3, 4)]), own)
+    out = loss(td)
+    torch.testing.assert_close(out["kl"], kl_of(net))
+    assert out["kl"] > 1000
+    out["loss"].backward()
+    slope = loss.value_network_params["module", "0", "module", "1", "posterior", "mu"].grad
+    assert (slope[[0, 2, 3]].abs() > 1.9).all()  # of the KL alone: 50 / prior_std² / 100
+
+
+def test_a_sampled_kl_is_not_taken_for_the_closed_one():
+    loss, td, _ = loss_on(BayesMLP(3, 4), OldGain(4), kl="sampled")
+    with pytest.raises(ValueError, match='kl="sampled" needs weight draws by'):
+        loss(td)
+    loss, td, _ = loss_on(BayesMLP(3, 4), Gain(4), kl="sampled")
+    assert loss(td)["kl"].isfinite()
+
+
+@pytest.mark.parametrize("make", [BayesScale, Gain])
+def test_strategies_and_evaluations_act_on_a_layer_of_ones_own(make):
+    actor = q_actor(nn.Sequential(nn.Linear(3, 4), make(4)), Categorical(4), action_mask_key=None)
+    td = TensorDict(observation=torch.ones(5, 3), batch_size=[5])
+
+    def values(policy):
+        return policy(td.clone())["action_value"].detach()
+
+    held = ThompsonSampling(actor, per="round")
+    assert torch.equal(values(held), values(held))
+    step = ThompsonSampling(actor, shared=True)
+    assert not torch.equal(values(step), values(step))
+    for mode in ("average", "draw"):
+        policy = EvaluationPolicy(actor, mode=mode)
+        assert torch.equal(values(policy), values(policy))
+        assert not torch.equal(values(policy), values(EvaluationPolicy(actor)))
+
+
+# ------------------------------------------------------------------------- torch.func
+
+
+@pytest.mark.parametrize("name", LAYERS)
+@pytest.mark.parametrize("mode", ["draw", "mean", "local"])
+def test_vmap_over_parameters_is_a_loop(name, mode):
+    if mode == "local" and name in ("gru", "own"):
+        pytest.skip("refused in this mode")
+    nets = [made(name)[0] for _ in range(3)]
+    features = LAYERS[name][1]
+    x = torch.randn(3, 6, *features).double()
+    params, buffers = stack_module_state(nets)
+
+    def call(parameters, buffers, x):
+        return functional_call(nets[0], (parameters, buffers), (x, mode))
+
+    out = vmap(call, randomness="different")(params, buffers, x)
+    if mode == "mean":
+        expected = torch.stack([net(own, "mean") for net, own in zip(nets, x, strict=True)])
+        torch.testing.assert_close(out, expected)
+    else:
+        again = vmap(call, randomness="different")(params, buffers, x)
+        assert out.isfinite().all()
+        assert not torch.equal(out, again)
+
+
+@pytest.mark.parametrize("kind", ["closed", "sampled"])
+def test_gradients_under_a_transform_are_the_hand_written_ones(kind):
+    net, _ = made("mlp", prior_std=0.3)
+    x = torch.randn(6, 4).double()
+    noise = torch.randn_like(net.posterior.mu)
+
+    def value(parameters):
+        class Fixed:
+            def normal(self, posterior, shape):
+                return noise
+
+        with weight_scope("draw", noise=Fixed(), kl=kind) as scope:
+            out = functional_call(net, parameters, (x,))
+            return out.square().sum() + scope.kl.total()
+
+    parameters = dict(net.named_parameters())
+    expected = torch.autograd.grad(value(parameters), list(parameters.values()))
+    found = torch.func.grad(value)(parameters)
+    for reference, own in zip(expected, found.values(), strict=True):
+        torch.testing.assert_close(own, reference)
+    each = vmap(torch.func.grad(value))(
+        {key: torch.stack([p, p]).detach() for key, p in parameters.items()}
+    )
+    for reference, own in zip(expected, each.values(), strict=True):
+        torch.testing.assert_close(own[1], reference)
+
+
+def test_at_the_prior_a_transform_finds_no_slope_either():
+    net = BayesMLP(4, 3, prior_std=0.07)
+    found = torch.func.grad(
+        lambda p: functional_call(KL(net), {f"net.{k}": v for k, v in p.items()})
+    )(dict(net.named_parameters()))
+    assert not any(slope.any() for slope in found.values())
+
+
+class KL(nn.Module):
+    def __init__(self, net):
+        super().__init__()
+        self.net = net
+
+    def forward(self):
+        return kl_of(self.net)
