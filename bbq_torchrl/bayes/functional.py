@@ -9,14 +9,13 @@ fill a vector of zeros for each layer and add them up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from math import prod, sqrt
 from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl.bayes.noise import fill_kept_, is_in_torch_func
+from bbq_torchrl.bayes.noise import fill_kept_, is_transformed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,6 +34,11 @@ class FlatLayout:
     Args:
         sizes: features of the input, of each hidden layer, and of the output.
 
+    Attributes:
+        shapes: shape [inputs, outputs] of each layer's matrix.
+        layer_sizes: number of weights and biases in each layer.
+        numel: P, the length of the flat vector.
+
     Raises:
         ValueError: if there are fewer than two sizes or one is not positive.
 
@@ -45,29 +49,23 @@ class FlatLayout:
     """
 
     sizes: tuple[int, ...]
+    shapes: tuple[tuple[int, int], ...] = field(init=False, repr=False, compare=False)
+    layer_sizes: tuple[int, ...] = field(init=False, repr=False, compare=False)
+    numel: int = field(init=False, repr=False, compare=False)
+    _split_sizes: list[int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if len(self.sizes) < 2 or any(n < 1 for n in self.sizes):
             raise ValueError(f"sizes must be at least two positive integers, got {self.sizes}")
-
-    @cached_property
-    def shapes(self) -> tuple[tuple[int, int], ...]:
-        """Shape [inputs, outputs] of each layer's matrix."""
-        return tuple(zip(self.sizes[:-1], self.sizes[1:], strict=True))
-
-    @cached_property
-    def layer_sizes(self) -> tuple[int, ...]:
-        """Number of weights and biases in each layer."""
-        return tuple((i + 1) * o for i, o in self.shapes)
-
-    @cached_property
-    def numel(self) -> int:
-        """P, the length of the flat vector."""
-        return sum(self.layer_sizes)
-
-    @cached_property
-    def _split_sizes(self) -> list[int]:
-        return [n for i, o in self.shapes for n in (i * o, o)]
+        shapes = tuple(zip(self.sizes[:-1], self.sizes[1:], strict=True))
+        # at once, and not as cached properties, which torch.compile does not trace
+        for name, value in {
+            "shapes": shapes,
+            "layer_sizes": tuple((i + 1) * o for i, o in shapes),
+            "numel": sum((i + 1) * o for i, o in shapes),
+            "_split_sizes": [n for i, o in shapes for n in (i * o, o)],
+        }.items():
+            object.__setattr__(self, name, value)
 
     def unflatten(self, flat: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Returns each layer's matrix [*lead, inputs, outputs] and bias [*lead, outputs], views.
@@ -203,7 +201,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
     if (
         torch.is_grad_enabled()
         and (flat.requires_grad or rows.requires_grad)
-        and not is_in_torch_func()
+        and not is_transformed()
     ):
         out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
     else:

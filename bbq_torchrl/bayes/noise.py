@@ -27,12 +27,7 @@ def is_transformed() -> bool:
     What fills memory by hand, or has a gradient written by hand that knows no ``vmap``, has to
     leave the work to torch's own operations there.
     """
-    return torch.compiler.is_compiling() or is_in_torch_func()
-
-
-def is_in_torch_func() -> bool:
-    """Returns whether a transform of torch.func (vmap, grad, ...) is active."""
-    return bool(torch._C._are_functorch_transforms_active())
+    return torch.compiler.is_compiling() or bool(torch._C._are_functorch_transforms_active())
 
 
 @cache

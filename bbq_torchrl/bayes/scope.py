@@ -137,7 +137,9 @@ _NOWHERE = WeightScope()
 
 
 class _Here(threading.local):
-    scope: WeightScope = _NOWHERE
+    def __init__(self) -> None:
+        # of the object, not the class: torch.compile guards on where it finds it
+        self.scope = _NOWHERE
 
 
 _here = _Here()

@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from bbq_torchrl.bayes.noise import is_in_torch_func
+from bbq_torchrl.bayes.noise import is_transformed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -230,7 +230,7 @@ def draw_with_kl(
             all the same: the gradient is the closed KL's own, and computing the value is a good
             part of the draw. None to compute it.
     """
-    if is_in_torch_func():
+    if is_transformed():
         weights = torch.addcmul(mu, F.softplus(rho), noise)
         return weights, _plain_kl(mu, rho, prior_std, weights if kind == "sampled" else None, noise)
     weights, kl = _Draw.apply(mu, rho, prior_std, kind, noise, fill_noise_, known_kl)
@@ -242,7 +242,7 @@ def closed_kl(mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
 
     Differentiable in mu and rho (once); arguments as those of :func:`draw_with_kl`.
     """
-    if is_in_torch_func():
+    if is_transformed():
         return _plain_kl(mu, rho, prior_std, None, mu)
     out: Tensor = _ClosedKL.apply(mu, rho, prior_std)
     return out
