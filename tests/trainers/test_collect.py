@@ -30,6 +30,17 @@ def test_what_is_valid_ends_with_the_first_done_and_every_dialogue_ends():
     assert len(set(valid.sum(-1).flatten().tolist())) > 1
 
 
+def test_the_policy_is_told_which_turn_begins_a_dialogue():
+    rollouts = list(play_dialogues(GuessEnv(2, 5), random_policy, 12))
+
+    assert len(rollouts) == 3
+    for rollout in rollouts:
+        begins = rollout["is_init"].squeeze(-1)
+        assert begins[..., 0].all()
+        # a dialogue that is over repeats its last turn, which may be its first
+        assert not (begins & rollout["valid"])[..., 1:].any()
+
+
 def test_outcomes_are_those_of_the_dialogues_played_one_by_one():
     torch.manual_seed(0)
     rollout = play(GuessEnv(2, 10), random_policy)
