@@ -24,15 +24,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
-from hydra._internal.callbacks import Callbacks
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.utils import run_job
 from hydra.errors import CompactHydraException, HydraException
-from hydra.types import HydraContext, RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import (
@@ -50,6 +46,7 @@ from bbq_torchrl.cli.resume import (
     resumed_config,
 )
 from bbq_torchrl.cli.run_lock import run_lock
+from bbq_torchrl.cli.single_run import SingleRun, compose_single, override_hydra, without_hydra
 from bbq_torchrl.cli.store import (
     compose_raw,
     conf_folder,
@@ -67,6 +64,8 @@ from bbq_torchrl.text import sentence
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator
+
+    from omegaconf import DictConfig
 
     from bbq_torchrl.domains import Domain
 
@@ -122,7 +121,7 @@ def command(check: Check, usage_errors: UsageErrors) -> Callable[[Task], Callabl
                 _LOG.error("this run failed: %s", sentence(error) or type(error).__name__)
                 raise _failure(error) from error
 
-        def single(run: _Run) -> float:
+        def single(run: SingleRun) -> float:
             try:
                 return task(run.config, _told_folder(), run.domain)
             except Exception as error:
@@ -180,30 +179,6 @@ def prepare(arguments: Sequence[str], check: Check) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _Run:
-    """A single run, which nothing has to be composed, checked or loaded for any more."""
-
-    composed: DictConfig
-    config: Config
-    domain: Domain | None
-    loader: Any
-
-    def start(self, task: Callable[[_Run], float]) -> None:
-        """Runs it as Hydra runs a job: with its folder, log and record of the configuration."""
-        callbacks = Callbacks(self.composed)
-        callbacks.on_run_start(config=self.composed, config_name="config")
-        ended = run_job(
-            lambda _: task(self),
-            config=self.composed,
-            job_dir_key="hydra.run.dir",
-            job_subdir_key=None,
-            hydra_context=HydraContext(config_loader=self.loader, callbacks=callbacks),
-        )
-        callbacks.on_run_end(config=self.composed, config_name="config", job_return=ended)
-        _ = ended.return_value  # raises what the task raised
-
-
-@dataclass(frozen=True)
 class _Sweep:
     """Where a sweep's runs are, and how many (0 where only its sweeper knows)."""
 
@@ -236,7 +211,7 @@ class _Prepared:
     """A command line for Hydra; a single run or a sweep where it is one."""
 
     arguments: list[str]
-    run: _Run | None = None
+    run: SingleRun | None = None
     sweep: _Sweep | None = None
 
 
@@ -324,18 +299,18 @@ def _prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> _Prepar
         raise ConfigError(refusal)
     with session() as hydra_session:
         _refuse_unread(parsed)
-        composed = None if parsed.multirun else _of_single_run(hydra_session, parsed.overrides)
+        composed = None if parsed.multirun else compose_single(hydra_session, parsed.overrides)
         if composed is not None:
             check_job_name(composed)
             refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
             folder = _resumed_folder(composed.resume)
             if folder is not None:
                 held.enter_context(run_lock(folder))
-            config = _run_config(_without_hydra(composed), parsed.overrides)
+            config = _run_config(without_hydra(composed), parsed.overrides)
             domain = check(config)
             extra = run_folder(composed, folder, held)
-            _override(composed, extra, hydra_session)
-            run = _Run(composed, config, domain, hydra_session.config_loader)
+            override_hydra(composed, extra, hydra_session)
+            run = SingleRun(composed, config, domain, hydra_session.config_loader)
             return _Prepared([*arguments, *extra], run=run)
         composed, jobs = _sweep(hydra_session, parsed.overrides)
         check_job_name(composed)
@@ -352,28 +327,6 @@ def _prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> _Prepar
     return _Prepared([*arguments, f"hydra.sweep.dir={quoted(sweep.folder)}"], sweep=sweep)
 
 
-def _of_single_run(hydra_session: Any, overrides: Sequence[str]) -> DictConfig | None:
-    """The configuration of a single run with Hydra's part, None where a sweep is asked for."""
-    try:
-        composed = compose_raw(overrides, with_hydra=True)
-    except ConfigError:
-        # Values of a sweep cannot be composed; an experiment, too, may ask for one.
-        if hydra_session.get_mode("config", list(overrides)) is RunMode.MULTIRUN:
-            return None
-        raise
-    return None if composed.hydra.mode is RunMode.MULTIRUN else composed
-
-
-def _override(composed: DictConfig, overrides: Sequence[str], hydra_session: Any) -> None:
-    """Changes keys of Hydra's own part, as if they had been on the command line."""
-    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
-    with read_write(composed), open_dict(composed):
-        composed.hydra.mode = RunMode.RUN
-        for override in parser.parse_overrides(list(overrides)):
-            OmegaConf.update(composed, override.key_or_group, override.value())
-            composed.hydra.overrides.hydra.append(override.input_line)
-
-
 def _refuse_flag(message: str) -> NoReturn:
     """Takes the place of argparse's own, which would print how all of Hydra's flags are used."""
     raise ConfigError(f"{sentence(message)}; see --help")
@@ -384,14 +337,6 @@ def _refuse_unread(parsed: Namespace) -> None:
         if getattr(parsed, flag, None) is not None:
             name = "--" + flag.replace("_", "-")
             raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
-
-
-def _without_hydra(composed: DictConfig) -> DictConfig:
-    plain = composed.copy()
-    OmegaConf.set_struct(plain, False)
-    OmegaConf.set_readonly(plain, False)
-    del plain["hydra"]
-    return plain
 
 
 def _run_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
