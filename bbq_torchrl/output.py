@@ -11,7 +11,7 @@ import errno
 import os
 import sys
 from contextlib import contextmanager, redirect_stdout
-from io import StringIO
+from io import StringIO, TextIOWrapper
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.text import sentence
@@ -39,6 +39,8 @@ def write(text: str) -> None:
     try:
         if sys.stdout is None:  # closed before Python started
             raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        if isinstance(sys.stdout, TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")  # an encoding without ±, say
         sys.stdout.write(text)
         sys.stdout.flush()
     except BrokenPipeError:

@@ -146,7 +146,7 @@ def test_a_person_reads_the_same(place, row):
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=1_800,
     )
 
     check(row, ended.returncode, ended.stderr, left_in(folder, before))

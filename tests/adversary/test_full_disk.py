@@ -36,7 +36,7 @@ def disk(tmp_path_factory):
             env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
             capture_output=True,
             text=True,
-            timeout=600,
+            timeout=1_800,
         )
 
     return run

@@ -49,7 +49,7 @@ def python(*arguments, cwd, code=0):
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=1_800,
     )
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout, done.stderr

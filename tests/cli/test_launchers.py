@@ -53,7 +53,7 @@ def start(*arguments, cwd):
 
 def call(*arguments, cwd, code=0):
     process = start(*arguments, cwd=cwd)
-    out, err = process.communicate(timeout=600)
+    out, err = process.communicate(timeout=1_800)
     assert process.returncode == code, out + err
     return out, err
 
@@ -100,7 +100,7 @@ def test_a_search_that_was_killed_goes_on_and_its_best_can_be_trained_again(tmp_
         *("replicas=2", *TINY, "protocol.rounds=4"),
     ]
     process = start(*command, cwd=tmp_path)
-    waiting_until = time.monotonic() + 300
+    waiting_until = time.monotonic() + 1_800
     while not list(tmp_path.glob("search/trial_0001/checkpoint/round-*1.torchrl")):
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < waiting_until

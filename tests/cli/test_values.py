@@ -148,7 +148,7 @@ def test_results_say_which_replica_had_which_value(finished):
 def test_the_command_trains_resumes_and_reports_several_values(restaurant_folder, tmp_path):
     def call(*arguments: str) -> str:
         command = [sys.executable, *arguments]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=1_800)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 

@@ -322,6 +322,16 @@ def test_a_file_that_cannot_be_read_hides_no_fault_of_another(folder: Path):
     assert "unknown slot 'kitchen'" in str(caught.value)
 
 
+def test_a_line_that_cannot_be_read_hides_no_fault_of_another(folder: Path):
+    edit(folder / "goals.jsonl", '"japanese"', '"martian"')
+    with (folder / "goals.jsonl").open("a") as file:
+        file.write("{\n")
+    with pytest.raises(ValueError, match="has 2 faults") as caught:
+        load_domain(folder)
+    assert "goals.jsonl, line 2: it wants cuisine = 'martian'" in str(caught.value)
+    assert "it is not valid JSON" in str(caught.value)
+
+
 def test_several_slots_can_open_a_dialogue(folder: Path):
     edit(folder / "domain.yaml", "opening_slot: null", "opening_slot: [area, cuisine]")
     assert load_domain(folder).opening_slots == ("area", "cuisine")

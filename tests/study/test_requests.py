@@ -54,9 +54,9 @@ def test_a_wrong_link_takes_as_long_as_one_that_is_nearly_right(site):
     seconds = {near: [], "x" * len(token): []}
     for _ in range(500):
         for path, times in seconds.items():
-            began = time.perf_counter()
+            began = time.process_time()  # whatever else the machine does
             assert site.client.get(f"/p/{path}").status_code == 404
-            times.append(time.perf_counter() - began)
+            times.append(time.process_time() - began)
     fast, slow = sorted(map(median, seconds.values()))
     assert slow < 1.2 * fast
 
