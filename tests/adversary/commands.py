@@ -77,8 +77,13 @@ class Command:
 
     def works_in(self, folder: Path) -> bool:
         """Whether it holds the lock of a run folder."""
-        links = Path(f"/proc/{self.pid}/fd").iterdir()
-        return any(os.path.realpath(link) == os.fspath(folder / ".lock") for link in links)
+        process = Path(f"/proc/{self.pid}")
+        return any(
+            # A file that is open is not locked yet.
+            os.path.realpath(link) == os.fspath(folder / ".lock")
+            and "FLOCK" in (process / "fdinfo" / link.name).read_text()
+            for link in (process / "fd").iterdir()
+        )
 
     def until(self, is_so: Callable[[], object]) -> None:
         """Waits until something is so, which must come before its end."""

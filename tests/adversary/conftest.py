@@ -1,6 +1,7 @@
 """Processes to harm, runs that nothing happened to, and the count of what was tried.
 
-``BBQ_RECORD=<file>`` has the counts written, as JSON, once everything has passed.
+``BBQ_RECORD=<file>`` has the counts written, as JSON, once everything has passed. Test files that
+are run one after the other, each with the same numbers, add to one record.
 """
 
 from __future__ import annotations
@@ -32,11 +33,12 @@ def pytest_sessionfinish(session, exitstatus):
     is_worker = hasattr(session.config, "workerinput")  # of pytest-xdist
     if file and exitstatus == 0 and not is_worker:
         sizes = f"BBQ_KILLS={KILLS} BBQ_DAMAGES={DAMAGES} BBQ_INPUTS={INPUTS}"
-        found = {
-            "command": f"{sizes} scripts/check adversary",
-            "outcomes": dict(sorted(OUTCOMES.items())),
-        }
-        Path(file).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        found = {"command": f"{sizes} scripts/check adversary", "outcomes": dict(OUTCOMES)}
+        path = Path(file)
+        before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        if before.get("command") == found["command"]:
+            found["outcomes"] = dict(sorted({**before["outcomes"], **OUTCOMES}.items()))
+        path.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
