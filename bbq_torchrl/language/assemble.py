@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.domains import NO_MATCH, RESERVED_TEXT
 from bbq_torchrl.language.frames import ANY, Frame, Unclear
 from bbq_torchrl.language.quantities import MONTH_WORDS
 from bbq_torchrl.language.tagger import spans_of
@@ -55,10 +56,12 @@ _ORDER = {
     "one": 0,
     "two": 1,
 }
+_NO_MATCH = RESERVED_TEXT[NO_MATCH]
 _SHORT = 4
 _SURE = 0.95
 _FAIR = 0.85
 _LONGEST = 8
+_SURE_ACT = -0.25  # log-probability
 _ANY = frozenset(("any", "anything", "whatever", "either"))
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
@@ -112,6 +115,9 @@ def assemble(
         domain: whose acts and slots.
         lexicon: the domain's values.
     """
+    if question is not None and question.requests and _NO_MATCH in " ".join(words):
+        # Simulated users pass on that the agent has found nothing.
+        return Frame("inform", {question.requests[0]: _NO_MATCH}), (), 1.0
     offered = chosen(words, question, lexicon)
     if offered is not None and question is not None:
         return Frame("inform", {question.requests[0]: offered}), (), 1.0
@@ -126,6 +132,8 @@ def assemble(
     informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
     asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
     requests = [slot for slot, chance in asked.items() if chance > 0.5 and slot not in informs]
+    # Who says thanks, or bye, may add that something does not matter.
+    told = [slot for slot, value in informs.items() if value != ANY]
     by_chance = [domain.acts[index] for index in reading.acts.argsort(descending=True).tolist()]
     act = by_chance[0]
     if act == "request" and not requests:
@@ -135,9 +143,7 @@ def assemble(
         elif informs or unclear:
             act = "inform"
     elif (
-        act not in ("inform", "request", "confirm_question")
-        and (informs or unclear)
-        and not requests
+        act not in ("inform", "request", "confirm_question") and (told or unclear) and not requests
     ):
         act = "inform"
     elif (
@@ -150,11 +156,12 @@ def assemble(
         act, unclear = "inform", (Unclear(question.requests[0], " ".join(words)),)
     elif requests and act not in ("request", "inform", "thanks", "deny", "closing"):
         act = "request"
-    if requests and act == "inform" and (question is None or not (informs or unclear)):
+    is_sure = reading.acts.max().item() > _SURE_ACT
+    if requests and act == "inform" and (question is None or not (informs or unclear or is_sure)):
         act = "request"
     if act == "thanks" and requests and not _is_offer(question, domain):
         act = "request"
-    if act == "thanks" and informs:
+    if act == "thanks" and told:
         act = "request" if requests else "inform"
     return Frame(act, informs, tuple(requests)), unclear, fit
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Composer"]
 
 _TRIES = 8
+_MARKS = (". ", ", ", " ", " and ", ". ", ", ")
 
 
 @dataclass
@@ -67,7 +68,8 @@ class Composer:
             question: the agent's last act; ``None`` at the opening.
             rng: chooses.
             surface: from slot and value to how it is said.
-            is_clear: whether a value that several slots have is said with the slot's name.
+            is_clear: whether a value that several slots have is said with the slot's name, and
+                each clause is a sentence.
         """
         told = {slot: value for slot, value in frame.informs.items() if value != ANY}
         values = {slot: [Piece(surface(slot, value, rng), slot)] for slot, value in told.items()}
@@ -90,7 +92,7 @@ class Composer:
         for slot in sorted(hidden):
             clear = self._phrases.slots[slot].phrases["clear"]
             parts.append(self._fill(clear, turn, slot, {slot: values[slot]}))
-        return _join(parts, rng)
+        return _join(parts, rng, [". "] if is_clear else _MARKS)
 
     def _parts(self, frame: Frame, turn: _Turn) -> list[list[Piece]]:
         rng, question = turn.rng, turn.question
@@ -98,7 +100,7 @@ class Composer:
         requests = list(frame.requests)
         rng.shuffle(requests)
         parts: list[list[Piece]] = []
-        has_content = bool(turn.left or cares or requests)
+        has_content = bool(frame.informs)
         is_offer = question is not None and self._domain.complete_slot in question.informs
         if frame.act == "request" and requests:
             parts += self._ask(requests, turn)
@@ -274,11 +276,11 @@ class Composer:
         return pieces
 
 
-def _join(parts: list[list[Piece]], rng: random.Random) -> list[Piece]:
+def _join(parts: list[list[Piece]], rng: random.Random, marks: Sequence[str]) -> list[Piece]:
     """Returns the clauses one after another."""
     joined: list[Piece] = []
     for part in parts:
         if joined:
-            joined.append(Piece(rng.choice([". ", ", ", " ", " and ", ". ", ", "])))
+            joined.append(Piece(rng.choice(marks)))
         joined += part
     return joined

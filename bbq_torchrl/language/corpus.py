@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.language.compose import Composer
 from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.language.noise import as_second_language, slangy, with_typos
+from bbq_torchrl.language.simulated import play
 from bbq_torchrl.language.surfaces import Surfaces
 from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.lexicon import Lexicon
@@ -41,6 +42,7 @@ _NO_CONTENT = (
 
 
 _SMALL_WORDS = frozenset(("in", "or", "ok", "hi", "me", "oh"))
+_DIALOGUES = 200
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,14 @@ def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
 
 
 def make_examples(
-    domain: Domain, phrases: Phrases, lexicon: Lexicon, count: int, seed: int, *, noise: float = 1.0
+    domain: Domain,
+    phrases: Phrases,
+    lexicon: Lexicon,
+    count: int,
+    seed: int,
+    *,
+    noise: float = 1.0,
+    simulated: bool = False,
 ) -> list[Example]:
     """Returns sentences of the domain's own grammar.
 
@@ -83,19 +92,29 @@ def make_examples(
         count: how many.
         seed: chooses all.
         noise: scales how often sentences are spoiled.
+        simulated: whether the acts are those of simulated users, who ask several things at once.
     """
     rng = random.Random(seed)
-    source = _Frames(domain, phrases, lexicon)
-    composer = Composer(domain, phrases)
+    draw = _played(domain, seed) if simulated else _Frames(domain, phrases, lexicon).draw
+    composer = Composer(domain, phrases, lexicon.owners if simulated else None)
     surfaces = Surfaces(lexicon, domain.free_slots)
     examples: list[Example] = []
     while len(examples) < count:
-        question, frame = source.draw(rng)
-        words, tags = tag(composer.compose(frame, question, rng, surfaces))
+        question, frame = draw(rng)
+        is_clear = simulated and rng.random() < 0.5
+        words, tags = tag(composer.compose(frame, question, rng, surfaces, is_clear=is_clear))
         words, tags = _spoil(words, tags, rng, noise)
         if words and len(words) <= 60:
             examples.append(Example(words, tags, frame, question))
     return examples
+
+
+def _played(domain: Domain, seed: int) -> Callable[[random.Random], tuple[Frame | None, Frame]]:
+    """Returns what draws a turn of simulated dialogues."""
+    # Other dialogues than those that the round trip is measured on.
+    found = play(domain, 1, seed=seed + 1_000_000, kept=_DIALOGUES)
+    turns = [(agent, user) for agent, _, user in found.turns]
+    return lambda rng: rng.choice(turns)
 
 
 def _spoil(

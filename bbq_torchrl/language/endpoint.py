@@ -246,3 +246,7 @@ class EndpointGenerator:
             return own
         self.answered += 1
         return text
+
+    def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns how the own generator asks again for what was not understood."""
+        return self._own.clarify(understood, session=session, turn=turn)

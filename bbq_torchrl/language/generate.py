@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.domains import Domain
+    from bbq_torchrl.language.frames import Understood
     from bbq_torchrl.language.templates import Template
 
 __all__ = ["Generator", "chance", "sentence"]
 
 _NO_MATCH, _AVAILABLE = RESERVED_TEXT[NO_MATCH], RESERVED_TEXT[AVAILABLE]
 _MOST_IN_CONFLICT = 4
+_MOST_CHOICES = 5
 
 
 def chance(session: str | int, turn: int, side: str) -> random.Random:
@@ -124,6 +126,27 @@ class Generator:
         if not parts:
             parts.append(self._fill(self._phrases.agent[frame.act], rng))
         return " ".join(sentence(part) for part in parts)
+
+    def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns how an agent asks again for what it did not understand.
+
+        Args:
+            understood: what it did: the first of its unclear names is asked about, and where
+                there is none, for other words.
+            session: with ``turn`` chooses the words.
+            turn: counts the turns of the session.
+        """
+        rng = chance(session, turn, "agent")
+        if not understood.unclear:
+            return sentence(self._fill(self._phrases.agent["again"], rng))
+        unclear = understood.unclear[0]
+        if unclear.candidates:
+            asked = Frame(
+                "multiple_choice", {}, (unclear.slot,), unclear.candidates[:_MOST_CHOICES]
+            )
+            return sentence(self._choose(asked, rng))
+        words = {"words": [Piece(unclear.text)]}
+        return sentence(self._fill(self._phrases.agent["unknown"], rng, unclear.slot, words))
 
     def _choose(self, frame: Frame, rng: random.Random) -> list[Piece]:
         *most, last = frame.choices

@@ -17,6 +17,7 @@ __all__ = ["IntentNet", "train_intents"]
 
 _WIDTH = 48
 _BATCH = 64
+_LEFT_OUT = 0.15
 
 
 class IntentNet(nn.Module):
@@ -43,9 +44,18 @@ class IntentNet(nn.Module):
     def forward(self, bags: Sequence[Sequence[int]]) -> tuple[torch.Tensor, ...]:
         """Returns the logits of acts ``[B, A]``, requests and don't-cares ``[B, S + 1]``."""
         flat = torch.tensor([index for bag in bags for index in bag], dtype=torch.long)
-        sizes = torch.tensor([0, *(len(bag) for bag in bags)][:-1]).cumsum(0)
-        count = torch.tensor([max(len(bag), 1) for bag in bags])
-        hidden = functional.relu(self.bag(flat, sizes) / count.sqrt()[:, None])
+        return self.scores(flat, torch.tensor([len(bag) for bag in bags]))
+
+    def scores(self, flat: torch.Tensor, sizes: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Returns the logits of :meth:`forward` of features one bag after another.
+
+        Args:
+            flat: long, the features of all bags.
+            sizes: long ``[B]``, how many of them each bag has.
+        """
+        starts = sizes.cumsum(0) - sizes
+        hidden = self.bag(flat, starts) / sizes.clamp(min=1).sqrt()[:, None]
+        hidden = functional.relu(hidden)
         n_acts, n_slots = len(self.acts), len(self.slots) + 1
         return self.heads(hidden).split([n_acts, n_slots, n_slots], -1)
 
@@ -108,23 +118,21 @@ def train_intents(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         net = IntentNet([name for name, _ in ranked[:most]], *names)
-        bags = [net.encode(sentence) for sentence in sentences]
+        bags = [torch.tensor(net.encode(sentence), dtype=torch.long) for sentence in sentences]
         target = torch.tensor(acts)
-        optimizer = torch.optim.Adam(net.parameters(), lr=4e-3)
+        optimizer = torch.optim.Adam(net.parameters(), lr=4e-3, fused=True)
         steps = epochs * (-(-len(bags) // _BATCH))
         schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, steps)
         for _ in range(epochs):
             order = torch.randperm(len(bags))
             for rows in order.split(_BATCH):
-                keep = [
-                    [
-                        i
-                        for i, u in zip(bags[r], torch.rand(len(bags[r])).tolist(), strict=True)
-                        if u > 0.15
-                    ]
-                    for r in rows.tolist()
-                ]
-                act, request, care = net(keep)
+                parts = [bags[row] for row in rows.tolist()]
+                flat = torch.cat(parts)
+                owner = torch.tensor([len(part) for part in parts])
+                owner = torch.arange(len(parts)).repeat_interleave(owner)
+                is_kept = torch.rand(len(flat)) > _LEFT_OUT
+                sizes = torch.bincount(owner[is_kept], minlength=len(parts))
+                act, request, care = net.scores(flat[is_kept], sizes)
                 loss = (
                     functional.cross_entropy(act, target[rows], label_smoothing=0.02)
                     + 25 * functional.binary_cross_entropy_with_logits(request, requests[rows])

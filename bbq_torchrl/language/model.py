@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import torch
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Model", "Reading", "fit"]
 
+_BREAKS = frozenset((".", ";", "!", "?"))
+_MOST_CLAUSES = 6
+_SURE = 0.75
+
 
 @dataclass(frozen=True)
 class Reading:
@@ -35,6 +40,7 @@ class Reading:
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
         unknown: the share of the words that no training sentence has.
+        novel: the share of the features of the sentence that none has.
     """
 
     tags: list[str]
@@ -43,6 +49,7 @@ class Reading:
     requests: torch.Tensor
     dont_care: torch.Tensor
     unknown: float
+    novel: float
 
 
 @dataclass(frozen=True)
@@ -57,16 +64,19 @@ class Model:
     def read(self, words: Sequence[str], question: Frame | None) -> Reading:
         """Returns the reading of a sentence of one word or more."""
         tags, chance = self.tagger(self.features.of_words(words, question))
-        names = self.features.of_sentence(words, tags, question)
-        acts, requests, dont_care = (part[0] for part in self.net([self.net.encode(names)]))
+        parts = [(words, tags), *_clauses(words, tags)]
+        named = [self.features.of_sentence(*part, question) for part in parts]
+        bags = [self.net.encode(names) for names in named]
+        acts, requests, dont_care = self.net(bags)
         asked = self.asked(question)
         return Reading(
             tags,
             chance,
-            acts.log_softmax(-1),
-            _of_slots(requests, asked),
-            _of_slots(dont_care, asked),
+            acts[0].log_softmax(-1),
+            _united(_of_slots(requests[0], asked), [_of_slots(row, None) for row in requests[1:]]),
+            _of_slots(dont_care[0], asked),
             self.features.share_unknown(words),
+            1 - len(bags[0]) / len(set(named[0])),
         )
 
     def asked(self, question: Frame | None) -> int | None:
@@ -74,6 +84,28 @@ class Model:
         if question is None or not question.requests or question.requests[0] not in self.net.slots:
             return None
         return self.net.slots.index(question.requests[0])
+
+
+def _clauses(
+    words: Sequence[str], tags: Sequence[str]
+) -> list[tuple[Sequence[str], Sequence[str]]]:
+    """Returns the clauses of a sentence with their tags; none of a sentence of one clause."""
+    pairs = enumerate(zip(words, tags, strict=True))
+    cuts = [at for at, (word, tag) in pairs if word in _BREAKS and tag == OUTSIDE]
+    bounds = [-1, *cuts, len(words)]
+    found = [
+        (words[start + 1 : end], tags[start + 1 : end])
+        for start, end in pairwise(bounds)
+        if end - start > 1
+    ]
+    return found[:_MOST_CLAUSES] if len(found) > 1 else []
+
+
+def _united(whole: torch.Tensor, clauses: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Returns the chances of a sentence ``[S]``, raised where one of its clauses is sure."""
+    for clause in clauses:
+        whole = torch.where(clause > _SURE, torch.maximum(whole, clause), whole)
+    return whole
 
 
 def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:
@@ -90,6 +122,7 @@ def fit(
     phrases: Phrases,
     lexicon: Lexicon,
     examples: Sequence[Example],
+    simulated: Sequence[Example] = (),
     *,
     seed: int,
     steps: int,
@@ -102,6 +135,7 @@ def fit(
         phrases: whose nouns help.
         lexicon: whose names help.
         examples: the sentences.
+        simulated: sentences of simulated users, which the net learns from as well.
         seed: of the net.
         steps: of the tagger's optimizer.
         epochs: of the net.
@@ -117,6 +151,7 @@ def fit(
         steps,
     )
     slots = domain.slots
+    examples = [*examples, *simulated]
     requests = torch.zeros(len(examples), len(slots) + 1)
     dont_care = torch.zeros(len(examples), len(slots) + 1)
     for row, example in enumerate(examples):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,14 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["LANGUAGE_FILE", "Phrases", "PhrasesError", "SlotPhrases", "load_phrases"]
+__all__ = [
+    "LANGUAGE_FILE",
+    "Phrases",
+    "PhrasesError",
+    "SlotPhrases",
+    "load_phrases",
+    "some_phrases",
+]
 
 LANGUAGE_FILE = "language.yaml"
 _GENERIC = Path(__file__).with_name("generic.yaml")
@@ -36,7 +43,7 @@ _SLOT_KEYS = (
     "check",
     "clear",
 )
-_DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "q")
+_DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
 """Rules that are filled in while a sentence is made."""
 
 
@@ -106,6 +113,21 @@ def load_phrases(domain: Domain, folder: str | Path | None = None) -> Phrases:
     if reader.faults:
         raise PhrasesError(source, reader.faults)
     return phrases
+
+
+def some_phrases(phrases: Phrases, every: int) -> Phrases:
+    """Returns phrases of which users lack every so manieth; short lists stay whole."""
+
+    def cut(several: Mapping[str, tuple[Template, ...]]) -> dict[str, tuple[Template, ...]]:
+        return {
+            key: tuple(text for at, text in enumerate(texts) if (at + 1) % every)
+            for key, texts in several.items()
+        }
+
+    slots = {
+        slot: replace(entry, phrases=cut(entry.phrases)) for slot, entry in phrases.slots.items()
+    }
+    return Phrases(cut(phrases.rules), cut(phrases.user), phrases.agent, slots)
 
 
 class _Reader:

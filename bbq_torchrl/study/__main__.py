@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
+TALKER = "bbq_torchrl.chat.talker:make_talker"
+"""Named, not imported: the study knows neither networks nor language."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code: 2 if refused."""
@@ -42,8 +45,9 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument("study", type=Path, help="the study file; its data is beside it")
     serve.add_argument(
         "--talker",
-        required=True,
-        help="module:function that makes the talker of a study, bbq_torchrl.study.Talker",
+        default=TALKER,
+        help="module:function that makes the talker of a study, bbq_torchrl.study.Talker; "
+        "unless given, the agents are run folders",
     )
     serve.add_argument("--host", default="127.0.0.1", help="address to listen at")
     serve.add_argument("--port", type=_whole(1, 65_535), default=8000, help="port to listen at")

@@ -1,0 +1,118 @@
+"""``bbq chat``: talk with a trained agent in the terminal."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.text import sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from bbq_torchrl.language import Endpoint
+
+__all__ = ["main"]
+
+_KEY = "BBQ_ENDPOINT_KEY"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line. Returns the exit code: 2 if refused."""
+    given = _parser().parse_args(arguments)
+    try:
+        _chat(given)
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        sys.stderr.write(f"error: {sentence(error)}\n")
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="bbq chat", description="Talk with a trained agent. See docs/chat.md."
+    )
+    parser.add_argument("run", type=Path, help="a run folder")
+    about = parser.add_mutually_exclusive_group()
+    about.add_argument("--goal", type=int, help="number of a goal, from 1; drawn unless given")
+    about.add_argument("--free", action="store_true", help="talk without a goal")
+    parser.add_argument("--seed", type=int, default=0, help="of goal, words and draws")
+    parser.add_argument("--replica", type=int, default=0, help="which replica of the run talks")
+    parser.add_argument("--mode", help="mean, average, draw or thompson, for a Bayesian agent")
+    parser.add_argument("--weights", choices=("last", "best"), default="last")
+    parser.add_argument("--plain", action="store_true", help="read lines of standard input")
+    parser.add_argument(
+        "--understander", type=Path, help="file of `bbq language train`; trained unless given"
+    )
+    parser.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
+    for name, help_ in (("--nlu", "who understands"), ("--nlg", "who speaks")):
+        parser.add_argument(name, choices=("own", "endpoint"), default="own", help=help_)
+    parser.add_argument("--url", help="of an OpenAI-compatible server, up to and with its /v1")
+    parser.add_argument(
+        "--model", help=f"the endpoint's; its key, if any, in the environment variable {_KEY}"
+    )
+    return parser
+
+
+def _chat(given: argparse.Namespace) -> None:
+    endpoint = _endpoint(given)
+    if given.labeled is not None and given.understander is not None:
+        raise ConfigError("--labeled is learned in training: it must not be with --understander")
+
+    import torch
+
+    from bbq_torchrl.chat.agent import TrainedAgent
+    from bbq_torchrl.chat.goals import choose_goal
+    from bbq_torchrl.chat.language import make_ears, make_mouth
+    from bbq_torchrl.chat.partner import Partner
+    from bbq_torchrl.chat.terminal import Chat, console, prompt
+    from bbq_torchrl.language import load_phrases
+
+    torch.set_num_threads(1)
+    screen = console()
+    read = _lines() if given.plain or not sys.stdin.isatty() else prompt()
+    agent = TrainedAgent(given.run, replica=given.replica, mode=given.mode, weights=given.weights)
+    goal = None if given.free else choose_goal(agent.domain, given.goal, given.seed)
+    ears = make_ears(
+        agent.domain,
+        agent.folder,
+        file=given.understander,
+        labeled=given.labeled,
+        endpoint=endpoint if given.nlu == "endpoint" else None,
+        tell=lambda text: screen.print(text),  # type: ignore[attr-defined]
+    )
+    mouth = make_mouth(agent.domain, agent.folder, endpoint if given.nlg == "endpoint" else None)
+    phrases = load_phrases(agent.domain, agent.folder)
+    names = {slot: entry.name for slot, entry in phrases.slots.items()}
+    Chat(Partner(agent, ears, mouth), goal, screen, names=names, seed=given.seed).run(read)
+
+
+def _endpoint(given: argparse.Namespace) -> Endpoint | None:
+    from bbq_torchrl.language import Endpoint
+
+    if "endpoint" not in (given.nlu, given.nlg):
+        return None
+    if not given.url or not given.model:
+        raise ConfigError("--nlu endpoint and --nlg endpoint need --url and --model")
+    return Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
+
+
+def _lines() -> Callable[[], str | None]:
+    """Returns what reads the lines of standard input, whatever bytes they are made of."""
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        sys.stdin.reconfigure(errors="replace")
+
+    def read() -> str | None:
+        line = sys.stdin.readline()
+        return line.rstrip("\n") if line else None
+
+    return read
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,269 @@
+"""A conversation with an agent: text in, text out, and what was understood and thought between."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.chat.tracking import Tracking
+from bbq_torchrl.language import Frame, TextError, Understood
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bbq_torchrl.chat.agent import Reasons, TrainedAgent
+    from bbq_torchrl.study.talk import Beliefs
+
+__all__ = ["Answer", "Ears", "Mouth", "Partner"]
+
+_ASKS_IN_A_ROW = 2
+_FLAGS = ("pending", "open", "agent_requests")
+
+
+class Ears(Protocol):
+    """Who understands: an ``Understander`` or an ``EndpointUnderstander``."""
+
+    def __call__(self, text: str, question: Frame | None = None) -> Understood:
+        """Returns what a text means, in the light of the agent's last act."""
+
+    def asks(self, understood: Understood) -> bool:
+        """Returns whether better to ask again than to act on it."""
+
+
+class Mouth(Protocol):
+    """Who speaks: a ``Generator`` or an ``EndpointGenerator``."""
+
+    def agent(
+        self,
+        frame: Frame,
+        held: Mapping[str, str] | None = None,
+        *,
+        session: str | int = 0,
+        turn: int = 0,
+    ) -> str:
+        """Returns a sentence that says an act."""
+
+    def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns a sentence that asks again for what was not understood."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An agent's answer to a text.
+
+    Attributes:
+        text: what the agent says.
+        understood: of the person's text; ``None`` where it could not be read.
+        heard: the act that the agent acted on, with what was cleared up in later turns.
+        said: the agent's act, its values filled in.
+        memory: all there is to know to go on, as text.
+        acted: whether the agent took an action; otherwise it asked again, or greeted.
+        ended: whether the conversation is over: ``"agent"``, ``"person"``, ``"turns"`` or ``""``.
+    """
+
+    text: str
+    understood: Understood | None
+    heard: Frame
+    said: Frame
+    memory: str
+    acted: bool = False
+    ended: str = ""
+
+
+@dataclass(frozen=True)
+class _Memory:
+    """What is remembered between two texts.
+
+    Attributes:
+        state: of the tracking; ``None`` before the first act heard.
+        waiting: what was understood of a text that the agent had to ask about.
+        slot: what it asked for then.
+        choices: and between which values.
+        asks: how often it asked again in a row.
+        texts: how many there have been.
+    """
+
+    state: TensorDict | None = None
+    waiting: Frame | None = None
+    slot: str = ""
+    choices: tuple[str, ...] = ()
+    asks: int = 0
+    texts: int = 0
+
+    def text(self) -> str:
+        """Returns it as JSON."""
+        content: dict[str, Any] = {"slot": self.slot, "choices": self.choices, "asks": self.asks}
+        content["texts"] = self.texts
+        if self.state is not None:
+            content["state"] = {key: value.tolist() for key, value in self.state.items()}
+        if self.waiting is not None:
+            waiting = self.waiting
+            content["waiting"] = [waiting.act, dict(waiting.informs), waiting.requests]
+        return json.dumps(content)
+
+    @classmethod
+    def of(cls, text: str | None) -> _Memory:
+        """Returns what :meth:`text` wrote; of nothing, the start."""
+        if text is None:
+            return cls()
+        content = json.loads(text)
+        state = waiting = None
+        if "state" in content:
+            tensors = {
+                key: torch.tensor(value, dtype=torch.bool if key in _FLAGS else torch.long)
+                for key, value in content["state"].items()
+            }
+            state = TensorDict(tensors, batch_size=[])
+        if "waiting" in content:
+            act, informs, requests = content["waiting"]
+            waiting = Frame(act, informs, tuple(requests))
+        return cls(
+            state,
+            waiting,
+            content["slot"],
+            tuple(content["choices"]),
+            content["asks"],
+            content["texts"],
+        )
+
+
+class Partner:
+    """An agent to talk with; conversations are in the memory that it returns, not in it.
+
+    Args:
+        agent: who decides.
+        ears: who understands.
+        mouth: who speaks.
+
+    Example:
+        >>> partner = Partner(TrainedAgent("runs/bbqn"), understand, speak)  # doctest: +SKIP
+        >>> answer = partner.reply(None, "two tickets for wonka please", seed=0)  # doctest: +SKIP
+        >>> answer.text  # doctest: +SKIP
+        'Which city are you in?'
+        >>> answer = partner.reply(answer.memory, "reno", seed=1)  # doctest: +SKIP
+    """
+
+    def __init__(self, agent: TrainedAgent, ears: Ears, mouth: Mouth) -> None:
+        self.agent = agent
+        self._ears, self._mouth = ears, mouth
+        self._tracking = Tracking(agent.simulator, agent.active)
+
+    def reply(self, memory: str | None, text: str, seed: int) -> Answer:
+        """Answers a text.
+
+        Args:
+            memory: of the last answer; ``None`` at the start.
+            text: what the person typed.
+            seed: of everything random in the answer.
+        """
+        before = _Memory.of(memory)
+        now = replace(before, texts=before.texts + 1)
+        question = self._question(before)
+        try:
+            understood = self._ears(text, question)
+        except TextError as error:
+            return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.", before)
+        if self._asks(understood, before):
+            sentence = self._mouth.clarify(understood, session=seed, turn=now.texts)
+            return self._ask_again(now, understood, sentence, before)
+        heard = _joined(before.waiting, understood.frame)
+        now = replace(now, waiting=None, slot="", choices=(), asks=0)
+        if heard.act == "greeting" and not (heard.informs or heard.requests):
+            return self._say(now, understood, heard, Frame("greeting"), seed)
+        if now.state is None:
+            state = self._tracking.start(heard)
+        else:
+            state = self._tracking.hear(now.state, heard)
+        if heard.act == "closing":
+            now = replace(now, state=state)
+            return self._say(now, understood, heard, Frame("closing"), seed, ended="person")
+        action = self.agent.decide(self._tracking.observe(state), seed)
+        after = self._tracking.act(state, action)
+        said = self._tracking.said(after)
+        assert said is not None
+        sentence = self._mouth.agent(said, self._tracking.held(state), session=seed, turn=now.texts)
+        ended = "agent" if said.act in ("thanks", "closing") else ""
+        if not ended and int(after["turn"]) >= self.agent.simulator.max_turn:
+            ended = "turns"
+        now = replace(now, state=after)
+        return Answer(sentence, understood, heard, said, now.text(), acted=True, ended=ended)
+
+    def beliefs(self, memory: str | None, heard: Frame, seed: int) -> Beliefs | None:
+        """Returns what the agent thought when it heard an act; ``None`` without a posterior.
+
+        Args:
+            memory: before the text.
+            heard: the act it acted on.
+            seed: of the draws.
+        """
+        return self.agent.beliefs(self._observed(memory, heard), seed)
+
+    def values(self, memory: str | None, heard: Frame, seed: int) -> dict[str, float]:
+        """Returns the values that the agent acted on, by action; arguments as of `beliefs`."""
+        return self.agent.values(self._observed(memory, heard), seed)
+
+    def reasons(self, memory: str | None, heard: Frame, seed: int) -> Reasons | None:
+        """Returns why its best action is better than the second; arguments as of `beliefs`."""
+        return self.agent.reasons(self._observed(memory, heard), seed)
+
+    def _observed(self, memory: str | None, heard: Frame) -> torch.Tensor:
+        state = _Memory.of(memory).state
+        tracking = self._tracking
+        state = tracking.start(heard) if state is None else tracking.hear(state, heard)
+        return tracking.observe(state)
+
+    def _question(self, memory: _Memory) -> Frame | None:
+        """Returns in the light of what a text is read."""
+        if memory.choices:
+            return Frame("multiple_choice", {}, (memory.slot,), memory.choices)
+        if memory.slot:
+            return Frame("request", {}, (memory.slot,))
+        return None if memory.state is None else self._tracking.said(memory.state)
+
+    def _asks(self, understood: Understood, memory: _Memory) -> bool:
+        if memory.asks >= _ASKS_IN_A_ROW:
+            return False  # better a mistake, which can be corrected, than no end
+        return self._ears.asks(understood)
+
+    def _ask_again(
+        self, now: _Memory, understood: Understood | None, sentence: str, before: _Memory
+    ) -> Answer:
+        """Returns a question about a text; the state of the dialogue stays as it is."""
+        heard = Frame("not_sure")
+        now = replace(now, asks=before.asks + 1)
+        said = Frame("not_sure")
+        if understood is not None:
+            heard = understood.frame
+            if understood.unclear:
+                unclear = understood.unclear[0]
+                waiting = _joined(before.waiting, heard)
+                said = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
+                now = replace(now, waiting=waiting, slot=unclear.slot, choices=unclear.candidates)
+        return Answer(sentence, understood, heard, said, now.text())
+
+    def _say(
+        self,
+        now: _Memory,
+        understood: Understood,
+        heard: Frame,
+        said: Frame,
+        seed: int,
+        *,
+        ended: str = "",
+    ) -> Answer:
+        """Returns an act that is not the agent's decision: greeting back, and farewell."""
+        sentence = self._mouth.agent(said, session=seed, turn=now.texts)
+        return Answer(sentence, understood, heard, said, now.text(), ended=ended)
+
+
+def _joined(waiting: Frame | None, frame: Frame) -> Frame:
+    """Returns an act with what was understood of the text before, which was asked about."""
+    if waiting is None or not (frame.informs or frame.requests):
+        return frame
+    requests = tuple(dict.fromkeys((*waiting.requests, *frame.requests)))
+    informs = {**waiting.informs, **frame.informs}
+    return Frame("request" if requests else frame.act, informs, requests)

@@ -1,0 +1,103 @@
+"""Draws of the Q-values of one state, of whatever a policy is uncertain by."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tensordict import TensorDict
+
+from bbq_torchrl.bayes import posteriors
+from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
+from bbq_torchrl.networks import BootstrapMLP
+from bbq_torchrl.networks.q_actor import split_actor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
+
+__all__ = ["path_draws", "q_draws"]
+
+
+def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor | None:
+    """Returns draws of the Q-values in one state, ``[*stack, draws, N]``.
+
+    Of a Bayesian network they are rows of local reparameterization, which for one state have
+    exactly the distribution of as many draws of all weights; of bootstrapped heads they are the
+    heads. ``None`` for a policy that is not uncertain.
+
+    Args:
+        policy: the policy that a run reports.
+        inputs: the observation, ``[*stack, 1, F]``.
+        draws: how many; heads are as many as there are.
+    """
+    if isinstance(policy, MajorityVote):
+        return _mean_values(policy, inputs).squeeze(-3)
+    if not _is_bayesian(policy):
+        return None
+    rows = inputs.expand(*inputs.shape[:-2], draws, inputs.shape[-1])
+    with weight_scope("local"):
+        return _values(policy, rows)
+
+
+def path_draws(
+    policy: TensorDictModuleBase, inputs: Tensor, draws: int
+) -> tuple[int, Callable[[Tensor], Tensor]] | None:
+    """Returns how many networks there are, and what they say of inputs between two states.
+
+    Along a path the weights must stay, which local reparameterization does not give: these are
+    draws of all weights. The function takes ``[*stack, K, F]`` and returns ``[*stack, K, N]``, a
+    network a row, and can be differentiated. ``None`` for a policy of another kind than ours.
+
+    Args:
+        policy: the policy that a run reports.
+        inputs: an observation, ``[*stack, 1, F]``.
+        draws: how many; heads are as many as there are, and a network without posterior is one.
+    """
+    if isinstance(policy, MajorityVote):
+        heads = _mean_values(policy, inputs).shape[-2]
+        # Heads pass their trunk a gradient divided by their number, which is undone here.
+        networks = [module for module in policy.modules() if isinstance(module, BootstrapMLP)]
+        scale = heads if any(network.trunk is not None for network in networks) else 1
+
+        def of_heads(rows: Tensor) -> Tensor:
+            rows = rows + (scale - 1) * (rows - rows.detach())
+            return _mean_values(policy, rows).diagonal(dim1=-3, dim2=-2).movedim(-1, -2)
+
+        return heads, of_heads
+    if _is_bayesian(policy):
+        weights = {one: one.sample((draws,)).detach() for one in posteriors(policy)}
+
+        def of_draws(rows: Tensor) -> Tensor:
+            with weight_scope(weights=weights):
+                return _values(policy, rows)
+
+        return draws, of_draws
+    if isinstance(policy, (EvaluationPolicy, Greedy)):
+        return 1, lambda rows: _mean_values(policy, rows)
+    return None
+
+
+def _is_bayesian(policy: TensorDictModuleBase) -> bool:
+    if not isinstance(policy, (EvaluationPolicy, Greedy)):
+        return False
+    try:
+        posteriors(policy)
+    except ValueError:
+        return False
+    return True
+
+
+def _values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
+    """Returns the values of the network behind a policy, ``[*stack, rows, ..., N]``."""
+    network, choice = split_actor(policy.actor)
+    tensordict = TensorDict({network.in_keys[0]: rows}, batch_size=rows.shape[:-1])
+    values: Tensor = network(tensordict).get(choice.action_value_key)
+    return values
+
+
+def _mean_values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
+    with weight_scope("mean"):
+        return _values(policy, rows)

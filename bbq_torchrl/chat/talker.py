@@ -1,0 +1,111 @@
+"""Trained agents as the talker of a human study."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.chat.agent import TrainedAgent
+from bbq_torchrl.chat.language import language_key, make_ears, make_mouth
+from bbq_torchrl.chat.partner import Partner
+from bbq_torchrl.chat.terminal import as_act
+from bbq_torchrl.language import load_phrases
+from bbq_torchrl.study import Reply, StudyError
+
+if TYPE_CHECKING:
+    from bbq_torchrl.chat.partner import Ears, Mouth
+    from bbq_torchrl.study import Study
+
+__all__ = ["AgentTalker", "make_talker"]
+
+
+class AgentTalker:
+    """The agents of a study, each of a run folder: text in, text out, with frames and beliefs.
+
+    Args:
+        study: whose agents; a run folder is looked for from the study file's folder on.
+        ears: who understands.
+        mouth: who speaks.
+        language: a hash of both.
+        labels: how people call the domain's slots.
+
+    Raises:
+        StudyError: with every agent that cannot be loaded, or is of another domain.
+    """
+
+    def __init__(
+        self, study: Study, ears: Ears, mouth: Mouth, *, language: str, labels: dict[str, str]
+    ) -> None:
+        self.labels = labels
+        self._language = language
+        # The tagger is not safe to be used by several threads at once.
+        self._lock = threading.Lock()
+        self._partners: dict[str, Partner] = {}
+        faults = []
+        for name, source in study.terms.agents.items():
+            folder = study.path.parent / Path(source).expanduser()
+            try:
+                agent = TrainedAgent(folder)
+            except (ValueError, OSError) as error:
+                faults.append(f"the agent {name} cannot be loaded: {error}")
+                continue
+            if agent.domain != study.domain:
+                faults.append(
+                    f"the agent {name} of {folder} is of the domain {agent.domain.name}, which is "
+                    f"not the study's, {study.domain.name}"
+                )
+            self._partners[name] = Partner(agent, ears, mouth)
+        if faults:
+            raise StudyError(str(study.path), faults)
+
+    def fingerprint(self, agent: str) -> str:
+        """Returns a hash of the agent's weights, its domain and the language."""
+        weights = self._partners[agent].agent.fingerprint()
+        return hashlib.sha256(f"{weights} {self._language}".encode()).hexdigest()
+
+    def reply(self, agent: str, state: str | None, text: str, seed: int) -> Reply:
+        """Answers a text; see :class:`~bbq_torchrl.study.Talker`."""
+        partner = self._partners[agent]
+        with self._lock:
+            answer = partner.reply(state, text, seed)
+            beliefs = partner.beliefs(state, answer.heard, seed) if answer.acted else None
+        confidence = None if answer.understood is None else answer.understood.confidence
+        return Reply(
+            text=answer.text,
+            heard=as_act(answer.heard, confidence),
+            said=as_act(answer.said),
+            ended=answer.ended in ("agent", "person"),  # the study counts turns itself
+            state=answer.memory,
+            beliefs=beliefs,
+        )
+
+
+def make_talker(study: Study) -> AgentTalker:
+    """Returns the agents of a study with the own language layer.
+
+    Without an understander in the user's cache it is trained first, in about a minute.
+
+    Args:
+        study: whose agents are run folders.
+
+    Raises:
+        StudyError: with every agent that cannot be loaded.
+        ModuleNotFoundError: the extra ``language`` is not installed.
+    """
+    from bbq_torchrl.domains.folder import MOVIE_FOLDER
+
+    torch.set_num_threads(1)
+    is_movie = study.terms.domain == "movie"
+    folder = MOVIE_FOLDER if is_movie else study.path.parent / Path(study.terms.domain).expanduser()
+    phrases = load_phrases(study.domain, folder)
+    return AgentTalker(
+        study,
+        make_ears(study.domain, folder),
+        make_mouth(study.domain, folder),
+        language=language_key(study.domain, folder),
+        labels={slot: entry.name for slot, entry in phrases.slots.items()},
+    )

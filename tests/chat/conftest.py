@@ -1,0 +1,83 @@
+"""Tiny trained runs, and a person who types acts instead of sentences."""
+
+from __future__ import annotations
+
+import pytest
+
+from bbq_torchrl.chat import Partner, TrainedAgent
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.language import Frame, Generator, TextError, Understood
+from bbq_torchrl.run import run
+
+TINY = (
+    "protocol.rounds=1",
+    "protocol.dialogues=2",
+    "protocol.capacity=100",
+    "protocol.eval_dialogues=2",
+    "protocol.eval_every=0",
+    "spike.dialogues=2",
+    "spike.policy=random",
+    "agent.hidden=[8,8]",
+    "env.max_turn=8",
+)
+
+
+def trained(folder, *more):
+    folder.mkdir()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bbq_torchrl.run._draw", lambda *_: None)
+        patch.setattr("bbq_torchrl.run._scripted", lambda *_: {})
+        run(compose([*TINY, *more]), folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def runs(tmp_path_factory):
+    """One folder of runs: of BBQN (two replicas), DQN and bootstrapped DQN."""
+    folder = tmp_path_factory.mktemp("runs")
+    trained(folder / "bbqn", "replicas=2")
+    trained(folder / "dqn", "agent=dqn")
+    trained(folder / "bootstrap", "agent=bootstrap")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def agents(runs):
+    names = ("bbqn", "dqn", "bootstrap")
+    return {name: TrainedAgent(runs / name) for name in names}
+
+
+class Acts:
+    """Who reads acts as transcripts write them; ``?`` is not understood."""
+
+    def __call__(self, text, question=None):
+        if text.startswith("\x00"):
+            raise TextError("a sentence must have at least one character")
+        if text == "?":
+            return Understood(Frame("inform"), 0.2)
+        return Understood(Frame.parse(text), 0.99)
+
+    def asks(self, understood):
+        return understood.confidence < 0.7 or bool(understood.unclear)
+
+
+@pytest.fixture(scope="session")
+def mouth(movie):
+    return Generator.of(movie, MOVIE_FOLDER)
+
+
+@pytest.fixture
+def partner(agents, mouth):
+    return Partner(agents["bbqn"], Acts(), mouth)
+
+
+@pytest.fixture
+def decided(monkeypatch):
+    """Makes an agent take given actions, first to last, whatever it sees."""
+
+    def decide(agent, *actions):
+        todo = [agent.domain.action_index(action) for action in actions]
+        monkeypatch.setattr(agent, "decide", lambda observation, seed: todo.pop(0))
+
+    return decide

@@ -1,0 +1,135 @@
+"""``bbq chat``: sessions of typed lines from beginning to end."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+from rich.console import Console
+
+from bbq_torchrl.chat import Partner, __main__
+from bbq_torchrl.chat.goals import choose_goal
+from bbq_torchrl.chat.terminal import Chat
+from bbq_torchrl.domains import Goal
+from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.language import Understander
+
+from .conftest import Acts
+
+
+def play(partner, goal, lines):
+    """Returns whether it was a success, and what was on the screen."""
+    screen = io.StringIO()
+    todo = iter([*lines, None])
+    chat = Chat(partner, goal, Console(file=screen, width=100), names={"city": "city"})
+    return chat.run(lambda: next(todo)), screen.getvalue()
+
+
+def test_a_goal_that_is_met_is_a_success(partner, decided):
+    domain = partner.agent.domain
+    record = next(r for r in domain.records if {"moviename", "city", "theater"} <= set(r))
+    goal = Goal({"moviename": record["moviename"], "city": record["city"]}, ("theater",))
+    decided(partner.agent, "inform(theater)", "inform(taskcomplete)", "thanks")
+    wishes = f"moviename={record['moviename']}, city={record['city']}"
+    success, shown = play(
+        partner, goal, [f"request(theater) inform({wishes})", "request(ticket)", "thanks"]
+    )
+    assert success is True
+    assert "find out: theater" in shown
+    assert "Success: you have got what your goal card says." in shown
+
+
+def test_a_goal_that_is_not_met_says_why(partner):
+    success, shown = play(partner, choose_goal(partner.agent.domain, 1, 0), ["closing"])
+    assert success is False
+    assert "Failure: no booking was offered" in shown
+
+
+def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, decided):
+    decided(partner.agent, *["request(city)"] * 2)
+    lines = [
+        "/acts",
+        "inform(moviename=barbie)",
+        "/acts",
+        "/why",
+        "/goal",
+        "/help",
+        "/nope",
+        "/quit",
+    ]
+    success, shown = play(partner, None, lines)
+    assert success is None
+    for text in (
+        "Nothing was said yet.",
+        "understood: inform(moviename=barbie) (confidence 0.99",
+        "P(best)",
+        "entropy of the best action",
+        "request(city) rather than",
+        "There is no goal",
+        "A command must be one of /acts, /why, /goal, /help, /quit, got '/nope'.",
+        "No booking was offered.",
+    ):
+        assert text in shown
+
+
+def test_an_agent_without_a_posterior_shows_values_alone(agents, mouth, decided):
+    partner = Partner(agents["dqn"], Acts(), mouth)
+    decided(partner.agent, *["request(city)"] * 2)
+    _, shown = play(partner, None, ["inform(moviename=barbie)", "/acts", "/why"])
+    assert "This agent has no posterior" in shown
+    assert "P(best)" not in shown
+
+
+UNREADABLE = ["", "x" * 1_000_000, "\x00\x07"]
+HOSTILE = [
+    "\ud800\udfff",
+    "[bold]markup[/bold] [/] :smile:",
+    "'; DROP TABLE users; -- {moviename} $moviename$ =cmd()",
+    "9" * 400,
+    "-3 people at 25:99 on february 30 in seattle and reno",
+    "\u202e\u2066two tickets",
+    "Which movie would you like to see?",
+    "goodbye",
+]
+
+
+@pytest.fixture(scope="module")
+def understander(movie, tmp_path_factory):
+    """A file of an understander that has learned from few sentences."""
+    file = tmp_path_factory.mktemp("language") / "few.npz"
+    Understander.train(movie, MOVIE_FOLDER, sentences=300).save(file)
+    return file
+
+
+def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypatch, capsys):
+    lines = [*UNREADABLE, "two tickets for barbie in seattle please", "/acts", "/why", *HOSTILE]
+    raw = "\n".join(lines).encode("utf-8", "surrogatepass")
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(raw), encoding="utf-8"))
+    command = [str(runs / "bbqn"), "--plain", "--goal", "1", "--understander", str(understander)]
+    assert __main__.main(command) == 0
+    shown = capsys.readouterr().out
+    assert "numberofpeople=" in shown
+    assert "a sentence may have at most 1,000 characters, got 1,000,000" in shown
+    assert "Failure: " in shown
+    assert "P(best)" in shown
+    assert len(shown) < 20_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "nowhere is not a run folder: there is no such folder"),
+        (["RUN", "--goal", "0"], "--goal must be between 1 and 200, got 0"),
+        (["RUN", "--nlu", "endpoint"], "--nlu endpoint and --nlg endpoint need --url and --model"),
+        (["RUN", "--understander", "gone.npz"], "gone.npz"),
+        (["RUN", "--understander", "a", "--labeled", "b"], "must not be with --understander"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(runs, capsys, monkeypatch, arguments, message):
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    given = [str(runs / "dqn") if item == "RUN" else item for item in arguments]
+    assert __main__.main([*given, "--plain"]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

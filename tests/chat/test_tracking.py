@@ -1,0 +1,103 @@
+"""What an agent sees in a chat is what it would see in the simulator."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bbq_torchrl.chat.tracking import Tracking
+from bbq_torchrl.domains import DONT_CARE, NONE, tensorize
+from bbq_torchrl.language import ANY, Frame
+from bbq_torchrl.simulator import ErrorModel, Simulator
+
+PLACES = 8
+
+
+class Played:
+    """Simulated dialogues with the frames that a person would have said in them."""
+
+    def __init__(self, domain, errors, seed=0):
+        self.tensors = tensorize(domain)
+        self.domain = domain
+        self.simulator = Simulator(self.tensors, errors=ErrorModel(self.tensors, errors))
+        self.active = torch.ones(self.tensors.n_slots, dtype=torch.bool)
+        generator = torch.Generator().manual_seed(seed)
+        state = self.simulator.reset(self.simulator.draw_reset((PLACES,), generator), self.active)
+        self.states, self.actions = [state], []
+        ends = torch.tensor([action.act in ("thanks", "closing") for action in domain.actions])
+        while not bool(state["done"].all()):
+            action = torch.randint(self.tensors.n_actions, (PLACES,), generator=generator)
+            early = ends[action] & (torch.rand(PLACES, generator=generator) < 0.9)
+            action = torch.where(early, domain.action_index("inform(taskcomplete)"), action)
+            draws = self.simulator.draw_turn((PLACES,), generator)
+            state = self.simulator.turn(state, action, draws, self.active)
+            self.states.append(state)
+            self.actions.append(action)
+
+    def frame(self, state):
+        slots = self.domain.slots
+        informs = {
+            slots[i]: ANY if v == DONT_CARE else self.tensors.vocabulary[i][v]
+            for i, v in enumerate(state["user_informs"].tolist())
+            if v != NONE
+        }
+        requests = tuple(slots[i] for i in state["pending"].nonzero().flatten().tolist())
+        return Frame(self.domain.acts[int(state["heard_act"])], informs, requests)
+
+
+def together(played, place, *, repeats):
+    """Yields the simulator's state and the tracking's, turn by turn until the dialogue ends."""
+    tracking = Tracking(played.simulator, played.active)
+    known = set()
+    for number, states in enumerate(played.states):
+        state = states[place]
+        if bool(state["done"]):
+            return
+        heard = played.frame(state)
+        if not repeats:
+            heard = Frame(heard.act, heard.informs, tuple(set(heard.requests) - known))
+        known |= set(heard.requests)
+        if number == 0:
+            tracked = tracking.start(heard)
+        else:
+            tracked = tracking.act(tracked, int(played.actions[number - 1][place]))
+            told = tracking.said(tracked)
+            known -= set(told.informs) if told.act == "inform" else set()
+            tracked = tracking.hear(tracked, heard)
+        yield state, tracked, tracking
+
+
+@pytest.mark.parametrize("errors", [0.0, 0.3])
+def test_an_agent_sees_bit_for_bit_what_it_sees_in_the_simulator(movie, errors):
+    played = Played(movie, errors)
+    turns = 0
+    for place in range(PLACES):
+        for state, tracked, tracking in together(played, place, repeats=True):
+            expected = played.simulator.observe(state, played.active)
+            assert torch.equal(tracking.observe(tracked), expected)
+            turns += 1
+    assert turns > 5 * PLACES
+
+
+def test_a_question_asked_once_is_not_lost_before_it_is_answered(movie):
+    played = Played(movie, 0.0)
+    for place in range(PLACES):
+        for state, tracked, _ in together(played, place, repeats=False):
+            assert not (state["pending"] & ~tracked["open"]).any()
+
+
+def test_a_question_is_kept_while_the_person_answers_and_shown_again_after(movie):
+    played = Played(movie, 0.0)
+    tracking = Tracking(played.simulator, played.active)
+    theater = movie.slots.index("theater")
+    state = tracking.start(Frame("request", {"moviename": "wonka"}, ("theater",)))
+    state = tracking.act(state, movie.action_index("request(city)"))
+    state = tracking.hear(state, Frame("inform", {"city": "seattle"}))
+    assert not state["pending"][theater]
+    assert state["open"][theater]
+    state = tracking.act(state, movie.action_index("inform(date)"))
+    state = tracking.hear(state, Frame("confirm_answer"))
+    assert state["pending"][theater]
+    state = tracking.act(state, movie.action_index("inform(theater)"))
+    assert not state["pending"].any()
+    assert not state["open"].any()

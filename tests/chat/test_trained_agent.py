@@ -1,0 +1,87 @@
+"""What an agent thinks of its actions, and why."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from scipy.stats import ks_2samp
+
+from bbq_torchrl.bayes import BayesMLP, posteriors
+from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.chat import TrainedAgent
+from bbq_torchrl.chat.posterior import q_draws
+from bbq_torchrl.exploration import EvaluationPolicy
+from bbq_torchrl.networks import q_actor
+
+
+@pytest.fixture
+def observation(agents):
+    return torch.rand(agents["bbqn"].simulator.layout.size)
+
+
+def test_rows_of_local_noise_are_draws_of_the_weights(movie):
+    from torchrl.data import Categorical
+
+    network = BayesMLP(6, 3, (8,), std_init=0.3, mean_init="kaiming")
+    policy = EvaluationPolicy(q_actor(network, Categorical(3), action_mask_key=None), mode="mean")
+    state = torch.rand(1, 6)
+    rows = q_draws(policy, state, 4_000)
+    drawn = {one: one.sample((4_000,)) for one in posteriors(network)}
+    with torch.no_grad(), weight_scope(weights=drawn):
+        draws = network(state.expand(4_000, 6))
+    for function in (lambda q: q[:, 0], lambda q: q[:, 0] - q[:, 1], lambda q: q.amax(-1)):
+        with torch.no_grad():
+            assert ks_2samp(function(rows).numpy(), function(draws).numpy()).pvalue > 1e-3
+    assert not torch.equal(rows[0], rows[1])
+
+
+@pytest.mark.parametrize("name", ["bbqn", "bootstrap"])
+def test_bands_hold_the_mean_and_chances_add_up_to_one(agents, observation, name):
+    found = agents[name].beliefs(observation, seed=3)
+    assert len(found.actions) == len(agents[name].domain.actions)
+    assert sum(item.p_best for item in found.actions) == pytest.approx(1)
+    means = [item.mean for item in found.actions]
+    assert means == sorted(means, reverse=True)
+    for item in found.actions:
+        assert item.band90[0] <= item.band50[0] <= item.band50[1] <= item.band90[1]
+        assert item.band90[0] <= item.mean <= item.band90[1]
+    assert found == agents[name].beliefs(observation, seed=3)
+
+
+def test_an_agent_without_a_posterior_has_values_and_no_bands(agents, observation):
+    agent = agents["dqn"]
+    assert agent.beliefs(observation, seed=0) is None
+    values = agent.values(observation, seed=0)
+    assert next(iter(values)) == str(agent.domain.actions[agent.decide(observation, 0)])
+
+
+@pytest.mark.parametrize("name", ["bbqn", "dqn", "bootstrap"])
+def test_reasons_add_up_to_the_difference_of_the_two_actions(agents, observation, name):
+    agent = agents[name]
+    found = agent.reasons(observation, seed=1)
+    assert found.action == str(agent.domain.actions[agent.decide(observation, 1)])
+    assert found.other != found.action
+    assert sum(part.mean for part in found.parts) == pytest.approx(found.difference.mean, abs=5e-3)
+    low, high = found.difference.band90
+    assert (low == high) == (name == "dqn")
+
+
+def test_global_noise_is_left_as_it_was(agents, observation):
+    before = torch.get_rng_state()
+    agents["bbqn"].beliefs(observation, seed=0)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_replicas_and_weights_have_fingerprints_of_their_own(runs, agents):
+    first, second = agents["bbqn"].fingerprint(), TrainedAgent(runs / "bbqn", replica=1)
+    assert len({first, second.fingerprint()}) == 2
+    again = TrainedAgent(runs / "bbqn")
+    assert again.fingerprint() == first
+    with torch.no_grad():
+        next(again._policy.parameters()).add_(1e-3)
+    assert again.fingerprint() != first
+
+
+def test_a_replica_that_is_not_there_is_refused(runs):
+    with pytest.raises(ValueError, match="replica must be between 0 and 1 for"):
+        TrainedAgent(runs / "bbqn", replica=2)
