@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,6 @@ __all__ = [
     "PhrasesError",
     "SlotPhrases",
     "load_phrases",
-    "some_phrases",
 ]
 
 LANGUAGE_FILE = "language.yaml"
@@ -113,21 +112,6 @@ def load_phrases(domain: Domain, folder: str | Path | None = None) -> Phrases:
     if reader.faults:
         raise PhrasesError(source, reader.faults)
     return phrases
-
-
-def some_phrases(phrases: Phrases, every: int) -> Phrases:
-    """Returns phrases of which users lack every so manieth; short lists stay whole."""
-
-    def cut(several: Mapping[str, tuple[Template, ...]]) -> dict[str, tuple[Template, ...]]:
-        return {
-            key: tuple(text for at, text in enumerate(texts) if (at + 1) % every)
-            for key, texts in several.items()
-        }
-
-    slots = {
-        slot: replace(entry, phrases=cut(entry.phrases)) for slot, entry in phrases.slots.items()
-    }
-    return Phrases(cut(phrases.rules), cut(phrases.user), phrases.agent, slots)
 
 
 class _Reader:

@@ -18,7 +18,7 @@ from bbq_torchrl.language.frames import Understood
 from bbq_torchrl.language.intents import IntentNet
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.model import Model, fit
-from bbq_torchrl.language.phrases import load_phrases, some_phrases
+from bbq_torchrl.language.phrases import load_phrases
 from bbq_torchrl.language.tagger import Tagger
 from bbq_torchrl.language.words import clean, tokenize
 
@@ -35,10 +35,9 @@ __all__ = ["Understander"]
 
 _VERSION = 2
 _MOST_WORDS = 120
-_CALM = 0.6  # sentences of the grammar are more crowded than those of people
+_CALM = 0.3  # sentences of the grammar are more crowded than those of people
+_PLAYED = 3  # sentences of simulated users to one of the grammar's own
 _CUES = 9
-_AIM = 0.95  # of what is answered, the share that is to be right
-_BOUNDS = (0.5, 0.9)  # of the threshold
 _NONE = [0.0] * (_CUES + 1)
 
 
@@ -84,7 +83,7 @@ class Understander:
         sentences: int = 6_000,
         seed: int = 0,
         labeled: Sequence[Example] = (),
-        threshold: float | None = None,
+        threshold: float = 0.7,
     ) -> Understander:
         """Returns an understander that has learned from sentences of the domain's own grammar.
 
@@ -93,11 +92,11 @@ class Understander:
         Args:
             domain: what is spoken of.
             folder: where the domain's ``language.yaml`` is, if it has one.
-            sentences: how many to learn from; the net learns from as many of simulated users.
+            sentences: how many to learn from; the net learns from three times as many of
+                simulated users.
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
-            threshold: the confidence below which the caller should ask again; ``None`` for the
-                one above which 95 % of the sentences of the calibration are right.
+            threshold: the confidence below which the caller should ask again.
         """
         phrases = load_phrases(domain, folder)
         lexicon = Lexicon(domain, phrases)
@@ -105,23 +104,18 @@ class Understander:
         torch.set_num_threads(1)
         try:
             own = make_examples(domain, phrases, lexicon, sentences, seed)
-            played = make_examples(domain, phrases, lexicon, sentences, seed, simulated=True)
+            played = make_examples(
+                domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
+            )
             model = fit(
                 domain, phrases, lexicon, [*own, *labeled], played, seed=seed, steps=60, epochs=14
             )
-            # People say things in ways that no grammar has: the confidence is learned from a
-            # second model that lacks every fourth phrase, and sentences of them all.
-            known = some_phrases(phrases, 4)
-            few = make_examples(domain, known, lexicon, sentences // 2, seed + 2)
-            played = make_examples(domain, known, lexicon, sentences // 4, seed + 2, simulated=True)
-            second = fit(domain, known, lexicon, few, played, seed=seed, steps=60, epochs=14)
             others = make_examples(
                 domain, phrases, lexicon, max(sentences // 5, 200), seed + 1, noise=_CALM
             )
-            calibration, own_threshold = _calibrate(cls(domain, phrases, second, _NONE), others)
+            calibration = _calibrate(cls(domain, phrases, model, _NONE), others)
         finally:
             torch.set_num_threads(threads)
-        threshold = own_threshold if threshold is None else threshold
         return cls(domain, phrases, model, calibration, threshold)
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
@@ -245,11 +239,8 @@ def _sigmoid(logit: float) -> float:
     return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
 
 
-def _calibrate(understander: Understander, examples: Sequence[Example]) -> tuple[np.ndarray, float]:
-    """Returns the weights of a logistic regression from cues to whether the frame is right.
-
-    And the confidence above which :data:`_AIM` of the sentences are right, within bounds.
-    """
+def _calibrate(understander: Understander, examples: Sequence[Example]) -> np.ndarray:
+    """Returns the weights of a logistic regression from cues to whether the frame is right."""
     rows, right = [], []
     for example in examples:
         reading = understander._model.read(example.words, example.question)
@@ -271,11 +262,7 @@ def _calibrate(understander: Understander, examples: Sequence[Example]) -> tuple
         return value
 
     optimizer.step(loss)
-    confidences, order = (cues @ weights).detach().sigmoid().sort(descending=True)
-    is_enough = target[order].cumsum(0) / torch.arange(1, len(order) + 1) >= _AIM
-    kept = int(is_enough.nonzero().max()) if bool(is_enough.any()) else 0
-    threshold = min(max(float(confidences[kept]), _BOUNDS[0]), _BOUNDS[1])
-    return weights.detach().numpy(), threshold
+    return weights.detach().numpy()
 
 
 def same_frame(left: Frame, right: Frame, lexicon: Lexicon) -> bool:

@@ -6,7 +6,15 @@ import pytest
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
-from bbq_torchrl.language import ANY, Frame, Generator, PhrasesError, load_phrases
+from bbq_torchrl.language import (
+    ANY,
+    Frame,
+    Generator,
+    PhrasesError,
+    Unclear,
+    Understood,
+    load_phrases,
+)
 from bbq_torchrl.language.simulated import play
 
 SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskcomplete|mc_list")
@@ -103,3 +111,13 @@ def test_phrases_that_do_not_fit_are_refused_by_their_key(tmp_path, content, say
     (tmp_path / "language.yaml").write_text(content)
     with pytest.raises(PhrasesError, match=re.escape(says)):
         load_phrases(movie_domain(), tmp_path)
+
+
+def test_what_is_unclear_is_asked_about_by_its_words(speak):
+    several = Unclear("moviename", "godzilla", ("godzilla minus one", "godzilla x kong"))
+    text = speak.clarify(Understood(Frame("inform"), 0.9, (several,)))
+    assert "godzilla minus one or godzilla x kong" in text
+    unknown = Unclear("moviename", "casablanca")
+    assert "casablanca" in speak.clarify(Understood(Frame("inform"), 0.9, (unknown,))).lower()
+    again = {speak.clarify(Understood(Frame("inform"), 0.1), session=s) for s in range(20)}
+    assert len(again) >= 4

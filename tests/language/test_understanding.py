@@ -8,6 +8,7 @@ import pytest
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import ANY, MAX_CHARACTERS, Frame, TextError, Understander
+from bbq_torchrl.language.words import tokenize
 
 
 @pytest.mark.parametrize(
@@ -66,6 +67,16 @@ def test_what_the_domain_does_not_have_is_not_invented(understand, text):
     for slot in ("numberofpeople", "starttime", "date", "moviename"):
         heard = understand(text, Frame("request", {}, (slot,)))
         assert not heard.frame.informs or understand.asks(heard)
+
+
+def test_a_sentence_of_a_text_is_heard_though_the_whole_hides_it(understand):
+    reading = understand._model.read
+    question = Frame("request", {}, ("city",))
+    whole = reading(tokenize("any city is fine . what time does it start ?"), question)
+    clause = reading(tokenize("what time does it start ?"), None)
+    time = movie_domain().slots.index("starttime")
+    assert clause.requests[time] > 0.75
+    assert whole.requests[time] > 0.5
 
 
 HOSTILE = [
