@@ -93,6 +93,7 @@ def _is_bayesian(policy: TensorDictModuleBase) -> bool:
 def _values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
     """Returns the values of the network behind a policy, ``[*stack, rows, ..., N]``."""
     network, choice = split_actor(policy.actor)
+    assert choice is not None  # policies of ours choose by their values
     tensordict = TensorDict({network.in_keys[0]: rows}, batch_size=rows.shape[:-1])
     values: Tensor = network(tensordict).get(choice.action_value_key)
     return values
