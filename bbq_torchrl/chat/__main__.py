@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bbq_torchrl import output
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Sequence
 
     from bbq_torchrl.language import Endpoint
@@ -28,13 +29,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _chat(given)
     except (ValueError, OSError, ModuleNotFoundError) as error:
-        sys.stderr.write(f"error: {sentence(error)}\n")
+        output.complain(f"error: {sentence(error)}")
         return 2
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = output.Parser(
         prog="bbq chat", description="Talk with a trained agent. See docs/chat.md."
     )
     parser.add_argument("run", type=Path, help="a run folder")

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 from tensordict import TensorDict
 
-from bbq_torchrl.bayes import posteriors, weight_scope
+from bbq_torchrl.bayes import posteriors
+from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP
+from bbq_torchrl.networks.q_actor import split_actor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,11 +34,12 @@ def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor 
         draws: how many; heads are as many as there are.
     """
     if isinstance(policy, MajorityVote):
-        return _values(policy, inputs, "mean").squeeze(-3)
+        return _mean_values(policy, inputs).squeeze(-3)
     if not _is_bayesian(policy):
         return None
     rows = inputs.expand(*inputs.shape[:-2], draws, inputs.shape[-1])
-    return _values(policy, rows, "local")
+    with weight_scope("local"):
+        return _values(policy, rows)
 
 
 def path_draws(
@@ -54,28 +57,26 @@ def path_draws(
         draws: how many; heads are as many as there are, and a network without posterior is one.
     """
     if isinstance(policy, MajorityVote):
-        heads = _values(policy, inputs, "mean").shape[-2]
+        heads = _mean_values(policy, inputs).shape[-2]
         # Heads pass their trunk a gradient divided by their number, which is undone here.
         networks = [module for module in policy.modules() if isinstance(module, BootstrapMLP)]
         scale = heads if any(network.trunk is not None for network in networks) else 1
 
         def of_heads(rows: Tensor) -> Tensor:
             rows = rows + (scale - 1) * (rows - rows.detach())
-            return _values(policy, rows, "mean").diagonal(dim1=-3, dim2=-2).movedim(-1, -2)
+            return _mean_values(policy, rows).diagonal(dim1=-3, dim2=-2).movedim(-1, -2)
 
         return heads, of_heads
     if _is_bayesian(policy):
-        weights = {
-            posterior: posterior.sample((draws,)).detach() for posterior in posteriors(policy)
-        }
+        weights = {one: one.sample((draws,)).detach() for one in posteriors(policy)}
 
         def of_draws(rows: Tensor) -> Tensor:
             with weight_scope(weights=weights):
-                return _values(policy, rows, None)
+                return _values(policy, rows)
 
         return draws, of_draws
     if isinstance(policy, (EvaluationPolicy, Greedy)):
-        return 1, lambda rows: _values(policy, rows, "mean")
+        return 1, lambda rows: _mean_values(policy, rows)
     return None
 
 
@@ -89,10 +90,15 @@ def _is_bayesian(policy: TensorDictModuleBase) -> bool:
     return True
 
 
-def _values(policy: TensorDictModuleBase, rows: Tensor, mode: str | None) -> Tensor:
+def _values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
     """Returns the values of the network behind a policy, ``[*stack, rows, ..., N]``."""
-    network, choice = policy.actor[0], policy.actor[-1]
+    network, choice = split_actor(policy.actor)
+    assert choice is not None  # policies of ours choose by their values
     tensordict = TensorDict({network.in_keys[0]: rows}, batch_size=rows.shape[:-1])
-    with weight_scope(mode):  # type: ignore[arg-type]
-        values: Tensor = network(tensordict).get(choice.action_value_key)
+    values: Tensor = network(tensordict).get(choice.action_value_key)
     return values
+
+
+def _mean_values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
+    with weight_scope("mean"):
+        return _values(policy, rows)

@@ -6,7 +6,8 @@ import pytest
 import torch
 from scipy.stats import ks_2samp
 
-from bbq_torchrl.bayes import BayesMLP, weight_scope
+from bbq_torchrl.bayes import BayesMLP, posteriors
+from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.chat import TrainedAgent
 from bbq_torchrl.chat.posterior import q_draws
 from bbq_torchrl.exploration import EvaluationPolicy
@@ -25,7 +26,8 @@ def test_rows_of_local_noise_are_draws_of_the_weights(movie):
     policy = EvaluationPolicy(q_actor(network, Categorical(3), action_mask_key=None), mode="mean")
     state = torch.rand(1, 6)
     rows = q_draws(policy, state, 4_000)
-    with torch.no_grad(), weight_scope(weights={network: network.draw_weights((4_000,))}):
+    drawn = {one: one.sample((4_000,)) for one in posteriors(network)}
+    with torch.no_grad(), weight_scope(weights=drawn):
         draws = network(state.expand(4_000, 6))
     for function in (lambda q: q[:, 0], lambda q: q[:, 0] - q[:, 1], lambda q: q.amax(-1)):
         with torch.no_grad():
