@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FIGURE",
-    "HELPERS",
     "arrows",
     "draw_house",
     "house_blocks",
@@ -30,9 +29,6 @@ __all__ = [
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "bbq_torchrl"
 FIGURE = ROOT / "docs" / "figures" / "house.svg"
-
-HELPERS = ("interruption", "text")
-"""Modules that any room may use; they import no room."""
 
 _BAND, _BOX, _WIDTH = 62, (104, 34), 760  # pixels
 _ALONE = (0.22, 0.5, 0.78)  # where a room that is alone in its layer stands, so that arrows pass
@@ -46,22 +42,24 @@ def house_blocks() -> dict[str, Callable[[], str]]:
 def layers() -> list[list[str]]:
     """Returns the rooms of each layer of the import contract, the highest layer first.
 
-    Rooms that the contract of the layers does not name, which nobody imports, are above all others.
+    Packages that the contract of the layers does not name stand above all others.
     """
-    found = [
-        [name.strip().removeprefix(f"{PACKAGE}.") for name in re.split("[|:]", line)]
-        for line in _contracts()["importlinter:contract:layers"]["layers"].strip().split("\n")
-    ]
+    found = _named_layers()
     others = sorted(rooms() - {name for layer in found for name in layer})
     return [others, *found] if others else found
 
 
+def _named_layers() -> list[list[str]]:
+    return [
+        [name.strip().removeprefix(f"{PACKAGE}.") for name in re.split("[|:]", line)]
+        for line in _contracts()["importlinter:contract:layers"]["layers"].strip().split("\n")
+    ]
+
+
 def rooms() -> set[str]:
-    """Returns the package's packages, and its modules that are no helpers."""
-    folder = ROOT / PACKAGE
-    packages = {file.parent.name for file in folder.glob("*/__init__.py")}
-    modules = {file.stem for file in folder.glob("*.py")} - {"__init__", *HELPERS}
-    return packages | modules
+    """Returns the packages, and the modules that the contract of the layers names."""
+    packages = {file.parent.name for file in (ROOT / PACKAGE).glob("*/__init__.py")}
+    return packages.union(*_named_layers())
 
 
 @cache
@@ -101,9 +99,15 @@ def _holds(room: str) -> str:
 
 def _table() -> str:
     """Returns a row for each room, from the highest layer to the lowest, which is 1."""
+    count = len(_named_layers())
     order = [room for layer in layers() for room in layer]
     rows = [
-        (str(height), code(room), _holds(room), _listed(sorted(arrows()[room], key=order.index)))
+        (
+            str(height) if height <= count else "–",
+            code(room),
+            _holds(room),
+            _listed(sorted(arrows()[room], key=order.index)),
+        )
         for height, layer in zip(range(len(layers()), 0, -1), layers(), strict=True)
         for room in layer
     ]
@@ -136,7 +140,7 @@ def _shown_arrows() -> list[tuple[str, str]]:
 def picture() -> str:
     """Returns the picture as SVG: a band for each layer, an arrow for each import of a room."""
     places: dict[str, tuple[float, float]] = {}
-    width, height = _BOX
+    (width, height), bend = _BOX, 0.6 * _BAND
     for row, layer in enumerate(layers()):
         for column, room in enumerate(layer):
             share = _ALONE[row % 3] if len(layer) == 1 else (column + 1) / (len(layer) + 1)
@@ -154,7 +158,7 @@ def picture() -> str:
     for room, other in _shown_arrows():
         (x, y), (to_x, to_y) = places[room], places[other]
         parts.append(
-            f'<path d="M{x} {y + height / 2}C{x} {y + _BAND * 0.6} {to_x} {to_y - _BAND * 0.6} '
+            f'<path d="M{x} {y + height / 2}C{x} {y + bend:.1f} {to_x} {to_y - bend:.1f} '
             f'{to_x} {to_y - height / 2}" fill="none" stroke="#78909c" marker-end="url(#tip)"/>'
         )
     for room, (x, y) in places.items():
