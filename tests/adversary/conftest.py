@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import signal
 from collections import Counter
 from pathlib import Path
 
@@ -17,6 +18,10 @@ import pytest
 from .cases import CONFIGURATIONS, DAMAGES, INPUTS, KILLS, SEED
 from .commands import Commands
 from .folders import Reference
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell has its background commands ignore Ctrl-C, and they hand that on to their processes.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 OUTCOMES: Counter[str] = Counter()
 """``<what was tried>: <what came of it>`` -> how often, in the tests that passed."""
