@@ -32,7 +32,9 @@ from hydra.errors import CompactHydraException, HydraException
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import (
+    SWEEP_CONFIG,
     check_job_name,
+    job_subfolder,
     quoted,
     refuse_other_folder,
     run_folder,
@@ -317,12 +319,18 @@ def _prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> _Prepar
         refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
         launcher = composed.hydra.runtime.choices[LAUNCHER]
         check_launcher(launcher, composed.hydra.launcher)
+        configs = []
         for overrides in jobs:
             job = compose_raw(overrides)
             if job.resume is not None:
                 raise ConfigError("resume cannot be combined with --multirun")
-            check(to_config(job, Config))
+            configs.append(to_config(job, Config))
+            check(configs[-1])
         folder = sweep_folder(composed, parsed.overrides, len(jobs))
+        if (folder / SWEEP_CONFIG).is_file():
+            # Hydra writes into a job's folder before the job can refuse it.
+            for number, (overrides, config) in enumerate(zip(jobs, configs, strict=True)):
+                restarted_config(config, folder / job_subfolder(overrides, number))
         sweep = _Sweep(folder, len(jobs), launcher)
     return _Prepared([*arguments, f"hydra.sweep.dir={quoted(sweep.folder)}"], sweep=sweep)
 

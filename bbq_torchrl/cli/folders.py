@@ -7,11 +7,12 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from omegaconf import OmegaConf
+from omegaconf import OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.resume import RUN_CONFIG
 from bbq_torchrl.cli.run_lock import run_lock
+from bbq_torchrl.cli.store import compose_raw
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.text import sentence, shown
 
@@ -21,7 +22,14 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
 
-__all__ = ["check_job_name", "quoted", "refuse_other_folder", "run_folder", "sweep_folder"]
+__all__ = [
+    "check_job_name",
+    "job_subfolder",
+    "quoted",
+    "refuse_other_folder",
+    "run_folder",
+    "sweep_folder",
+]
 
 
 _LONGEST_NAME = 250  # bytes, with .log behind them; file systems take 255
@@ -93,6 +101,15 @@ def sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> P
             f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"
         ) from error
     return folder
+
+
+def job_subfolder(overrides: Sequence[str], number: int) -> str:
+    """The folder of a job of a sweep, in that of the sweep."""
+    composed = compose_raw(overrides, with_hydra=True)
+    with read_write(composed), open_dict(composed):
+        composed.hydra.job.num = number
+        composed.hydra.job.id = str(number)
+        return str(composed.hydra.sweep.subdir)
 
 
 def _check_jobs_folder(composed: DictConfig, jobs: int) -> None:

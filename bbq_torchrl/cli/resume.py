@@ -144,8 +144,8 @@ def restarted_config(config: Config, folder: Path) -> Config:
         return config
     if run_config(folder) != dataclasses.replace(config, resume=None):
         raise ConfigError(
-            f"{folder} already holds another run: hydra.sweep.subdir must give each job of a "
-            f"sweep a folder of its own"
+            f"{folder} already holds another run: a sweep goes on by the same command; give "
+            "another hydra.sweep.dir, or a hydra.sweep.subdir with a folder of its own for each job"
         )
     return dataclasses.replace(config, resume=str(folder))
 

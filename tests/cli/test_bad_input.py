@@ -280,3 +280,9 @@ def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(refused, tmp_pa
     assert f"or that of a sweep to go on with, got {folder}" in line
     (folder / "multirun.yaml").touch()
     assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"
+    job = folder / "1_bbqn_thompson_full_seed2"
+    job.mkdir()
+    save_config(compose(["seed=2"]), job / "config.yaml")
+    assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"
+    line = refused(*arguments, "agent.lr=.5")
+    assert f"{job} already holds another run" in line
