@@ -12,9 +12,9 @@ from bbq_torchrl.networks import q_actor
 FEATURES, ACTIONS = 5, 6
 
 
-def bayes_actor(stack=(), hidden=(16,)):
+def bayes_actor(replicas=(), hidden=(16,)):
     """An actor at the prior with a spread that makes its actions vary."""
-    net = BayesMLP(FEATURES, ACTIONS, hidden, stack=stack, prior_std=1.0)
+    net = BayesMLP(FEATURES, ACTIONS, hidden, replicas=replicas, prior_std=1.0)
     return q_actor(net, Categorical(ACTIONS))
 
 

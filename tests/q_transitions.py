@@ -12,12 +12,12 @@ from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, bootstrap_acto
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
 FEATURES, ACTIONS, BATCH, HEADS = 5, 4, 32, 3
-STACKS = [(), (1,), (3,), (2, 2)]
+REPLICAS = [(), (1,), (3,), (2, 2)]
 
 
-def transitions(stack=(), batch=(BATCH,), dtype=torch.float):
+def transitions(replicas=(), batch=(BATCH,), dtype=torch.float):
     """Random transitions; some end, and no state forbids every action."""
-    shape = (*stack, *batch)
+    shape = (*replicas, *batch)
 
     def state():
         mask = torch.rand(*shape, ACTIONS) < 0.6
@@ -42,9 +42,9 @@ def transitions(stack=(), batch=(BATCH,), dtype=torch.float):
     )
 
 
-def bayes_loss(stack=(), *, hidden=(8, 8), dtype=torch.float, net=None, **settings):
+def bayes_loss(replicas=(), *, hidden=(8, 8), dtype=torch.float, net=None, **settings):
     """A BBQN loss whose posterior and target lie away from the prior and from each other."""
-    net = net or BayesMLP(FEATURES, ACTIONS, hidden, stack=stack, dtype=dtype)
+    net = net or BayesMLP(FEATURES, ACTIONS, hidden, replicas=replicas, dtype=dtype)
     with torch.no_grad():
         net.posterior.mu.normal_(0, 0.3)
         net.posterior.rho.uniform_(-3, -1)
@@ -52,21 +52,21 @@ def bayes_loss(stack=(), *, hidden=(8, 8), dtype=torch.float, net=None, **settin
     return _away(loss)
 
 
-def plain_loss(stack=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **settings):
+def plain_loss(replicas=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **settings):
     """A DQN loss whose target lies away from the network."""
-    net = FlatMLP(FEATURES, ACTIONS, hidden, stack=stack, dropout=dropout, dtype=dtype)
+    net = FlatMLP(FEATURES, ACTIONS, hidden, replicas=replicas, dropout=dropout, dtype=dtype)
     loss = DropoutDQNLoss(q_actor(net, Categorical(ACTIONS)), **settings)
     return _away(loss)
 
 
-def heads_loss(stack=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0, **settings):
+def heads_loss(replicas=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0, **settings):
     """A loss of bootstrap heads whose targets lie away from the network."""
     net = BootstrapMLP(
         FEATURES,
         ACTIONS,
         hidden,
         heads=HEADS,
-        stack=stack,
+        replicas=replicas,
         trunk_layers=trunk_layers,
         prior_scale=prior_scale,
         dtype=settings.pop("dtype", torch.float),
@@ -74,9 +74,9 @@ def heads_loss(stack=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0, *
     return _away(BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)), **settings))
 
 
-def noisy_loss(stack=(), *, hidden=(), dtype=torch.float, kind=NoisyDQNLoss, **settings):
+def noisy_loss(replicas=(), *, hidden=(), dtype=torch.float, kind=NoisyDQNLoss, **settings):
     """A NoisyNet loss whose target lies away from the network; one layer unless told."""
-    net = NoisyMLP(FEATURES, ACTIONS, hidden, stack=stack, dtype=dtype)
+    net = NoisyMLP(FEATURES, ACTIONS, hidden, replicas=replicas, dtype=dtype)
     loss = kind(q_actor(net, Categorical(ACTIONS)), **settings)
     return _away(loss)
 
@@ -135,6 +135,6 @@ def slopes(loss, td, step=1e-6):
     return by_gradient, ((value(step) - value(-step)) / (2 * step)).detach()
 
 
-def elements(td, stack):
-    """The batch of each element of the stack, one after the other."""
-    return td.reshape(-1, *td.shape[len(stack) :]) if stack else td.unsqueeze(0)
+def elements(td, replicas):
+    """The batch of each replica, one after the other."""
+    return td.reshape(-1, *td.shape[len(replicas) :]) if replicas else td.unsqueeze(0)

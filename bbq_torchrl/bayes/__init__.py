@@ -10,6 +10,7 @@ from bbq_torchrl.bayes.kl import kl_divergence, posteriors
 from bbq_torchrl.bayes.layers import BayesLayer
 from bbq_torchrl.bayes.noise_sources import NoisePool, NoiseSource, SharedNoise
 from bbq_torchrl.bayes.posterior import GaussianPosterior
+from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import (
     KLSum,
     WeightScope,
@@ -34,6 +35,7 @@ __all__ = [
     "current_scope",
     "kl_divergence",
     "posteriors",
+    "replica_shape",
     "resolve_weight_mode",
     "weight_scope",
 ]

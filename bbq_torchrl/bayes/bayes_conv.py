@@ -33,9 +33,9 @@ class BayesConv2d(BayesLayer):
     Keyword Args:
         stride: as in ``nn.Conv2d``. Defaults to 1.
         padding: as in ``nn.Conv2d``, a number or a pair. Defaults to 0.
-        stack: leading shape of the weights; with (R,) these are R independent convolutions, whose
-            inputs have R as their first dimension. Defaults to ().
-        prior_std: standard deviation of the prior, a number, a tensor [*stack], or "fan_in" for
+        replicas: R independent convolutions side by side, whose inputs have R as their
+            first dimension, or a shape of them. Defaults to ().
+        prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
             √(2/(in_channels · kernel)). Defaults to 0.1.
         mean_init: "zero", or "kaiming" (uniform in ±1/√fan_in, what ``nn.Conv2d`` starts with).
         std_init: standard deviation to start with. Defaults to None, the prior's.
@@ -49,7 +49,7 @@ class BayesConv2d(BayesLayer):
     Example:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesConv2d
-        >>> net = BayesConv2d(3, 8, 3, stack=(5,), padding=1)
+        >>> net = BayesConv2d(3, 8, 3, replicas=5, padding=1)
         >>> net(torch.ones(5, 32, 3, 10, 10), "draw").shape
         torch.Size([5, 32, 8, 10, 10])
     """
@@ -62,7 +62,7 @@ class BayesConv2d(BayesLayer):
         *,
         stride: int | tuple[int, int] = 1,
         padding: int | tuple[int, int] = 0,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         prior_std: float | Tensor | Literal["fan_in"] = 0.1,
         mean_init: MeanInit = "zero",
         std_init: float | Tensor | None = None,
@@ -82,7 +82,7 @@ class BayesConv2d(BayesLayer):
         super().__init__(
             [(inputs + 1) * out_channels],
             [inputs],
-            stack=stack,
+            replicas=replicas,
             prior_std=prior_std,
             mean_init=mean_init,
             std_init=std_init,
@@ -91,11 +91,11 @@ class BayesConv2d(BayesLayer):
         )
 
     def run(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Returns the outputs [*stack, *batch, out_channels, height, width] with these weights.
+        """Returns the outputs [*replicas, *batch, out_channels, height, width] with these weights.
 
         Args:
-            x: inputs, [*stack, *batch, in_channels, height, width].
-            weights: [*stack, *rows, P]: the kernel as ``nn.Conv2d`` has it, then the bias.
+            x: inputs, [*replicas, *batch, in_channels, height, width].
+            weights: [*replicas, *rows, P]: the kernel as ``nn.Conv2d`` has it, then the bias.
         """
         lead = weights.shape[:-1]
         n = len(lead)
@@ -123,12 +123,12 @@ class BayesConv2d(BayesLayer):
 
     def run_local(self, x: Tensor) -> Tensor:
         """Returns the outputs where each row has a kernel of its own."""
-        rows = x.shape[len(self.stack) : -3]
+        rows = x.shape[len(self.replicas) : -3]
         return self.run(x, self.draw_weights(rows))
 
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""
         return (
             f"{self.in_channels}, {self.out_channels}, kernel_size={self.kernel_size}, "
-            f"stride={self.stride}, padding={self.padding}, stack={tuple(self.stack)}"
+            f"stride={self.stride}, padding={self.padding}, replicas={tuple(self.replicas)}"
         )

@@ -31,9 +31,9 @@ class BayesGRU(BayesLayer):
         hidden_size: features of the state.
 
     Keyword Args:
-        stack: leading shape of the weights; with (R,) these are R independent layers, whose
-            inputs have R as their first dimension. Defaults to ().
-        prior_std: standard deviation of the prior, a number, a tensor [*stack], or "fan_in" for
+        replicas: R independent layers side by side, whose inputs have R as their
+            first dimension, or a shape of them. Defaults to ().
+        prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
             √(2/input_size) and √(2/hidden_size). Defaults to 0.1.
         mean_init: "zero", or "kaiming" (uniform in ±1/√hidden_size, what ``nn.GRU`` starts with).
         std_init: standard deviation to start with. Defaults to None, the prior's.
@@ -47,7 +47,7 @@ class BayesGRU(BayesLayer):
     Example:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesGRU
-        >>> net = BayesGRU(3, 8, stack=(5,))
+        >>> net = BayesGRU(3, 8, replicas=5)
         >>> outputs, state = net(torch.ones(5, 32, 10, 3), mode="draw")  # ten steps
         >>> outputs.shape, state.shape
         (torch.Size([5, 32, 10, 8]), torch.Size([5, 32, 8]))
@@ -61,7 +61,7 @@ class BayesGRU(BayesLayer):
         input_size: int,
         hidden_size: int,
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         prior_std: float | Tensor | Literal["fan_in"] = 0.1,
         mean_init: MeanInit = "zero",
         std_init: float | Tensor | None = None,
@@ -77,7 +77,7 @@ class BayesGRU(BayesLayer):
         super().__init__(
             [(input_size + 1) * units, (hidden_size + 1) * units],
             [input_size, hidden_size],
-            stack=stack,
+            replicas=replicas,
             prior_std=prior_std,
             mean_init=mean_init,
             std_init=std_init,
@@ -101,15 +101,15 @@ class BayesGRU(BayesLayer):
         """Returns the outputs and the last state.
 
         Args:
-            x: a sequence [*stack, *batch, time, input_size]; where a state is given, also one
-                step [*stack, *batch, input_size].
-            state: [*stack, *batch, hidden_size]; None for 0.
+            x: a sequence [*replicas, *batch, time, input_size]; where a state is given, also one
+                step [*replicas, *batch, input_size].
+            state: [*replicas, *batch, hidden_size]; None for 0.
             mode: as in :meth:`BayesLayer.forward`.
             weights: as in :meth:`BayesLayer.forward`.
 
         Returns:
             the outputs, shaped as x with hidden_size features, and the state after the last step,
-            [*stack, *batch, hidden_size].
+            [*replicas, *batch, hidden_size].
         """
         is_step = state is not None and state.ndim == x.ndim
         steps = x.unsqueeze(-2) if is_step else x
@@ -117,14 +117,14 @@ class BayesGRU(BayesLayer):
             state = steps.new_zeros((*steps.shape[:-2], self.hidden_size))
         batch = steps.shape[:-2]
         if (
-            steps.ndim < len(self.stack) + 2
+            steps.ndim < len(self.replicas) + 2
             or steps.shape[-1] != self.input_size
             or state.shape != (*batch, self.hidden_size)
         ):
             raise ValueError(
-                f"input must have shape [*stack, *batch, time, {self.input_size}] and state "
-                f"[*stack, *batch, {self.hidden_size}] (or one step of input beside a state), got "
-                f"{list(x.shape)} and {list(state.shape)}"
+                f"input must have shape [*replicas, *batch, time, {self.input_size}] and "
+                f"state [*replicas, *batch, {self.hidden_size}] (or one step of input beside a "
+                f"state), got {list(x.shape)} and {list(state.shape)}"
             )
         # both as one tensor: what BayesLayer hands on to run and run_local
         both = torch.cat([steps.flatten(-2), state], -1)
@@ -133,11 +133,11 @@ class BayesGRU(BayesLayer):
         return (outputs.squeeze(-2) if is_step else outputs), outputs[..., -1, :]
 
     def run(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Returns the states after each step, [*stack, *batch, time · hidden_size].
+        """Returns the states after each step, [*replicas, *batch, time · hidden_size].
 
         Args:
-            x: inputs of all steps and the state before, [*stack, *batch, time · in + hidden].
-            weights: [*stack, *rows, P].
+            x: inputs of all steps and the state before, [*replicas, *batch, time · in + hidden].
+            weights: [*replicas, *rows, P].
         """
         lead = weights.shape[:-1]
         if x.shape[: len(lead)] != lead:
@@ -158,7 +158,7 @@ class BayesGRU(BayesLayer):
 
     def run_local(self, x: Tensor) -> Tensor:
         """Returns the state after one step by local reparameterization, where it is exact."""
-        count = prod(self.stack)
+        count = prod(self.replicas)
         steps, state = self._split(x.reshape(count, -1, x.shape[-1]))
         if steps.shape[2] != 1:
             raise ValueError(
@@ -193,7 +193,7 @@ class BayesGRU(BayesLayer):
 
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""
-        return f"{self.input_size}, {self.hidden_size}, stack={tuple(self.stack)}"
+        return f"{self.input_size}, {self.hidden_size}, replicas={tuple(self.replicas)}"
 
 
 def _affine(x: Tensor, matrix: Tensor, bias: Tensor) -> Tensor:

@@ -27,14 +27,14 @@ class BayesMLP(BayesLayer):
         hidden: sizes of the hidden layers. Defaults to (256, 256).
 
     Keyword Args:
-        stack: leading shape of the weights; with (R,) these are R independent networks, whose
-            inputs have R as their first dimension. Defaults to (), one network.
+        replicas: R independent networks side by side, whose inputs have R as their
+            first dimension, or a shape of them. Defaults to (), one network.
         prior_std: standard deviation of the prior, or "fan_in" for √(2/inputs) a layer. It
             decides how much is explored: under the prior Q has a variance of v₁ = p²(‖x‖² + 1),
-            v_{l+1} = p²(n_l v_l / 2 + 1). A tensor [*stack] gives each network its own.
+            v_{l+1} = p²(n_l v_l / 2 + 1). A tensor [*replicas] gives each network its own.
             Defaults to 0.1.
         mean_init: "zero", or "kaiming" (uniform in ±1/√inputs, what ``nn.Linear`` starts with).
-        std_init: standard deviation to start with, a number or a tensor [*stack]. Defaults to
+        std_init: standard deviation to start with, a number or a tensor [*replicas]. Defaults to
             None, the prior's.
         device: of the parameters.
         dtype: of the parameters.
@@ -45,7 +45,7 @@ class BayesMLP(BayesLayer):
     Example:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesMLP
-        >>> net = BayesMLP(268, 39, stack=(5,), prior_std="fan_in")
+        >>> net = BayesMLP(268, 39, replicas=5, prior_std="fan_in")
         >>> net(torch.ones(5, 32, 268), "draw").shape
         torch.Size([5, 32, 39])
         >>> net(torch.ones(5, 32, 268)).abs().max()  # the mean, outside of any context
@@ -58,7 +58,7 @@ class BayesMLP(BayesLayer):
         out_features: int,
         hidden: Sequence[int] = (256, 256),
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         prior_std: float | Tensor | Literal["fan_in"] = 0.1,
         mean_init: MeanInit = "zero",
         std_init: float | Tensor | None = None,
@@ -69,7 +69,7 @@ class BayesMLP(BayesLayer):
         super().__init__(
             self.layout.layer_sizes,
             [inputs for inputs, _ in self.layout.shapes],
-            stack=stack,
+            replicas=replicas,
             prior_std=prior_std,
             mean_init=mean_init,
             std_init=std_init,
@@ -92,11 +92,11 @@ class BayesMLP(BayesLayer):
         init_linear_(self.posterior.mu, self.layout)
 
     def run(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Returns the outputs with these weights, shape [*stack, *batch, out]."""
+        """Returns the outputs with these weights, shape [*replicas, *batch, out]."""
         return mlp(x, weights, self.layout)
 
     def run_local(self, x: Tensor) -> Tensor:
-        """Returns the outputs by local reparameterisation, shape [*stack, *batch, out]."""
+        """Returns the outputs by local reparameterisation, shape [*replicas, *batch, out]."""
         return mlp_local(x, self.posterior.mu, self.posterior.sigma, self.layout)
 
     def extra_repr(self) -> str:
@@ -112,7 +112,7 @@ class BayesLinear(BayesMLP):
         out_features: size of the output.
 
     Keyword Args:
-        stack: as in :class:`BayesMLP`, like the other ones.
+        replicas: as in :class:`BayesMLP`, like the other ones.
         prior_std: standard deviation of the prior, or "fan_in" for √(2/in_features).
         mean_init: "zero" or "kaiming".
         std_init: standard deviation to start with. Defaults to None, the prior's.
@@ -137,7 +137,7 @@ class BayesLinear(BayesMLP):
         in_features: int,
         out_features: int,
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         prior_std: float | Tensor | Literal["fan_in"] = 0.1,
         mean_init: MeanInit = "zero",
         std_init: float | Tensor | None = None,
@@ -148,7 +148,7 @@ class BayesLinear(BayesMLP):
             in_features,
             out_features,
             (),
-            stack=stack,
+            replicas=replicas,
             prior_std=prior_std,
             mean_init=mean_init,
             std_init=std_init,

@@ -1,6 +1,6 @@
 """Multi-layer perceptrons on one flat weight vector, with hand-written gradients.
 
-A network's weights are one vector [*stack, P] = (W₁, b₁, W₂, b₂, …), W_l of shape
+A network's weights are one vector [*replicas, P] = (W₁, b₁, W₂, b₂, …), W_l of shape
 [inputs, outputs]. One vector means one draw, one KL, one optimizer entry and one gradient
 buffer for the whole network; the layers are views of it. The gradient of all layers is written
 into one vector by matrix products with ``out=``: autograd's own way (a slice per layer) would
@@ -82,7 +82,7 @@ class FlatLayout:
 
 
 def init_linear_(flat: Tensor, layout: FlatLayout) -> None:
-    """Fills ``flat`` [*stack, P] like ``nn.Linear``: uniform in ±1/√inputs, biases too."""
+    """Fills ``flat`` [*replicas, P] like ``nn.Linear``: uniform in ±1/√inputs, biases too."""
     with torch.no_grad():
         for (matrix, bias), (inputs, _) in zip(layout.unflatten(flat), layout.shapes, strict=True):
             bound = 1 / sqrt(inputs)
@@ -210,16 +210,16 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
 
 
 def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tensor:
-    """Returns the outputs [*stack, *rows, out] by local reparameterisation.
+    """Returns the outputs [*replicas, *rows, out] by local reparameterisation.
 
     Each row sees Gaussian pre-activations with the mean and variance that independent Gaussian
     weights give it (Kingma, Salimans, Welling 2015): exactly a weight draw of its own for each
     row, as long as a row stands for one input.
 
     Args:
-        x: inputs, shape [*stack, *rows, in].
-        mu: means, shape [*stack, P].
-        sigma: standard deviations, shape [*stack, P].
+        x: inputs, shape [*replicas, *rows, in].
+        mu: means, shape [*replicas, P].
+        sigma: standard deviations, shape [*replicas, P].
         layout: the layers.
 
     Raises:

@@ -36,14 +36,14 @@ def posteriors(module: nn.Module) -> list[GaussianPosterior]:
 
 
 def kl_divergence(module: nn.Module) -> Tensor:
-    """Returns the closed KL from the prior over all posteriors in ``module``, [*stack].
+    """Returns the closed KL from the prior over all posteriors in ``module``, [*replicas].
 
     Raises:
         ValueError: if the module has none.
 
     Example:
         >>> from bbq_torchrl.bayes import BayesMLP
-        >>> bool((kl_divergence(BayesMLP(3, 2, stack=(5,))) < 1e-3).all())
+        >>> bool((kl_divergence(BayesMLP(3, 2, replicas=5)) < 1e-3).all())
         True
     """
     kl = KLSum()

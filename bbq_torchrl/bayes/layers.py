@@ -38,12 +38,12 @@ class BayesLayer(nn.Module):
         fan_in: how many inputs a unit of each group has: its scale for "fan_in" and "kaiming".
 
     Keyword Args:
-        stack: leading shape of the weights; with (R,) these are R independent layers, whose
-            inputs have R as their first dimension. Defaults to (), one layer.
-        prior_std: standard deviation of the prior, a number, a tensor [*stack], or "fan_in" for
+        replicas: R independent layers side by side, whose inputs have R as their
+            first dimension, or a shape of them. Defaults to (), one layer.
+        prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
             √(2/fan_in) a group. Defaults to 0.1.
         mean_init: "zero", or "kaiming" (uniform in ±1/√fan_in, what torch's layers start with).
-        std_init: standard deviation to start with, a number or a tensor [*stack]. Defaults to
+        std_init: standard deviation to start with, a number or a tensor [*replicas]. Defaults to
             None, the prior's.
         device: of the parameters.
         dtype: of the parameters.
@@ -75,7 +75,7 @@ class BayesLayer(nn.Module):
         group_sizes: Sequence[int],
         fan_in: Sequence[int],
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         prior_std: float | Tensor | Literal["fan_in"] = 0.1,
         mean_init: MeanInit = "zero",
         std_init: float | Tensor | None = None,
@@ -97,16 +97,16 @@ class BayesLayer(nn.Module):
         self.posterior = GaussianPosterior(
             group_sizes,
             [sqrt(2 / inputs) for inputs in fan_in] if isinstance(prior_std, str) else prior_std,
-            stack=stack,
+            replicas=replicas,
             device=device,
             dtype=dtype,
         )
         self.reset_parameters()
 
     @property
-    def stack(self) -> torch.Size:
+    def replicas(self) -> torch.Size:
         """Leading shape of the weights."""
-        return self.posterior.stack
+        return self.posterior.replicas
 
     def reset_parameters(self) -> None:
         """Starts again as ``mean_init`` and ``std_init`` say."""
@@ -124,15 +124,15 @@ class BayesLayer(nn.Module):
             part.uniform_(-1 / sqrt(inputs), 1 / sqrt(inputs))
 
     def draw_weights(self, rows: Sequence[int] = ()) -> Tensor:
-        """Returns draws of all weights, [*stack, *rows, P], to hand to :meth:`forward`."""
+        """Returns draws of all weights, [*replicas, *rows, P], to hand to :meth:`forward`."""
         return self.posterior.sample(rows)
 
     def run(self, x: Tensor, weights: Tensor) -> Tensor:
         """Returns the outputs with these weights.
 
         Args:
-            x: inputs, [*stack, *batch, *features].
-            weights: [*stack, *rows, P] where rows are the first dimensions of batch: each of
+            x: inputs, [*replicas, *batch, *features].
+            weights: [*replicas, *rows, P] where rows are the first dimensions of batch: each of
                 these rows has weights of its own.
         """
         raise NotImplementedError
@@ -151,14 +151,14 @@ class BayesLayer(nn.Module):
     def forward(
         self, x: Tensor, mode: WeightMode | None = None, weights: Tensor | None = None
     ) -> Tensor:
-        """Returns the outputs, shape [*stack, *batch, *features].
+        """Returns the outputs, shape [*replicas, *batch, *features].
 
         Args:
-            x: inputs, shape [*stack, *batch, *features].
-            mode: "draw" (one weight draw of each element of the stack for the whole call),
+            x: inputs, shape [*replicas, *batch, *features].
+            mode: "draw" (one weight draw of each replica for the whole call),
                 "local" (a draw of its own for each row), "mean", or None for what
                 :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
-            weights: weights to use instead, [*stack, *rows, P] where rows are the first
+            weights: weights to use instead, [*replicas, *rows, P] where rows are the first
                 dimensions of batch: each of these rows then has weights of its own.
 
         Raises:

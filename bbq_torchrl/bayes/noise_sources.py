@@ -27,7 +27,7 @@ class NoiseSource(Protocol):
 
         Args:
             posterior: what is drawn from.
-            shape: of the draw, [*stack, *rows, P].
+            shape: of the draw, [*replicas, *rows, P].
         """
 
 
@@ -35,13 +35,13 @@ class NoisePool:
     """Noise for many batches: each draw takes a window of numbers that are made once.
 
     Normal numbers for all weights are a good part of a Bayes-by-Backprop update on a CPU. Here
-    every network of a stack has a pool of its own, ``draws`` times as many numbers as it has
+    every replica of a network has a pool of its own, ``draws`` times as many numbers as it has
     weights, made at the first draw and kept until :meth:`clear`; the noise of a draw is a window
     of it at a random place (the noise table of Salimans et al. 2017, "Evolution Strategies as a
     Scalable Alternative to Reinforcement Learning"). Each draw is of independent standard normal
     numbers; two draws may share some of them, at different weights. Networks share none.
 
-    Draws with more dimensions than the stack (one for each dialogue, say) have new noise, and so
+    Draws with more dimensions than the replicas (one for each dialogue, say) have new noise, and so
     have draws on devices other than the CPU, where noise costs little.
 
     Args:

@@ -9,8 +9,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.noise import fill_normal_, is_transformed
+from bbq_torchrl.bayes.replicas import replica_shape, replica_values
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
-from bbq_torchrl.bayes.stack_values import stack_values
 from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind, closed_kl, draw_with_kl
 
 __all__ = ["GaussianPosterior", "inverse_softplus"]
@@ -32,26 +32,26 @@ class GaussianPosterior(nn.Module):
     Args:
         group_sizes: how many weights each group (for an MLP: layer) has; P is their sum.
         prior_std: standard deviation of the prior: one number, a sequence with one for each
-            group, or a tensor [*stack] with one for each element of the stack.
+            group, or a tensor [*replicas] with one for each replica.
 
     Keyword Args:
-        stack: leading shape; an independent posterior for each element. Defaults to ().
+        replicas: leading shape; an independent posterior for each. Defaults to ().
         device: of the parameters.
         dtype: of the parameters, a floating one.
 
     Attributes:
-        mu: parameter [*stack, P], 0 at first.
-        rho: parameter [*stack, P], softplus(rho) = prior_std at first.
-        prior_rho: buffer [1], [groups] or [*stack, 1], softplus(prior_rho) = prior_std. Kept in
+        mu: parameter [*replicas, P], 0 at first.
+        rho: parameter [*replicas, P], softplus(rho) = prior_std at first.
+        prior_rho: buffer [1], [groups] or [*replicas, 1], softplus(prior_rho) = prior_std. Kept in
             the place of prior_std so that σ meets the prior's in any dtype.
 
     Raises:
         ValueError: if a prior_std is not a positive finite number, or there are not as many as
-            there are groups or elements of the stack.
+            there are groups or replicas.
 
     Example:
         >>> import torch
-        >>> posterior = GaussianPosterior([6, 4], 0.1, stack=(5,))
+        >>> posterior = GaussianPosterior([6, 4], 0.1, replicas=5)
         >>> posterior.sample().shape, posterior.sample((32,)).shape
         (torch.Size([5, 10]), torch.Size([5, 32, 10]))
         >>> weights, kl = posterior.sample_with_kl()
@@ -66,25 +66,25 @@ class GaussianPosterior(nn.Module):
         group_sizes: Sequence[int],
         prior_std: float | Sequence[float] | Tensor,
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
         self.group_sizes = tuple(group_sizes)
-        self.stack = torch.Size(stack)
+        self.replicas = replica_shape(replicas)
         std = self._prior(prior_std)
         dtype = dtype or torch.get_default_dtype()
         self.register_buffer("prior_rho", inverse_softplus(std).to(device=device, dtype=dtype))
-        shape = (*self.stack, sum(self.group_sizes))
+        shape = (*self.replicas, sum(self.group_sizes))
         self.mu = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
         self.rho = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
         self.reset_parameters()
 
     def _prior(self, prior_std: float | Sequence[float] | Tensor) -> Tensor:
-        """Returns the prior's checked std, float64 [1], [groups] or [*stack, 1]."""
+        """Returns the prior's checked std, float64 [1], [groups] or [*replicas, 1]."""
         if isinstance(prior_std, Tensor) and prior_std.ndim > 0:
-            return stack_values("prior_std", prior_std, self.stack).unsqueeze(-1)
+            return replica_values("prior_std", prior_std, self.replicas).unsqueeze(-1)
         groups = list(prior_std) if isinstance(prior_std, Sequence) else [float(prior_std)]
         for value in groups:
             if not 0 < value < float("inf"):
@@ -103,10 +103,10 @@ class GaussianPosterior(nn.Module):
             self.rho.copy_(self.per_weight(self.prior_rho))
 
     def reset_std_(self, std: float | Tensor) -> None:
-        """Sets every standard deviation to ``std``, one number or one a stack element, [*stack]."""
+        """Sets every standard deviation to ``std``, one number or one a replica, [*replicas]."""
         values = torch.as_tensor(std, dtype=torch.float64)
         if values.ndim:
-            values = stack_values("std_init", values, self.stack)
+            values = replica_values("std_init", values, self.replicas)
         elif not 0 < std < float("inf"):
             raise ValueError(f"std_init must be positive and finite, got {std}")
         with torch.no_grad():
@@ -121,12 +121,12 @@ class GaussianPosterior(nn.Module):
 
     @property
     def prior_std(self) -> Tensor:
-        """Standard deviation of the prior: [1] if one for all, [*stack, 1], or [P]."""
+        """Standard deviation of the prior: [1] if one for all, [*replicas, 1], or [P]."""
         return self.per_weight(F.softplus(self.prior_rho))
 
     @property
     def sigma(self) -> Tensor:
-        """Standard deviations [*stack, P], differentiable in rho."""
+        """Standard deviations [*replicas, P], differentiable in rho."""
         return F.softplus(self.rho)
 
     def fill_noise_(self, noise: Tensor) -> None:
@@ -142,7 +142,7 @@ class GaussianPosterior(nn.Module):
         return noise
 
     def weights(self, mode: WeightMode | None = None) -> Tensor:
-        """Returns the weights that a layer is to use, [*stack, *rows, P].
+        """Returns the weights that a layer is to use, [*replicas, *rows, P].
 
         Those that the :class:`weight_scope` around the call gives to this posterior, else a draw
         or the mean, whose KL goes into the scope's sum if it has one.
@@ -170,14 +170,14 @@ class GaussianPosterior(nn.Module):
         return self.mu
 
     def sample(self, rows: Sequence[int] = ()) -> Tensor:
-        """Returns a draw of the weights for each of ``rows``, [*stack, *rows, P].
+        """Returns a draw of the weights for each of ``rows``, [*replicas, *rows, P].
 
         Differentiable in mu and rho.
         """
         scope = current_scope()
-        whole = torch.Size((*self.stack, *rows, self.mu.shape[-1]))
+        whole = torch.Size((*self.replicas, *rows, self.mu.shape[-1]))
         noise = self.new_noise(whole) if scope.noise is None else scope.noise.normal(self, whole)
-        shape = (*self.stack, *(1 for _ in rows), whole[-1])
+        shape = (*self.replicas, *(1 for _ in rows), whole[-1])
         sigma = self._sigma_held(scope.sigma)
         return torch.addcmul(self.mu.reshape(shape), sigma.reshape(shape), noise)
 
@@ -194,28 +194,28 @@ class GaussianPosterior(nn.Module):
         """Replaces some of the draws that :meth:`sample` returned, in place.
 
         Args:
-            draws: shape [*stack, *rows, P].
-            where: bool [*stack, *rows], True for the ones to replace.
+            draws: shape [*replicas, *rows, P].
+            where: bool [*replicas, *rows], True for the ones to replace.
         """
         count = self.mu.shape[-1]
         flat, mu, rho = (t.view(-1, count) for t in (draws, self.mu, self.rho))
         # New noise for all rows would cost a batch of networks for the few rows that begin
         # something, so this is the one place whose amount of work follows the data.
         which = where.flatten().nonzero().squeeze(-1)
-        element = which // max(1, flat.shape[0] // mu.shape[0])
+        replica = which // max(1, flat.shape[0] // mu.shape[0])
         noise = flat.new_empty((which.shape[0], count))
         self.fill_noise_(noise)
-        flat[which] = torch.addcmul(mu[element], F.softplus(rho[element]), noise)
+        flat[which] = torch.addcmul(mu[replica], F.softplus(rho[replica]), noise)
 
     def sample_with_kl(
         self, kind: KLKind = "closed", known_kl: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Returns a draw [*stack, P] and the KL from the prior [*stack], sharing σ.
+        """Returns a draw [*replicas, P] and the KL from the prior [*replicas], sharing σ.
 
         Args:
             kind: "closed", Σ log(p/σ) + (σ² + μ²)/(2p²) - ½, or "sampled", log q(w) - log p(w)
                 at the draw, as the paper has it.
-            known_kl: an earlier value of the closed KL, [*stack], to be returned in the place of
+            known_kl: an earlier value of the closed KL, [*replicas], to be returned in the place of
                 today's; its gradient is today's all the same. Defaults to None.
 
         Raises:
@@ -235,9 +235,9 @@ class GaussianPosterior(nn.Module):
         return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_, known_kl)
 
     def kl(self) -> Tensor:
-        """Returns the KL from the prior in closed form, [*stack], in nats."""
+        """Returns the KL from the prior in closed form, [*replicas], in nats."""
         return closed_kl(self.mu, self.rho, self.prior_std)
 
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""
-        return f"weights={sum(self.group_sizes)}, stack={tuple(self.stack)}"
+        return f"weights={sum(self.group_sizes)}, replicas={tuple(self.replicas)}"

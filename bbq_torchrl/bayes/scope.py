@@ -72,7 +72,7 @@ class KLSum:
         self._terms: dict[GaussianPosterior, Tensor] = {}
 
     def draw(self, posterior: GaussianPosterior) -> Tensor:
-        """Returns a weight draw [*stack, P] and adds the KL at the posterior's first draw."""
+        """Returns a weight draw [*replicas, P] and adds the KL at the posterior's first draw."""
         if posterior in self._terms:
             return posterior.sample()
         known = None if self._known is None else self._known.get(posterior)
@@ -99,7 +99,7 @@ class KLSum:
             self._terms[posterior] = posterior.kl()
 
     def total(self) -> Tensor:
-        """Returns the sum over the posteriors, [*stack], in nats.
+        """Returns the sum over the posteriors, [*replicas], in nats.
 
         Raises:
             RuntimeError: if no Bayesian layer ran.
@@ -122,7 +122,7 @@ class WeightScope:
         noise: where the noise of weight draws comes from; None for new noise from torch's
             generator.
         kl: takes in the KL of the posteriors used, or None.
-        sigma: standard deviations [*stack, P] to use in draws without a KL, by posterior; a
+        sigma: standard deviations [*replicas, P] to use in draws without a KL, by posterior; a
             posterior that is not found is added, without a gradient. None: computed at each draw.
     """
 
@@ -163,7 +163,7 @@ class weight_scope:
 
     Keyword Args:
         weights: for each module or posterior the flat weights to use whatever the mode, shape
-            [*stack, *rows, P] as :meth:`BayesLayer.draw_weights` returns them. Modules that are
+            [*replicas, *rows, P] as :meth:`BayesLayer.draw_weights` returns them. Modules that are
             not in it are not affected.
         noise: a :class:`NoisePool` or :class:`SharedNoise` that draws take their noise from.
         kl: "closed" or "sampled" to sum up the KL of every layer that runs, each counted once, or a

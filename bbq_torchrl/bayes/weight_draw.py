@@ -1,7 +1,7 @@
 """A draw of all weights of a Gaussian posterior and its KL, with gradients written by hand.
 
 Both are a few passes over vectors as long as the network has weights, and memory traffic is what
-they cost: σ is computed once for the two, temporaries are reused, and a stack of networks is
+they cost: σ is computed once for the two, temporaries are reused, and replicas of a network are
 worked on a cache-sized piece at a time.
 """
 
@@ -32,7 +32,7 @@ _LEAST_RATIO = 1e-18
 _SAME_STD = 32.0
 
 # How many weights the passes below work on at a time: half a megabyte a vector, so that the
-# handful of vectors of one piece stay in a core's cache however large the stack is.
+# handful of vectors of one piece stay in a core's cache however many replicas there are.
 _PIECE = 2**17
 
 _softplus = torch.ops.aten.softplus.out
@@ -47,11 +47,11 @@ def check_kl_kind(kind: str) -> None:
 
 
 def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:
-    """Yields tensors [*stack, *] a cache-sized part of the stack at a time (on a CPU).
+    """Yields tensors [*replicas, *] a cache-sized part of the replicas at a time (on a CPU).
 
-    The first tensor has all weights, [*stack, P]; where it is small (or not on a CPU) the
-    tensors come as they are, else with the stack as one dimension. What has no stack, such as a
-    prior that all elements share, [1] or [P], comes whole with every part.
+    The first tensor has all weights, [*replicas, P]; where it is small (or not on a CPU) the
+    tensors come as they are, else with the replicas as one dimension. What has none, such as a
+    prior that all replicas share, [1] or [P], comes whole with every part.
     """
     numel = tensors[0].shape[-1]
     count = tensors[0].numel() // numel
@@ -65,7 +65,7 @@ def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:
 
 
 class _Draw(torch.autograd.Function):
-    """(μ, ρ, p) to the draw w = μ + softplus(ρ) noise [*stack, P] and its KL [*stack]."""
+    """(μ, ρ, p) to the draw w = μ + softplus(ρ) noise [*replicas, P] and its KL [*replicas]."""
 
     @staticmethod
     def forward(
@@ -118,7 +118,7 @@ class _Draw(torch.autograd.Function):
         if grad_weights is None:
             grad_weights = torch.zeros_like(rho)
         grad_mu, grad_rho = rho.new_empty(rho.shape), rho.new_empty(rho.shape)
-        scale = grad_kl.unsqueeze(-1) / prior_std  # [*stack, 1] or [*stack, P]
+        scale = grad_kl.unsqueeze(-1) / prior_std  # [*replicas, 1] or [*replicas, P]
         dead_zone = _SAME_STD * torch.finfo(rho.dtype).eps
         for r, n, s, x, gw, gm, gr, factor, pull in _pieces(
             rho, noise, ratio, location, grad_weights, grad_mu, grad_rho, scale, scale / prior_std
@@ -138,7 +138,7 @@ class _Draw(torch.autograd.Function):
 
 
 class _ClosedKL(torch.autograd.Function):
-    """(μ, ρ, p) to KL(N(μ, softplus(ρ)²) ‖ N(0, p²)), summed over the weights: [*stack]."""
+    """(μ, ρ, p) to KL(N(μ, softplus(ρ)²) ‖ N(0, p²)), summed over the weights: [*replicas]."""
 
     @staticmethod
     def forward(ctx: Any, mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
@@ -194,7 +194,7 @@ def _sum_square(x: Tensor, factor: Tensor | None, scratch: Tensor) -> Tensor:
 def _plain_kl(
     mu: Tensor, rho: Tensor, prior_std: Tensor, weights: Tensor | None, noise: Tensor
 ) -> Tensor:
-    """Returns the KL [*stack] by torch's own operations: closed, or sampled at ``weights``."""
+    """Returns the KL [*replicas] by torch's own operations: closed, or sampled at ``weights``."""
     ratio = (F.softplus(rho) / prior_std).clamp_min(_LEAST_RATIO)
     # where σ = p it is 1, without a gradient: see _SAME_STD
     is_same = (ratio - ratio.reciprocal()).abs() <= _SAME_STD * torch.finfo(rho.dtype).eps
@@ -213,20 +213,20 @@ def draw_with_kl(
     fill_noise_: Callable[[Tensor], object] | None,
     known_kl: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Returns the draw μ + softplus(ρ) noise, [*stack, P], and the KL from N(0, p²), [*stack].
+    """Returns the draw μ + softplus(ρ) noise [*replicas, P] and its KL from N(0, p²) [*replicas].
 
     Differentiable in mu and rho (once).
 
     Args:
-        mu: shape [*stack, P].
-        rho: shape [*stack, P].
-        prior_std: p, shape [1] or [P] where the whole stack has the same, else [*stack, 1] or
-            [*stack, P].
+        mu: shape [*replicas, P].
+        rho: shape [*replicas, P].
+        prior_std: p, shape [1] or [P] where the whole replicas has the same, else [*replicas, 1] or
+            [*replicas, P].
         kind: "closed", the divergence itself, or "sampled", log q(w) - log p(w) at the draw.
-        noise: shape [*stack, P], contiguous if it is to be filled.
+        noise: shape [*replicas, P], contiguous if it is to be filled.
         fill_noise_: fills a tensor [*, P] with standard normal numbers, called on ``noise`` (a
             part at a time); None where ``noise`` holds them already.
-        known_kl: shape [*stack], returned in the place of the closed KL, whose gradient it has
+        known_kl: shape [*replicas], returned in the place of the closed KL, whose gradient it has
             all the same: the gradient is the closed KL's own, and computing the value is a good
             part of the draw. None to compute it.
     """
@@ -238,7 +238,7 @@ def draw_with_kl(
 
 
 def closed_kl(mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
-    """Returns KL(N(μ, softplus(ρ)²) ‖ N(0, p²)) summed over the weights, [*stack].
+    """Returns KL(N(μ, softplus(ρ)²) ‖ N(0, p²)) summed over the weights, [*replicas].
 
     Differentiable in mu and rho (once); arguments as those of :func:`draw_with_kl`.
     """

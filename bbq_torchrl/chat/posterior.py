@@ -22,7 +22,7 @@ __all__ = ["path_draws", "q_draws"]
 
 
 def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor | None:
-    """Returns draws of the Q-values in one state, ``[*stack, draws, N]``.
+    """Returns draws of the Q-values in one state, ``[*replicas, draws, N]``.
 
     Of a Bayesian network they are rows of local reparameterization, which for one state have
     exactly the distribution of as many draws of all weights; of bootstrapped heads they are the
@@ -30,7 +30,7 @@ def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor 
 
     Args:
         policy: the policy that a run reports.
-        inputs: the observation, ``[*stack, 1, F]``.
+        inputs: the observation, ``[*replicas, 1, F]``.
         draws: how many; heads are as many as there are.
     """
     if isinstance(policy, MajorityVote):
@@ -48,12 +48,13 @@ def path_draws(
     """Returns how many networks there are, and what they say of inputs between two states.
 
     Along a path the weights must stay, which local reparameterization does not give: these are
-    draws of all weights. The function takes ``[*stack, K, F]`` and returns ``[*stack, K, N]``, a
-    network a row, and can be differentiated. ``None`` for a policy of another kind than ours.
+    draws of all weights. The function takes ``[*replicas, K, F]`` and returns
+    ``[*replicas, K, N]``, a network a row, and can be differentiated. ``None`` for a policy of
+    another kind than ours.
 
     Args:
         policy: the policy that a run reports.
-        inputs: an observation, ``[*stack, 1, F]``.
+        inputs: an observation, ``[*replicas, 1, F]``.
         draws: how many; heads are as many as there are, and a network without posterior is one.
     """
     if isinstance(policy, MajorityVote):
@@ -91,7 +92,7 @@ def _is_bayesian(policy: TensorDictModuleBase) -> bool:
 
 
 def _values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
-    """Returns the values of the network behind a policy, ``[*stack, rows, ..., N]``."""
+    """Returns the values of the network behind a policy, ``[*replicas, rows, ..., N]``."""
     network, choice = split_actor(policy.actor)
     assert choice is not None  # policies of ours choose by their values
     tensordict = TensorDict({network.in_keys[0]: rows}, batch_size=rows.shape[:-1])

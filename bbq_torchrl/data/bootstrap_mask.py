@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
+from bbq_torchrl.bayes.replicas import replica_shape
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -22,12 +24,12 @@ class BootstrapMask(Transform):
     """Marks the heads that learn from each transition, as it is stored (Osband et al. 2016).
 
     A transform for a replay buffer: storing writes the entry ``bootstrap_mask``, bool
-    [*stack, *rows, heads] with independent Bernoulli(prob) numbers, where the transitions have
+    [*replicas, *rows, heads] with independent Bernoulli(prob) numbers, where the transitions have
     none yet; sampling changes nothing.
 
-    Each element of the stack has a stream of random numbers of its own. The n-th transition that
+    Each replica has a stream of random numbers of its own. The n-th transition that
     it stores gets the n-th numbers of the stream, however the transitions are cut into calls,
-    whatever the other elements store, and on every device.
+    whatever the other replicas store, and on every device.
 
     Args:
         heads: number of heads K.
@@ -35,13 +37,13 @@ class BootstrapMask(Transform):
             ensemble. Defaults to 0.5.
 
     Keyword Args:
-        stack: leading shape of the transitions that is not rows. Defaults to ().
+        replicas: leading shape of the transitions that is not rows. Defaults to ().
         mask_key: where the masks go. Defaults to "bootstrap_mask".
-        valid_key: bool [*stack, *rows], True for the rows that count; optional in what is stored.
-            The others get an empty mask and use up no random numbers. Defaults to "valid".
+        valid_key: bool [*replicas, *rows], True for the rows that count; optional in what is
+            stored. The others get an empty mask and use up no random numbers. Defaults to "valid".
 
     Attributes:
-        generator_state: uint8 buffer [*stack, bytes], where each element's stream is: in the
+        generator_state: uint8 buffer [*replicas, bytes], where each replica's stream is: in the
             state dict. At first drawn from torch's global generator.
 
     Raises:
@@ -67,7 +69,7 @@ class BootstrapMask(Transform):
         heads: int,
         prob: float = 0.5,
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         mask_key: NestedKey = "bootstrap_mask",
         valid_key: NestedKey = "valid",
     ) -> None:
@@ -78,12 +80,14 @@ class BootstrapMask(Transform):
         super().__init__(in_keys=[], out_keys=[], in_keys_inv=[], out_keys_inv=[mask_key])
         self.heads = heads
         self.prob = prob
-        self.stack = torch.Size(stack)
+        self.replicas = replica_shape(replicas)
         self.valid_key = valid_key
         # A buffer and no generator: it is saved, copied and pickled with everything else.
         size = torch.Generator().get_state().shape
-        self.register_buffer("generator_state", torch.empty(*self.stack, *size, dtype=torch.uint8))
-        self.set_seeds(torch.randint(2**63 - 1, (prod(self.stack),)).tolist())
+        self.register_buffer(
+            "generator_state", torch.empty(*self.replicas, *size, dtype=torch.uint8)
+        )
+        self.set_seeds(torch.randint(2**63 - 1, (prod(self.replicas),)).tolist())
 
     @property
     def mask_key(self) -> NestedKey:
@@ -92,25 +96,25 @@ class BootstrapMask(Transform):
         return key
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
-        """Restarts each element's random numbers from a seed of its own.
+        """Restarts each replica's random numbers from a seed of its own.
 
         Args:
-            seeds: one for each element of the stack, in order; one for a stack of ().
+            seeds: one for each replica, in order; one if there are none.
 
         Raises:
             ValueError: for another number of seeds.
         """
-        if len(seeds) != prod(self.stack):
+        if len(seeds) != prod(self.replicas):
             raise ValueError(
-                f"seeds must be {prod(self.stack)}, one for each element of the stack "
-                f"{list(self.stack)}, got {len(seeds)}"
+                f"seeds must be {prod(self.replicas)}, one for each replica "
+                f"{list(self.replicas)}, got {len(seeds)}"
             )
         generator = torch.Generator()
         for state, seed in zip(self._states(), seeds, strict=True):
             state.copy_(generator.manual_seed(int(seed)).get_state())
 
     def _states(self) -> Tensor:
-        return self.generator_state.view(prod(self.stack), -1)
+        return self.generator_state.view(prod(self.replicas), -1)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Returns what is sampled as it is."""
@@ -120,17 +124,17 @@ class BootstrapMask(Transform):
         """Writes the masks of transitions that have none."""
         if tensordict.get(self.mask_key, None) is not None:
             return tensordict
-        shape, dims = tensordict.batch_size, len(self.stack)
-        if shape[:dims] != self.stack:
+        shape, dims = tensordict.batch_size, len(self.replicas)
+        if shape[:dims] != self.replicas:
             raise ValueError(
-                f"transitions must have the batch size [{', '.join(map(str, self.stack))}, *rows], "
-                f"got {list(shape)}"
+                f"transitions must have the batch size [{', '.join(map(str, self.replicas))}, "
+                f"*rows], got {list(shape)}"
             )
         valid = tensordict.get(self.valid_key, None)
-        elements, rows = prod(self.stack), prod(shape[dims:])
-        counts = [rows] * elements
+        count, rows = prod(self.replicas), prod(shape[dims:])
+        counts = [rows] * count
         if valid is not None:
-            valid = valid.reshape(elements, rows)
+            valid = valid.reshape(count, rows)
             counts = valid.sum(-1).tolist()
         mask = self._draw(counts, rows).to(tensordict.device or self.generator_state.device)
         if valid is not None:
@@ -140,7 +144,7 @@ class BootstrapMask(Transform):
         return tensordict.set(self.mask_key, mask.reshape(*shape, self.heads))
 
     def _draw(self, counts: Sequence[int], rows: int) -> Tensor:
-        """Returns a draw for each of the first ``counts`` rows, bool [elements, rows, heads]."""
+        """Returns a draw for each of the first ``counts`` rows, bool [count, rows, heads]."""
         mask = torch.zeros(len(counts), rows, self.heads, dtype=torch.bool)
         # on the CPU for every device: there a longer draw begins like a shorter one
         generator = torch.Generator()

@@ -28,7 +28,7 @@ class Boltzmann(TensorDictModuleBase):
 
     Args:
         temperature_init: temperature at first, in units of Q (rewards): one number, or a tensor
-            that broadcasts with the batch, such as [*stack, 1] for one an element of the stack.
+            that broadcasts with the batch, such as [*replicas, 1] for one a replica.
         temperature_end: temperature after ``annealing_num_steps`` steps, likewise.
         annealing_num_steps: length of the schedule.
 

@@ -26,8 +26,8 @@ class BatchedEGreedy(EGreedyModule):
 
     Args:
         spec: of the action.
-        eps_init: epsilon at first, a tensor that broadcasts with the batch, such as [*stack, 1]
-            for one an element of the stack.
+        eps_init: epsilon at first, a tensor that broadcasts with the batch, such as [*replicas, 1]
+            for one a replica.
         eps_end: epsilon after ``annealing_num_steps`` steps, likewise.
         annealing_num_steps: length of the schedule.
 

@@ -38,7 +38,7 @@ class EvaluationPolicy(TensorDictModuleBase):
         mode: "mean", Q at the mean weights (and without dropout); "average", the mean of Q over
             ``num_draws`` weight draws; "draw", Q at one weight draw; "thompson", Q at new draws at
             every call, for each row its own, as ThompsonSampling(per="step") trains. The draws of
-            "average" and "draw" are made at the first call, for each element of the stack, and
+            "average" and "draw" are made at the first call, for each replica, and
             stay until :meth:`resample`. What else the network writes, such as a recurrent state,
             is the mean over the draws too.
         num_draws: number of draws for "average". Defaults to 10.

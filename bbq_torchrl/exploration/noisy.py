@@ -28,7 +28,7 @@ class NoisySampling(TensorDictModuleBase):
         actor: an actor whose network has noisy layers.
 
     Keyword Args:
-        shared: whether the rows of a batch act on one noise (each element of the stack has its
+        shared: whether the rows of a batch act on one noise (each replica has its
             own) or each on its own, as if it were alone. Defaults to False.
 
     Raises:

@@ -35,7 +35,7 @@ class ThompsonSampling(TensorDictModuleBase):
     Keyword Args:
         per: how long a draw is acted on. "step" (the paper): one action. "episode": until the
             row's next ``init_key``. "round": until :meth:`resample`. Defaults to "step".
-        shared: whether the rows of a batch act on one draw (each element of the stack has its
+        shared: whether the rows of a batch act on one draw (each replica has its
             own) or each on its own. One shared draw makes 50 dialogues side by side one
             experiment. Defaults to True for "round", else False.
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
@@ -113,8 +113,8 @@ class ThompsonSampling(TensorDictModuleBase):
 
     def _hold(self, tensordict: TensorDictBase) -> None:
         found = posteriors(self.actor)
-        stack = found[0].stack
-        rows = tensordict.batch_size[len(stack) :]
+        replicas = found[0].replicas
+        rows = tensordict.batch_size[len(replicas) :]
         new = begins(tensordict, self.init_key) if self.per == "episode" else None
         if self._held_rows != rows:
             drawn = () if self.shared else tuple(rows)
@@ -122,6 +122,6 @@ class ThompsonSampling(TensorDictModuleBase):
             self._held_rows = rows
         elif new is not None:
             if self.shared and rows:
-                new = new.flatten(len(stack)).any(-1)
+                new = new.flatten(len(replicas)).any(-1)
             for posterior, draws in self._held.items():
                 posterior.redraw_(draws, new)

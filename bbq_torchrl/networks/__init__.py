@@ -5,7 +5,7 @@ from __future__ import annotations
 from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
 from bbq_torchrl.networks.flat_mlp import FlatMLP
 from bbq_torchrl.networks.growth import grow, reset_inactive_
-from bbq_torchrl.networks.noisy_mlp import NoisyMLP, StackedNoisyLinear
+from bbq_torchrl.networks.noisy_mlp import NoisyMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.q_actor import q_actor, split_actor
 from bbq_torchrl.networks.vote import VoteModule, bootstrap_actor
 
@@ -13,7 +13,7 @@ __all__ = [
     "BootstrapMLP",
     "FlatMLP",
     "NoisyMLP",
-    "StackedNoisyLinear",
+    "ReplicaNoisyLinear",
     "VoteModule",
     "bootstrap_actor",
     "grow",

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
+from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, check_weight_mode
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ __all__ = ["BootstrapMLP"]
 
 
 class _ShareAmongHeads(torch.autograd.Function):
-    """hidden [*stack, *batch, H] for each head, [*stack, K, *batch, H]; the mean of gradients."""
+    """[*replicas, *batch, H] for each head, [*replicas, K, *batch, H]; the mean of gradients."""
 
     @staticmethod
     def forward(ctx: Any, hidden: Tensor, dim: int, heads: int) -> Tensor:
@@ -34,7 +35,7 @@ def _for_each_head(x: Tensor, dim: int, heads: int) -> Tensor:
 
 
 class BootstrapMLP(nn.Module):
-    """A ReLU network with K heads, or a stack of them (Osband et al., Bootstrapped DQN, 2016).
+    """A ReLU network with K heads, or replicas of it (Osband et al., Bootstrapped DQN, 2016).
 
     The heads share the first ``trunk_layers`` hidden layers. Their losses add up, so that a head
     learns as fast as a network of its own; the gradient that they pass to the trunk is divided
@@ -47,8 +48,8 @@ class BootstrapMLP(nn.Module):
 
     Keyword Args:
         heads: K. Defaults to 10.
-        stack: leading shape of the weights; with (R,) these are R independent networks of K
-            heads, whose inputs have R as their first dimension. Defaults to (), one network.
+        replicas: R independent networks of K heads side by side, whose inputs have R as their
+            first dimension, or a shape of them. Defaults to (), one network.
         trunk_layers: how many hidden layers the heads share; 0 makes K separate networks.
             Defaults to None, all of them.
         prior_scale: if positive, each head has a fixed network added to it, drawn like the one
@@ -58,8 +59,8 @@ class BootstrapMLP(nn.Module):
         dtype: of the weights.
 
     Attributes:
-        trunk: parameter [*stack, P_trunk], None without a trunk.
-        heads: parameter [*stack, K, P_head].
+        trunk: parameter [*replicas, P_trunk], None without a trunk.
+        heads: parameter [*replicas, K, P_head].
         prior_trunk: buffer of the trunk's shape, None without a trunk or without a prior.
         prior_heads: buffer of the heads' shape, None without a prior.
         trunk_layout: :class:`~bbq_torchrl.bayes.FlatLayout` of the trunk, None without one.
@@ -71,7 +72,7 @@ class BootstrapMLP(nn.Module):
     Example:
         >>> import torch
         >>> from bbq_torchrl.networks import BootstrapMLP
-        >>> net = BootstrapMLP(268, 39, heads=10, stack=(5,), prior_scale=1.0)
+        >>> net = BootstrapMLP(268, 39, heads=10, replicas=5, prior_scale=1.0)
         >>> net(torch.ones(5, 32, 268)).shape
         torch.Size([5, 32, 10, 39])
         >>> [name for name, _ in net.named_parameters()]
@@ -88,7 +89,7 @@ class BootstrapMLP(nn.Module):
         hidden: Sequence[int] = (256, 256),
         *,
         heads: int = 10,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         trunk_layers: int | None = None,
         prior_scale: float = 0.0,
         device: torch.device | str | None = None,
@@ -111,12 +112,12 @@ class BootstrapMLP(nn.Module):
         FlatLayout(sizes)  # refuses sizes that are no network before they are cut in two
         self.trunk_layout = FlatLayout(sizes[: trunk_layers + 1]) if trunk_layers else None
         self.head_layout = FlatLayout(sizes[trunk_layers:])
-        self.stack = torch.Size(stack)
+        self.replicas = replica_shape(replicas)
         self.num_heads = heads
         self.prior_scale = prior_scale
 
         def empty(layout: FlatLayout, *rows: int) -> Tensor:
-            return torch.empty((*self.stack, *rows, layout.numel), device=device, dtype=dtype)
+            return torch.empty((*self.replicas, *rows, layout.numel), device=device, dtype=dtype)
 
         trunk, layout = self.trunk_layout, self.head_layout
         self.trunk = None if trunk is None else nn.Parameter(empty(trunk))
@@ -156,10 +157,10 @@ class BootstrapMLP(nn.Module):
         return [layout.unflatten(flat)[0][0] for flat in flats if flat is not None]
 
     def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
-        """Returns the outputs of all heads, shape [*stack, *batch, K, out].
+        """Returns the outputs of all heads, shape [*replicas, *batch, K, out].
 
         Args:
-            x: inputs, shape [*stack, *batch, in].
+            x: inputs, shape [*replicas, *batch, in].
             mode: for the sake of networks that draw; there is nothing random here.
 
         Raises:
@@ -167,9 +168,9 @@ class BootstrapMLP(nn.Module):
         """
         if mode is not None:
             check_weight_mode(mode)
-        dim = len(self.stack)
-        if x.ndim <= dim or x.shape[:dim] != self.stack or x.shape[-1] != self.in_features:
-            lead = "".join(f"{size}, " for size in self.stack)
+        dim = len(self.replicas)
+        if x.ndim <= dim or x.shape[:dim] != self.replicas or x.shape[-1] != self.in_features:
+            lead = "".join(f"{size}, " for size in self.replicas)
             raise ValueError(
                 f"input must have shape [{lead}*batch, {self.in_features}], got {list(x.shape)}"
             )
@@ -180,8 +181,8 @@ class BootstrapMLP(nn.Module):
         return out.movedim(dim, -2)
 
     def _run(self, x: Tensor, trunk: Tensor | None, heads: Tensor) -> Tensor:
-        """Returns [*stack, K, *batch, out]."""
-        dim = len(self.stack)
+        """Returns [*replicas, K, *batch, out]."""
+        dim = len(self.replicas)
         if trunk is None or self.trunk_layout is None:
             shared = _for_each_head(x, dim, self.num_heads)
         else:
@@ -194,5 +195,5 @@ class BootstrapMLP(nn.Module):
         trunk = self.trunk_layout.sizes if self.trunk_layout else ()
         return (
             f"trunk={trunk}, head={self.head_layout.sizes}, heads={self.num_heads}, "
-            f"stack={tuple(self.stack)}, prior_scale={self.prior_scale}"
+            f"replicas={tuple(self.replicas)}, prior_scale={self.prior_scale}"
         )

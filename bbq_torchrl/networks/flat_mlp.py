@@ -1,4 +1,4 @@
-"""A plain multi-layer perceptron with a stack dimension and dropout."""
+"""A plain multi-layer perceptron with a replica dimension and dropout."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes import functional
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_
+from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, check_weight_mode, current_scope
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ __all__ = ["FlatMLP"]
 
 
 class FlatMLP(nn.Module):
-    """A ReLU network, or a stack of independent ones, with dropout after each hidden layer.
+    """A ReLU network, or independent replicas of it, with dropout after each hidden layer.
 
     Args:
         in_features: size of the input.
@@ -26,8 +27,8 @@ class FlatMLP(nn.Module):
         hidden: sizes of the hidden layers. Defaults to (256, 256).
 
     Keyword Args:
-        stack: leading shape of the weights; with (R,) these are R independent networks, whose
-            inputs have R as their first dimension. Defaults to (), one network.
+        replicas: R independent networks side by side, whose inputs have R as their
+            first dimension, or a shape of them. Defaults to (), one network.
         dropout: probability with which a hidden unit is dropped. Defaults to 0.
         device: of the parameters.
         dtype: of the parameters.
@@ -37,7 +38,7 @@ class FlatMLP(nn.Module):
 
     Example:
         >>> import torch
-        >>> net = FlatMLP(3, 2, (16,), stack=(5,), dropout=0.5)
+        >>> net = FlatMLP(3, 2, (16,), replicas=5, dropout=0.5)
         >>> x = torch.ones(5, 7, 3)
         >>> net(x).shape, torch.equal(net(x, "mean"), net(x, "mean"))
         (torch.Size([5, 7, 2]), True)
@@ -49,7 +50,7 @@ class FlatMLP(nn.Module):
         out_features: int,
         hidden: Sequence[int] = (256, 256),
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         dropout: float = 0.0,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
@@ -58,10 +59,10 @@ class FlatMLP(nn.Module):
         if not 0 <= dropout < 1:
             raise ValueError(f"dropout must be in [0, 1), got {dropout}")
         self.layout = FlatLayout((in_features, *hidden, out_features))
-        self.stack = torch.Size(stack)
+        self.replicas = replica_shape(replicas)
         self.dropout = dropout
         self.weight = nn.Parameter(
-            torch.empty((*self.stack, self.layout.numel), device=device, dtype=dtype)
+            torch.empty((*self.replicas, self.layout.numel), device=device, dtype=dtype)
         )
         self.reset_parameters()
 
@@ -82,14 +83,14 @@ class FlatMLP(nn.Module):
     def forward(
         self, x: Tensor, mode: WeightMode | None = None, weights: Tensor | None = None
     ) -> Tensor:
-        """Returns the outputs, shape [*stack, *batch, out].
+        """Returns the outputs, shape [*replicas, *batch, out].
 
         Args:
-            x: inputs, shape [*stack, *batch, in].
+            x: inputs, shape [*replicas, *batch, in].
             mode: "draw" and "local" (dropout on), "mean" (off), or None: what
                 :class:`~bbq_torchrl.bayes.weight_scope` says, and outside of it on in
                 training mode, as ``nn.Dropout``.
-            weights: weights to use instead, [*stack, *rows, P], without dropout.
+            weights: weights to use instead, [*replicas, *rows, P], without dropout.
 
         Raises:
             ValueError: for another mode, or a shape that does not fit.
@@ -108,4 +109,4 @@ class FlatMLP(nn.Module):
 
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""
-        return f"sizes={self.layout.sizes}, stack={tuple(self.stack)}, dropout={self.dropout}"
+        return f"sizes={self.layout.sizes}, replicas={tuple(self.replicas)}, dropout={self.dropout}"

@@ -55,7 +55,7 @@ def growth_index(
 
 
 def grow_flat(old: Tensor, new: Tensor, index: Tensor) -> Tensor:
-    """Returns ``new`` [*stack, P_new] with the values of ``old`` [*stack, P_old] at ``index``.
+    """Returns ``new`` [*replicas, P_new] with those of ``old`` [*replicas, P_old] at ``index``.
 
     For what goes along with the weights, such as Adam's moments (``new`` all 0).
     """
@@ -116,7 +116,7 @@ def grow(
         posterior.group_sizes = layout.layer_sizes
         old = {"mu": posterior.mu, "rho": posterior.rho}
         for name, tensor in old.items():
-            empty = tensor.new_empty((*posterior.stack, layout.numel))
+            empty = tensor.new_empty((*posterior.replicas, layout.numel))
             setattr(posterior, name, nn.Parameter(empty, tensor.requires_grad))
         posterior.reset_parameters()
         for name, tensor in old.items():
@@ -124,7 +124,7 @@ def grow(
         return grown
     weight = grown.weight
     grown.weight = nn.Parameter(
-        weight.new_empty((*grown.stack, layout.numel)), weight.requires_grad
+        weight.new_empty((*grown.replicas, layout.numel)), weight.requires_grad
     )
     grown.reset_parameters()
     old_inputs = _places("inputs", inputs, network.in_features, in_features)

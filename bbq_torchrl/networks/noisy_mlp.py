@@ -1,4 +1,4 @@
-"""NoisyNet's networks on TorchRL's NoisyLinear, with a stack dimension."""
+"""NoisyNet's networks on TorchRL's NoisyLinear, with a replica dimension."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from torch import Tensor, nn
 from torchrl.modules import NoisyLinear
 
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows
+from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, resolve_weight_mode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-__all__ = ["NoisyMLP", "StackedNoisyLinear", "noisy_layers"]
+__all__ = ["NoisyMLP", "ReplicaNoisyLinear", "noisy_layers"]
 
 
-class StackedNoisyLinear(NoisyLinear):
-    """TorchRL's NoisyLinear with a stack dimension and noise that belongs to a call.
+class ReplicaNoisyLinear(NoisyLinear):
+    """TorchRL's NoisyLinear with a replica dimension and noise that belongs to a call.
 
     Parameters, their names and their start are :class:`~torchrl.modules.NoisyLinear`'s, with the
-    stack in front: weights μ + σ ∘ (ε_out ⊗ ε_in) and biases μ + σ ∘ ε_out with the factorized
+    replicas in front: weights μ + σ ∘ (ε_out ⊗ ε_in) and biases μ + σ ∘ ε_out with the factorized
     noise ε = sgn(z) √|z|, z ~ N(0, 1) (Fortunato et al., Noisy Networks for Exploration, 2018).
     TorchRL's layer keeps ε in buffers until ``reset_noise``; here each call draws its own from
     torch's global generator, so that states, copies and frozen targets hold no noise, a call
@@ -33,7 +34,7 @@ class StackedNoisyLinear(NoisyLinear):
         out_features: size of the output.
 
     Keyword Args:
-        stack: leading shape of the parameters. Defaults to (), one layer.
+        replicas: leading shape of the parameters. Defaults to (), one layer.
         std_init: σ starts as std_init/√in_features for weights and std_init/√out_features for
             biases (TorchRL's; the paper divides by √in_features in both). Defaults to 0.5.
         device: of the parameters.
@@ -46,8 +47,8 @@ class StackedNoisyLinear(NoisyLinear):
         >>> import torch
         >>> from torch import nn
         >>> from torchrl.envs.utils import ExplorationType, set_exploration_type
-        >>> from bbq_torchrl.networks import StackedNoisyLinear
-        >>> net = nn.Sequential(StackedNoisyLinear(3, 8), nn.Tanh(), StackedNoisyLinear(8, 2))
+        >>> from bbq_torchrl.networks import ReplicaNoisyLinear
+        >>> net = nn.Sequential(ReplicaNoisyLinear(3, 8), nn.Tanh(), ReplicaNoisyLinear(8, 2))
         >>> with set_exploration_type(ExplorationType.RANDOM):
         ...     torch.equal(net(torch.ones(3)), net(torch.ones(3)))
         False
@@ -58,7 +59,7 @@ class StackedNoisyLinear(NoisyLinear):
         in_features: int,
         out_features: int,
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         std_init: float = 0.5,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
@@ -71,10 +72,10 @@ class StackedNoisyLinear(NoisyLinear):
         if not 0 < std_init < float("inf"):
             raise ValueError(f"std_init must be positive and finite, got {std_init}")
         super().__init__(in_features, out_features, device=device, dtype=dtype, std_init=std_init)
-        self.stack = torch.Size(stack)
+        self.replicas = replica_shape(replicas)
         del self.weight_epsilon, self.bias_epsilon
         for name, parameter in list(self.named_parameters()):
-            empty = parameter.new_empty((*self.stack, *parameter.shape))
+            empty = parameter.new_empty((*self.replicas, *parameter.shape))
             setattr(self, name, nn.Parameter(empty))
         self.reset_parameters()
 
@@ -89,11 +90,11 @@ class StackedNoisyLinear(NoisyLinear):
         return self._scale_noise(shape).to(self.weight_mu.dtype)
 
     def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
-        """Returns the outputs, shape [*stack, *batch, out].
+        """Returns the outputs, shape [*replicas, *batch, out].
 
         Args:
-            x: inputs, shape [*stack, *batch, in].
-            mode: "draw" (one noise of each element of the stack for the whole call), "local"
+            x: inputs, shape [*replicas, *batch, in].
+            mode: "draw" (one noise of each replica for the whole call), "local"
                 (noise of its own for each row), "mean" (μ), or None for what
                 :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
 
@@ -101,7 +102,7 @@ class StackedNoisyLinear(NoisyLinear):
             ValueError: for another mode, or a shape that does not fit.
         """
         mode = resolve_weight_mode(mode)
-        rows = as_rows(x, self.stack, self.in_features)
+        rows = as_rows(x, self.replicas, self.in_features)
         # Features first, as W xᵀ: then the gradient of W comes in the order that W lies in.
         columns = (rows if rows.ndim == 3 else rows.unsqueeze(0)).mT
         count, _, batch = columns.shape
@@ -125,11 +126,11 @@ class StackedNoisyLinear(NoisyLinear):
 
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""
-        return f"{super().extra_repr()}, stack={tuple(self.stack)}, std_init={self.std_init}"
+        return f"{super().extra_repr()}, replicas={tuple(self.replicas)}, std_init={self.std_init}"
 
 
 class NoisyMLP(nn.Module):
-    """NoisyNet's ReLU network, or a stack of independent ones: all layers are noisy.
+    """NoisyNet's ReLU network, or independent replicas of it: all layers are noisy.
 
     σ is learned along with μ by the loss alone: there is no prior and no KL (compare
     :class:`~bbq_torchrl.bayes.BayesMLP`).
@@ -140,10 +141,10 @@ class NoisyMLP(nn.Module):
         hidden: sizes of the hidden layers. Defaults to (256, 256).
 
     Keyword Args:
-        stack: leading shape of the parameters; with (R,) these are R independent networks, whose
-            inputs have R as their first dimension. Defaults to (), one network.
+        replicas: R independent networks side by side, whose inputs have R as their
+            first dimension, or a shape of them. Defaults to (), one network.
         std_init: scale σ₀ of the standard deviations at first; see
-            :class:`StackedNoisyLinear`. Defaults to 0.5 (the paper's and TorchRL's).
+            :class:`ReplicaNoisyLinear`. Defaults to 0.5 (the paper's and TorchRL's).
         device: of the parameters.
         dtype: of the parameters.
 
@@ -153,7 +154,7 @@ class NoisyMLP(nn.Module):
     Example:
         >>> import torch
         >>> from bbq_torchrl.networks import NoisyMLP
-        >>> net, x = NoisyMLP(3, 2, (16,), stack=(5,)), torch.ones(5, 7, 3)
+        >>> net, x = NoisyMLP(3, 2, (16,), replicas=5), torch.ones(5, 7, 3)
         >>> net(x, "draw").shape
         torch.Size([5, 7, 2])
         >>> torch.equal(net(x, "draw"), net(x, "draw")), torch.equal(net(x), net(x, "mean"))
@@ -166,17 +167,17 @@ class NoisyMLP(nn.Module):
         out_features: int,
         hidden: Sequence[int] = (256, 256),
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         std_init: float = 0.5,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
         self.in_features, self.out_features = in_features, out_features
-        self.stack = torch.Size(stack)
+        self.replicas = replica_shape(replicas)
         self.layers = nn.ModuleList(
-            StackedNoisyLinear(
-                inputs, outputs, stack=stack, std_init=std_init, device=device, dtype=dtype
+            ReplicaNoisyLinear(
+                inputs, outputs, replicas=replicas, std_init=std_init, device=device, dtype=dtype
             )
             for inputs, outputs in FlatLayout((in_features, *hidden, out_features)).shapes
         )
@@ -187,11 +188,11 @@ class NoisyMLP(nn.Module):
             layer.reset_parameters()
 
     def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
-        """Returns the outputs, shape [*stack, *batch, out].
+        """Returns the outputs, shape [*replicas, *batch, out].
 
         Args:
-            x: inputs, shape [*stack, *batch, in].
-            mode: "draw" (one noise of each element of the stack for the whole call), "local"
+            x: inputs, shape [*replicas, *batch, in].
+            mode: "draw" (one noise of each replica for the whole call), "local"
                 (a draw of its own for each row: exact, as factorized noise needs no weights
                 for each), "mean" (μ), or None for what
                 :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
@@ -205,16 +206,16 @@ class NoisyMLP(nn.Module):
         return x
 
 
-def noisy_layers(module: nn.Module) -> list[StackedNoisyLinear]:
+def noisy_layers(module: nn.Module) -> list[ReplicaNoisyLinear]:
     """Returns the noisy layers in ``module``.
 
     Raises:
         ValueError: if there are none.
     """
-    layers = [m for m in module.modules() if isinstance(m, StackedNoisyLinear)]
+    layers = [m for m in module.modules() if isinstance(m, ReplicaNoisyLinear)]
     if not layers:
         raise ValueError(
-            "NoisyNet needs a network with noisy layers (NoisyMLP, StackedNoisyLinear), got one "
+            "NoisyNet needs a network with noisy layers (NoisyMLP, ReplicaNoisyLinear), got one "
             "without"
         )
     return layers

@@ -10,8 +10,8 @@ from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.bayes.kl import posteriors
 from bbq_torchrl.bayes.noise_sources import NoisePool, SharedNoise
+from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.bayes.scope import KLSum
-from bbq_torchrl.bayes.stack_values import stack_values
 from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
 from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
@@ -66,11 +66,11 @@ class BBQNLoss(NumData, OneStepQLoss):
             sampled one moves weights that no data reach away from the prior. Defaults to
             "closed".
         noise_std: standard deviation of the observation noise of y, in units of Q; a number or
-            a tensor [*stack].
-        kl_temperature: factor of the KL; 1 is Bayes' rule. A number or a tensor [*stack].
+            a tensor [*replicas].
+        kl_temperature: factor of the KL; 1 is Bayes' rule. A number or a tensor [*replicas].
             Defaults to 1.
-        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
-        num_data: N, for each element of the stack or one for all; see :meth:`set_num_data`,
+        gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
+        num_data: N, for each replica or one for all; see :meth:`set_num_data`,
             which is to be called before the first loss where this is None.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
@@ -96,7 +96,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         >>> from bbq_torchrl.bayes import BayesMLP
         >>> from bbq_torchrl.networks import q_actor
         >>> from bbq_torchrl.objectives import BBQNLoss
-        >>> actor = q_actor(BayesMLP(3, 4, stack=(5,)), Categorical(4))
+        >>> actor = q_actor(BayesMLP(3, 4, replicas=5), Categorical(4))
         >>> loss = BBQNLoss(actor, num_data=1000)
         >>> freeze = HardUpdate(loss, value_network_update_interval=0)
         >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())
@@ -161,9 +161,9 @@ class BBQNLoss(NumData, OneStepQLoss):
         self._register_num_data(num_data, self._posteriors[0].mu)
 
     def _set(self, name: str, value: float | Tensor, *, minimum: float | None = None) -> None:
-        """Sets a hyper-parameter; values [*stack] are a buffer, for they follow the device."""
+        """Sets a hyper-parameter; values [*replicas] are a buffer, for they follow the device."""
         if isinstance(value, Tensor):
-            value = stack_values(name, value, self.stack, minimum=minimum)
+            value = replica_values(name, value, self.replicas, minimum=minimum)
             # As little part of the state as a number is.
             self.register_buffer(name, value, persistent=False)
         else:

@@ -29,16 +29,16 @@ class BootstrapDQNLoss(OneStepQLoss):
     that the trunk follows the mean of the heads' losses.)
 
     Reads what :class:`OneStepQLoss` does and, where the input has it, ``bootstrap_mask`` (bool
-    [*stack, *batch, K], True where the head learns from the row; TorchRL's ``set_keys`` gives it
+    [*replicas, *batch, K], True where the head learns from the row; TorchRL's ``set_keys`` gives it
     another name), together with "valid". Without it all heads learn from every row. Rows that no
     head learns from may hold anything, NaN too.
 
     Args:
         value_network: an actor as :func:`~bbq_torchrl.networks.bootstrap_actor` makes it, or a
-            network that maps the observation to values [*stack, *batch, K, N].
+            network that maps the observation to values [*replicas, *batch, K, N].
 
     Keyword Args:
-        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
+        gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
@@ -56,7 +56,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         >>> from torchrl.objectives import HardUpdate
         >>> from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
         >>> from bbq_torchrl.objectives import BootstrapDQNLoss
-        >>> actor = bootstrap_actor(BootstrapMLP(3, 4, heads=10, stack=(5,)), Categorical(4))
+        >>> actor = bootstrap_actor(BootstrapMLP(3, 4, heads=10, replicas=5), Categorical(4))
         >>> loss = BootstrapDQNLoss(actor)
         >>> freeze = HardUpdate(loss, value_network_update_interval=0)
         >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())
@@ -89,16 +89,16 @@ class BootstrapDQNLoss(OneStepQLoss):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Returns the losses of a batch of transitions.
 
-        Also writes the squared TD error [*stack, *batch, 1], the mean over the heads that learn
+        Also writes the squared TD error [*replicas, *batch, 1], the mean over the heads that learn
         from the row, into the input under the priority key, for prioritised replay.
 
         Args:
-            tensordict: a batch [*stack, *batch].
+            tensordict: a batch [*replicas, *batch].
 
         Returns:
-            a TensorDict with the scalar "loss" to differentiate, the sum over heads and stack,
+            a TensorDict with the scalar "loss" to differentiate, the sum over heads and replicas,
             and without a graph "loss_value", "td_error" (mean of |Q - target|) and "q_value"
-            (mean of Q at the actions taken), each [*stack]: means over the heads that learn from
+            (mean of Q at the actions taken), each [*replicas]: means over the heads that learn from
             any row of the batch, so that their size does not depend on K.
         """
         keys = self.tensor_keys
@@ -149,19 +149,19 @@ class BootstrapDQNLoss(OneStepQLoss):
         )
 
     def _by_head(self, tensor: Tensor) -> Tensor:
-        """Returns [*stack, *batch, K, features] as [*stack, K, B, features]."""
-        dims = len(self.stack)
+        """Returns [*replicas, *batch, K, features] as [*replicas, K, B, features]."""
+        dims = len(self.replicas)
         tensor = tensor.movedim(-2, dims)
         return tensor.reshape(*tensor.shape[: dims + 1], -1, tensor.shape[-1])
 
     def _beside_values(self, entry: Tensor) -> Tensor:
-        """Returns an entry [*stack, *batch, n] with a dimension for the heads."""
+        """Returns an entry [*replicas, *batch, n] with a dimension for the heads."""
         return entry.unsqueeze(-2)
 
     def _head_weights(
         self, tensordict: TensorDictBase, mask: Tensor | None, like: Tensor
     ) -> Tensor | None:
-        """Returns row weights [*stack, *batch, K or 1] that add up to 1 for each head."""
+        """Returns row weights [*replicas, *batch, K or 1] that add up to 1 for each head."""
         weight = self._row_weights(tensordict, like)
         if mask is None:
             return weight
@@ -169,7 +169,7 @@ class BootstrapDQNLoss(OneStepQLoss):
             raise self._wrong_mask(mask, [*like.shape[:-1], "heads"])
         learns = mask.to(like.dtype)
         weight = learns if weight is None else learns * weight
-        dims = tuple(range(len(self.stack), like.ndim - 1))
+        dims = tuple(range(len(self.replicas), like.ndim - 1))
         # 0 / tiny for a head that learns from no row at all: it has no gradient
         tiny = torch.finfo(weight.dtype).tiny
         return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)

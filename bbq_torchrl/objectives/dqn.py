@@ -17,7 +17,7 @@ __all__ = ["DropoutDQNLoss"]
 
 
 class DropoutDQNLoss(OneStepQLoss):
-    """The DQN loss of a stack of networks, dropout on in the prediction and off in the target.
+    """The DQN loss of replicas of a network, dropout on in the prediction and off in the target.
 
     TorchRL's DQNLoss leaves dropout to the training flag: in training mode the targets are
     random, and ``policy.eval()`` (policy and loss share the network) turns it off in the loss.
@@ -26,7 +26,7 @@ class DropoutDQNLoss(OneStepQLoss):
         value_network: an actor, or a network that maps the observation to values.
 
     Keyword Args:
-        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
+        gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
@@ -40,7 +40,7 @@ class DropoutDQNLoss(OneStepQLoss):
         >>> from torchrl.objectives import HardUpdate
         >>> from bbq_torchrl.networks import FlatMLP, q_actor
         >>> from bbq_torchrl.objectives import DropoutDQNLoss
-        >>> actor = q_actor(FlatMLP(3, 4, stack=(5,), dropout=0.5), Categorical(4))
+        >>> actor = q_actor(FlatMLP(3, 4, replicas=5, dropout=0.5), Categorical(4))
         >>> loss = DropoutDQNLoss(actor)
         >>> freeze = HardUpdate(loss, value_network_update_interval=0)
         >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())

@@ -21,7 +21,7 @@ __all__ = ["NoisyDQNLoss"]
 
 
 class NoisyDQNLoss(OneStepQLoss):
-    """The DQN loss of a stack of noisy networks, with independent noise in network and target.
+    """The DQN loss of replicas of a noisy network, with independent noise in network and target.
 
     With parameters ζ = (μ, σ), frozen ones ζ⁻ and independent noises ε, ε', ε'', one of each for
     a batch, each network's loss is the mean over the batch of (y - Q(s, a, ε; ζ))² with
@@ -38,7 +38,7 @@ class NoisyDQNLoss(OneStepQLoss):
             layers (:class:`~bbq_torchrl.networks.NoisyMLP`).
 
     Keyword Args:
-        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
+        gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
@@ -55,7 +55,7 @@ class NoisyDQNLoss(OneStepQLoss):
         >>> from torchrl.objectives import HardUpdate
         >>> from bbq_torchrl.networks import NoisyMLP, q_actor
         >>> from bbq_torchrl.objectives import NoisyDQNLoss
-        >>> actor = q_actor(NoisyMLP(3, 4, stack=(5,)), Categorical(4))
+        >>> actor = q_actor(NoisyMLP(3, 4, replicas=5), Categorical(4))
         >>> loss = NoisyDQNLoss(actor, double_dqn=True)
         >>> freeze = HardUpdate(loss, value_network_update_interval=0)
         >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())

@@ -14,18 +14,18 @@ __all__ = ["NumData"]
 
 
 class NumData(nn.Module):
-    """What losses with a KL / N share: N for each element of the stack, a buffer.
+    """What losses with a KL / N share: N for each replica, a buffer.
 
     To be inherited from before TorchRL's ``LossModule``.
     """
 
     num_data: Tensor
-    stack: torch.Size
+    replicas: torch.Size
 
     def _register_num_data(self, num_data: int | Tensor | None, like: Tensor) -> None:
-        """Makes the buffer, [*stack], with the dtype and device of ``like``."""
+        """Makes the buffer, [*replicas], with the dtype and device of ``like``."""
         # 0 stands for "not known yet"
-        self.register_buffer("num_data", like.new_zeros(self.stack))
+        self.register_buffer("num_data", like.new_zeros(self.replicas))
         self._num_data_known = False
         if num_data is not None:
             self.set_num_data(num_data)
@@ -34,16 +34,16 @@ class NumData(nn.Module):
         """Sets N, the number of transitions that the KL is spread over.
 
         Args:
-            num_data: a number, or one for each element of the stack, [*stack]; positive (tensors
+            num_data: a number, or one for each replica, [*replicas]; positive (tensors
                 are not checked, so that no device has to be waited for).
 
         Raises:
             ValueError: if a number is not positive or a tensor's shape does not fit.
         """
         if isinstance(num_data, torch.Tensor):
-            if num_data.shape not in (self.stack, torch.Size(())):
+            if num_data.shape not in (self.replicas, torch.Size(())):
                 raise ValueError(
-                    f"num_data must be a number or have shape {list(self.stack)}, got "
+                    f"num_data must be a number or have shape {list(self.replicas)}, got "
                     f"{list(num_data.shape)}"
                 )
             self.num_data.copy_(num_data)

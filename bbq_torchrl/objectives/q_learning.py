@@ -1,4 +1,4 @@
-"""What the Q-learning losses share: one-step targets, stacks of networks, rows that count."""
+"""What the Q-learning losses share: one-step targets, replicas of networks, rows that count."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tensordict.nn import dispatch
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
-from bbq_torchrl.bayes.stack_values import stack_values
+from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
@@ -29,13 +29,13 @@ __all__ = ["OneStepQLoss"]
 
 
 class OneStepQLoss(DQNLoss):
-    """A :class:`~torchrl.objectives.DQNLoss` for stacks of networks with uncertain weights.
+    """A :class:`~torchrl.objectives.DQNLoss` for replicas of a network with uncertain weights.
 
-    Reads a TensorDict [*stack, *batch] with the actor's in_keys, the action, and under "next"
-    the same in_keys, reward and terminated [*stack, *batch, 1]. Each element of the stack has a
-    loss of its own, the mean over its batch; ``loss`` is their sum, so that no element's
+    Reads a TensorDict [*replicas, *batch] with the actor's in_keys, the action, and under "next"
+    the same in_keys, reward and terminated [*replicas, *batch, 1]. Each replica has a
+    loss of its own, the mean over its batch; ``loss`` is their sum, so that no replica's
     gradient depends on another's data. Rows can be left out: ``loss_mask_key`` (TorchRL's
-    attribute, here "valid" by default, an optional entry) names a bool [*stack, *batch] entry
+    attribute, here "valid" by default, an optional entry) names a bool [*replicas, *batch] entry
     that is True for the rows that count.
 
     Where the frozen network's values of the next states are at hand, computed by
@@ -54,7 +54,7 @@ class OneStepQLoss(DQNLoss):
         value_network: an actor, or a network that maps the observation to values.
 
     Keyword Args:
-        gamma: discount of the one-step target, a number or a tensor [*stack]. Defaults to 0.9.
+        gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
@@ -73,7 +73,7 @@ class OneStepQLoss(DQNLoss):
         Attributes:
             next_state_value (NestedKey): under "next", what :meth:`next_state_values` returned; may
                 be absent. Defaults to ``"next_state_value"``.
-            row_weight (NestedKey): weights of the rows that add up to 1 over the batch, [*stack,
+            row_weight (NestedKey): weights of the rows that add up to 1 over the batch, [*replicas,
                 *batch]; where they are there, the loss mask is not read. May be absent. Defaults
                 to ``"row_weight"``.
         """
@@ -86,8 +86,8 @@ class OneStepQLoss(DQNLoss):
     out_keys = ["loss", "loss_value", "td_error", "q_value"]  # noqa: RUF012 - as in TorchRL
     SUPPORTED_VALUE_ESTIMATORS = (ValueEstimators.TD0,)
     _loss_mask_key: NestedKey | None = "valid"
-    _scale: float | Tensor = 1.0  # of each row's loss; float64 [*stack] where it differs
-    _kl_weight: Tensor  # of the KL, [*stack]; only where _predict returns one
+    _scale: float | Tensor = 1.0  # of each row's loss; float64 [*replicas] where it differs
+    _kl_weight: Tensor  # of the KL, [*replicas]; only where _predict returns one
 
     def __init__(
         self,
@@ -116,10 +116,10 @@ class OneStepQLoss(DQNLoss):
             raise ValueError(
                 f"action_space must be categorical or one-hot, got {self.action_space}"
             )
-        self.stack = stack_of(self.value_network)
+        self.replicas = replicas_of(self.value_network)
         # The estimator makes a tensor of numbers itself, and warns of a copy if it is given one.
         discount: float | list[Any] = (
-            stack_values("gamma", gamma, self.stack, minimum=0, maximum=1).tolist()
+            replica_values("gamma", gamma, self.replicas, minimum=0, maximum=1).tolist()
             if isinstance(gamma, torch.Tensor)
             else gamma
         )
@@ -166,13 +166,13 @@ class OneStepQLoss(DQNLoss):
 
     @torch.no_grad()
     def next_state_values(self, tensordict: TensorDictBase) -> Tensor:
-        """Returns max Q(s', ·) of the frozen network over legal actions, [*stack, *batch, 1].
+        """Returns max Q(s', ·) of the frozen network over legal actions, [*replicas, *batch, 1].
 
         To be handed to :meth:`forward` in the entry ``next_state_value`` under "next", until the
         target network is updated.
 
         Args:
-            tensordict: transitions [*stack, *batch]; what the network reads, under "next".
+            tensordict: transitions [*replicas, *batch]; what the network reads, under "next".
 
         Raises:
             RuntimeError: if ``has_fixed_targets`` is False.
@@ -187,31 +187,31 @@ class OneStepQLoss(DQNLoss):
     def _predict(
         self, tensors: Sequence[Tensor], inputs: Inputs
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Returns the values [*stack, *batch, N] to learn, and "kl" [*stack] if there is one."""
+        """Returns the values [*replicas, *batch, N] to learn; "kl" [*replicas] if there is one."""
         raise NotImplementedError
 
     def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        """Returns the frozen network's values [*stack, *batch, N] of the next state."""
+        """Returns the frozen network's values [*replicas, *batch, N] of the next state."""
         return self._function(tensors, inputs, "mean")
 
     def _choice_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        """Returns the online values [*stack, *batch, N] that choose double DQN's action."""
+        """Returns the online values [*replicas, *batch, N] that choose double DQN's action."""
         return self._function(tensors, inputs, "mean")
 
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Returns the losses of a batch of transitions.
 
-        Also writes the squared TD error [*stack, *batch, 1] into the input under the priority
+        Also writes the squared TD error [*replicas, *batch, 1] into the input under the priority
         key, for prioritised replay.
 
         Args:
-            tensordict: a batch [*stack, *batch].
+            tensordict: a batch [*replicas, *batch].
 
         Returns:
             a TensorDict with the scalar "loss" to differentiate and, without a graph,
             "loss_value", "td_error" (mean of |Q - target|) and "q_value" (mean of Q at the
-            actions taken), each [*stack]; and what the subclass adds.
+            actions taken), each [*replicas]; and what the subclass adds.
         """
         keys = self.tensor_keys
         function = self._function
@@ -234,18 +234,18 @@ class OneStepQLoss(DQNLoss):
         if penalty is not None:
             loss_value = loss_value + penalty * self._kl_weight
             out["kl"] = penalty.detach()
-        out["loss"] = loss_value.sum() if self.stack else loss_value
+        out["loss"] = loss_value.sum() if self.replicas else loss_value
         out["loss_value"] = loss_value.detach()
         return TensorDict(out)
 
     def _rows(self, tensor: Tensor) -> Tensor:
-        """Returns [*stack, *batch, features] as [*stack, B, features]."""
-        if tensor.ndim == len(self.stack) + 2:
+        """Returns [*replicas, *batch, features] as [*replicas, B, features]."""
+        if tensor.ndim == len(self.replicas) + 2:
             return tensor
-        return tensor.reshape(*self.stack, -1, tensor.shape[-1])
+        return tensor.reshape(*self.replicas, -1, tensor.shape[-1])
 
     def _action_index(self, action: Tensor, values: Tensor) -> Tensor:
-        """Returns the index of the action, [*stack, *batch, 1]."""
+        """Returns the index of the action, [*replicas, *batch, 1]."""
         if self.action_space == "one_hot":
             return action.to(torch.uint8).argmax(-1, keepdim=True)
         return action if action.ndim == values.ndim else action.unsqueeze(-1)
@@ -253,7 +253,7 @@ class OneStepQLoss(DQNLoss):
     def _td_target(
         self, following: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
     ) -> Tensor:
-        """Returns r + γ max Q(s', ·) over legal actions, r at an end, [*stack, *batch, 1]."""
+        """Returns r + γ max Q(s', ·) over legal actions, r at an end, [*replicas, *batch, 1]."""
         keys = self.tensor_keys
         value = following.get(keys.next_state_value, None)
         if value is None:
@@ -268,7 +268,7 @@ class OneStepQLoss(DQNLoss):
     def _next_values(
         self, following: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
     ) -> Tensor:
-        """Returns max Q(s', ·) over legal actions, [*stack, *batch, 1]."""
+        """Returns max Q(s', ·) over legal actions, [*replicas, *batch, 1]."""
         function = self._function
         inputs = function.inputs(following)
         mask = None
@@ -281,11 +281,11 @@ class OneStepQLoss(DQNLoss):
         return values.gather(-1, choice.argmax(-1, keepdim=True))
 
     def _beside_values(self, entry: Tensor) -> Tensor:
-        """Returns an entry [*stack, *batch, n] in a shape that broadcasts with the values."""
+        """Returns an entry [*replicas, *batch, n] in a shape that broadcasts with the values."""
         return entry
 
     def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
-        """Returns row weights [*stack, *batch, 1] that add up to 1, None if all are the same."""
+        """Returns row weights [*replicas, *batch, 1] that add up to 1, None if all are the same."""
         keys = []
         if self.use_prioritized_weights in (True, "auto"):
             keys.append(self.tensor_keys.priority_weight)
@@ -310,8 +310,8 @@ class OneStepQLoss(DQNLoss):
                 weight = mask if weight is None else weight * mask
         if weight is None:
             return None
-        dims = tuple(range(len(self.stack), like.ndim))
-        # 0 / tiny where no row counts at all: such an element's data have no gradient
+        dims = tuple(range(len(self.replicas), like.ndim))
+        # 0 / tiny where no row counts at all: such a replica's data have no gradient
         tiny = torch.finfo(weight.dtype).tiny
         return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)
 
@@ -322,16 +322,16 @@ def _masked(values: Tensor, mask: Tensor | None) -> Tensor:
     return torch.where(mask, values, torch.finfo(values.dtype).min)
 
 
-def stack_of(network: nn.Module) -> torch.Size:
-    """Returns the stack dimension that the layers of a network have in common, () if none.
+def replicas_of(network: nn.Module) -> torch.Size:
+    """Returns the replica dimension that the layers of a network have in common, () if none.
 
     Raises:
         ValueError: if they differ.
     """
-    found = (getattr(module, "stack", None) for module in network.modules())
-    stacks = {stack for stack in found if isinstance(stack, torch.Size)}
-    if len(stacks) > 1:
+    found = (getattr(module, "replicas", None) for module in network.modules())
+    shapes = {shape for shape in found if isinstance(shape, torch.Size)}
+    if len(shapes) > 1:
         raise ValueError(
-            f"the network's layers must have one stack dimension in common, got {stacks}"
+            f"the network's layers must have one replica dimension in common, got {shapes}"
         )
-    return stacks.pop() if stacks else torch.Size(())
+    return shapes.pop() if shapes else torch.Size(())

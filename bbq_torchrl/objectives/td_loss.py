@@ -14,7 +14,7 @@ DISTANCES: tuple[str, ...] = get_args(Distance)
 
 
 class _TDLoss(torch.autograd.Function):
-    """values [*stack, B, N] to the outputs of :func:`td_loss`."""
+    """values [*replicas, B, N] to the outputs of :func:`td_loss`."""
 
     @staticmethod
     def forward(
@@ -67,7 +67,7 @@ class _TDLoss(torch.autograd.Function):
 
 
 def _factor(scale: float | Tensor, like: Tensor, dims: int) -> float | Tensor:
-    """Returns a factor, a number or [*stack], for a tensor with ``dims`` dimensions behind."""
+    """Returns a factor, a number or [*replicas], for a tensor with ``dims`` dimensions behind."""
     if not isinstance(scale, Tensor):
         return scale
     return scale.to(like.dtype).reshape(scale.shape + (1,) * dims)
@@ -84,18 +84,18 @@ def td_loss(
     """Returns each network's loss, mean |TD error| and mean Q, and each row's squared error.
 
     Args:
-        values: Q, shape [*stack, B, N].
-        index: actions, int64, shape [*stack, B, 1].
-        target: what the chosen values should be, shape [*stack, B, 1]; gets no gradient.
-        weight: of each row, [*stack, B, 1], adding up to 1 over a batch; None for 1/B each.
+        values: Q, shape [*replicas, B, N].
+        index: actions, int64, shape [*replicas, B, 1].
+        target: what the chosen values should be, shape [*replicas, B, 1]; gets no gradient.
+        weight: of each row, [*replicas, B, 1], adding up to 1 over a batch; None for 1/B each.
             Rows of weight 0 may hold anything, NaN too.
         distance: "l2" (squared), "l1" or "smooth_l1" (as ``torch.nn``'s, β = 1).
-        scale: factor of the loss, one number or float64 [*stack].
+        scale: factor of the loss, one number or float64 [*replicas].
 
     Returns:
-        the loss [*stack], Σ weight · scale · distance(Q(s, a) - target), differentiable in
+        the loss [*replicas], Σ weight · scale · distance(Q(s, a) - target), differentiable in
         values; and without gradients Σ weight · |Q(s, a) - target| and Σ weight · Q(s, a), each
-        [*stack], and (Q(s, a) - target)² [*stack, B, 1], 0 in rows of weight 0.
+        [*replicas], and (Q(s, a) - target)² [*replicas, B, 1], 0 in rows of weight 0.
 
     Example:
         >>> import torch

@@ -16,7 +16,7 @@ __all__ = ["BestWeights"]
 
 
 class BestWeights:
-    """Keeps a copy of a stacked policy's weights, for each replica as they were at its best.
+    """Keeps a copy of a policy's weights, for each replica as they were at its best.
 
     It is part of a checkpoint (``state_dict``), so that a resumed training knows the best of the
     rounds before.

@@ -61,9 +61,9 @@ class _GroupState:
 
 
 class ReplicaAdam:
-    """:class:`torch.optim.Adam` over the replicas of stacked parameters, each with its own steps.
+    """:class:`torch.optim.Adam` over parameters of replicas, each with its own steps.
 
-    Stacked parameters have the replicas as their first dimension. One Adam over them would move a
+    Their first dimension is the replicas'. One Adam over them would move a
     replica without a gradient too, by its momentum, and count its steps with the others'. Here
     Adam sees a view of each replica's part: a replica that a batch does not concern is left
     bitwise untouched, moments and step count included.
@@ -135,7 +135,7 @@ class ReplicaAdam:
         return groups
 
     def zero_grad(self) -> None:
-        """Forgets the gradients of the stacked parameters."""
+        """Forgets the gradients of the parameters."""
         for parameter in self.parameters:
             parameter.grad = None
 

@@ -23,7 +23,7 @@ class DynamicsModel(nn.Module):
 
     The likelihood of the standardized next state is a Gaussian around the network's output, of
     standard deviation ``noise_std`` in every feature and independent between features. States are
-    standardized by running statistics of each element of the stack, see :meth:`standardize`; what
+    standardized by running statistics of each replica, see :meth:`standardize`; what
     stores transitions (:class:`~bbq_torchrl.vime.VIMEReward`) updates them, a loss never does. They
     are not TorchRL's ``RunningMeanStd``: that has one statistic for all leading dimensions, counts
     every row, and has no floor.
@@ -34,7 +34,7 @@ class DynamicsModel(nn.Module):
         hidden: sizes of the hidden layers. Defaults to (64, 64).
 
     Keyword Args:
-        stack: leading shape; an independent model for each element. Defaults to ().
+        replicas: leading shape; an independent model for each. Defaults to ().
         prior_std: standard deviation of the weights' prior, or "fan_in", as in
             :class:`~bbq_torchrl.bayes.BayesMLP`. Defaults to 0.1.
         noise_std: standard deviation of the likelihood, in units of the standardized state.
@@ -51,9 +51,9 @@ class DynamicsModel(nn.Module):
 
     Attributes:
         network: the :class:`~bbq_torchrl.bayes.BayesMLP`, S + A inputs and S outputs.
-        mean: buffer [*stack, S], running mean of each feature, 0 at first.
-        var: buffer [*stack, S], running (population) variance, 1 at first.
-        count: int64 buffer [*stack], number of states that both are taken over.
+        mean: buffer [*replicas, S], running mean of each feature, 0 at first.
+        var: buffer [*replicas, S], running (population) variance, 1 at first.
+        count: int64 buffer [*replicas], number of states that both are taken over.
 
     Raises:
         ValueError: for an argument outside of what is listed.
@@ -61,7 +61,7 @@ class DynamicsModel(nn.Module):
     Example:
         >>> import torch
         >>> from bbq_torchrl.vime import DynamicsModel
-        >>> dynamics = DynamicsModel(268, 39, stack=(5,))
+        >>> dynamics = DynamicsModel(268, 39, replicas=5)
         >>> state, action = torch.rand(5, 32, 268), torch.randint(39, (5, 32))
         >>> dynamics.update_statistics(state)
         >>> dynamics(state, action, "draw").shape
@@ -78,7 +78,7 @@ class DynamicsModel(nn.Module):
         action_size: int,
         hidden: Sequence[int] = (64, 64),
         *,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         prior_std: float | Literal["fan_in"] = 0.1,
         noise_std: float = 1.0,
         std_floor: float = 0.05,
@@ -102,23 +102,23 @@ class DynamicsModel(nn.Module):
             observation_size + action_size,
             observation_size,
             hidden,
-            stack=stack,
+            replicas=replicas,
             prior_std=prior_std,
             mean_init=mean_init,
             std_init=std_init,
             device=device,
             dtype=dtype,
         )
-        shape = (*self.stack, observation_size)
+        shape = (*self.replicas, observation_size)
         mu = self.network.posterior.mu
         self.register_buffer("mean", mu.new_zeros(shape))
         self.register_buffer("var", mu.new_ones(shape))
-        self.register_buffer("count", mu.new_zeros(self.stack, dtype=torch.int64))
+        self.register_buffer("count", mu.new_zeros(self.replicas, dtype=torch.int64))
 
     @property
-    def stack(self) -> torch.Size:
+    def replicas(self) -> torch.Size:
         """Leading shape of weights and statistics."""
-        return self.network.stack
+        return self.network.replicas
 
     def reset_parameters(self) -> None:
         """Starts the weights again; the statistics stay."""
@@ -128,7 +128,7 @@ class DynamicsModel(nn.Module):
 
     @property
     def std(self) -> Tensor:
-        """What each feature is divided by, [*stack, S], at least ``std_floor``."""
+        """What each feature is divided by, [*replicas, S], at least ``std_floor``."""
         return self.var.sqrt().clamp_min(self.std_floor)
 
     @torch.no_grad()
@@ -136,17 +136,19 @@ class DynamicsModel(nn.Module):
         """Takes states into the running mean and variance (Welford's parallel algorithm).
 
         Args:
-            observation: shape [*stack, *rows, S].
-            valid: bool [*stack, *rows], True for the rows that count; None for all. The others
-                may hold anything, and an element without one keeps its statistics bitwise.
+            observation: shape [*replicas, *rows, S].
+            valid: bool [*replicas, *rows], True for the rows that count; None for all. The others
+                may hold anything, and a replica without one keeps its statistics bitwise.
         """
-        x = self._states("observation", observation).reshape(*self.stack, -1, self.observation_size)
+        x = self._states("observation", observation).reshape(
+            *self.replicas, -1, self.observation_size
+        )
         if valid is None:
             mask = torch.ones(x.shape[:-1], dtype=torch.bool, device=x.device)
         else:
             mask = valid.reshape(x.shape[:-1])
         mask = mask.unsqueeze(-1)
-        number = mask.sum(-2)  # [*stack, 1]
+        number = mask.sum(-2)  # [*replicas, 1]
         total = self.count.unsqueeze(-1) + number
         divisor = number.clamp_min(1).to(x.dtype)
         mean = torch.where(mask, x, 0).sum(-2) / divisor
@@ -160,24 +162,28 @@ class DynamicsModel(nn.Module):
         self.count.copy_(total.squeeze(-1))
 
     def standardize(self, observation: Tensor) -> Tensor:
-        """Returns (observation - mean) / max(std, std_floor), shape [*stack, *rows, S].
+        """Returns (observation - mean) / max(std, std_floor), shape [*replicas, *rows, S].
 
         The identity before the first :meth:`update_statistics`.
 
         Args:
-            observation: shape [*stack, *rows, S], of any dtype.
+            observation: shape [*replicas, *rows, S], of any dtype.
 
         Raises:
             ValueError: if the shape does not fit.
         """
         x = self._states("observation", observation)
-        shape = (*self.stack, *(1 for _ in x.shape[len(self.stack) : -1]), self.observation_size)
+        shape = (
+            *self.replicas,
+            *(1 for _ in x.shape[len(self.replicas) : -1]),
+            self.observation_size,
+        )
         return (x - self.mean.reshape(shape)) / self.std.reshape(shape)
 
     def _states(self, name: str, x: Tensor) -> Tensor:
-        n = len(self.stack)
-        if x.ndim <= n or x.shape[:n] != self.stack or x.shape[-1] != self.observation_size:
-            lead = "".join(f"{d}, " for d in self.stack)
+        n = len(self.replicas)
+        if x.ndim <= n or x.shape[:n] != self.replicas or x.shape[-1] != self.observation_size:
+            lead = "".join(f"{d}, " for d in self.replicas)
             raise ValueError(
                 f"{name} must have shape [{lead}*rows, {self.observation_size}], got "
                 f"{list(x.shape)}"
@@ -210,10 +216,10 @@ class DynamicsModel(nn.Module):
         return (action.reshape(*rows, 1) == places).to(dtype)
 
     def inputs(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Returns what the network reads, [*stack, *rows, S + A]: standardized state and action.
+        """Returns what the network reads, [*replicas, *rows, S + A]: standardized state and action.
 
         Args:
-            observation: shape [*stack, *rows, S].
+            observation: shape [*replicas, *rows, S].
             action: as in :meth:`encode_action`.
         """
         state = self.standardize(observation)
@@ -226,10 +232,10 @@ class DynamicsModel(nn.Module):
         mode: WeightMode | None = None,
         weights: Tensor | None = None,
     ) -> Tensor:
-        """Returns the prediction of the standardized next state, [*stack, *rows, S].
+        """Returns the prediction of the standardized next state, [*replicas, *rows, S].
 
         Args:
-            observation: state, shape [*stack, *rows, S].
+            observation: state, shape [*replicas, *rows, S].
             action: as in :meth:`encode_action`.
             mode: as in :meth:`BayesMLP.forward`.
             weights: as in :meth:`BayesMLP.forward`.

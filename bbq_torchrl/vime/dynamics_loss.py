@@ -35,11 +35,11 @@ class DynamicsLoss(NumData, LossModule):
     terminated transition nothing is predicted: it adds 0 to the sum and counts as a row, so that
     N is the length of the buffer and data and KL weigh as Bayes' rule has it. Rows can be left
     out altogether: ``loss_mask_key`` (TorchRL's attribute, here "valid" by default, an optional
-    entry) names a bool [*stack, *batch] entry that is True for the rows that count.
+    entry) names a bool [*replicas, *batch] entry that is True for the rows that count.
 
-    Reads a TensorDict [*stack, *batch] with the observation, the action, and under "next" the
-    observation and terminated [*stack, *batch, 1]. Each element of the stack has a loss of its
-    own; ``loss`` is their sum, so that no element's gradient depends on another's data. The
+    Reads a TensorDict [*replicas, *batch] with the observation, the action, and under "next" the
+    observation and terminated [*replicas, *batch, 1]. Each replica has a loss of its
+    own; ``loss`` is their sum, so that no replica's gradient depends on another's data. The
     model's running statistics are read, not changed.
 
     Args:
@@ -47,7 +47,7 @@ class DynamicsLoss(NumData, LossModule):
 
     Keyword Args:
         kl_temperature: factor of the KL; 1 is Bayes' rule. Defaults to 1.
-        num_data: N, for each element of the stack or one for all; see :meth:`set_num_data`,
+        num_data: N, for each replica or one for all; see :meth:`set_num_data`,
             which is to be called before the first loss where this is None.
 
     Raises:
@@ -58,7 +58,7 @@ class DynamicsLoss(NumData, LossModule):
         >>> from tensordict import TensorDict
         >>> from bbq_torchrl.vime import DynamicsModel
         >>> from bbq_torchrl.vime import DynamicsLoss
-        >>> loss = DynamicsLoss(DynamicsModel(3, 4, stack=(5,)), num_data=1000)
+        >>> loss = DynamicsLoss(DynamicsModel(3, 4, replicas=5), num_data=1000)
         >>> end = dict(observation=torch.zeros(5, 32, 3), terminated=torch.ones(5, 32, 1).bool())
         >>> td = TensorDict(
         ...     dict(observation=torch.ones(5, 32, 3), action=torch.ones(5, 32).long(), next=end),
@@ -101,7 +101,7 @@ class DynamicsLoss(NumData, LossModule):
             raise ValueError(f"kl_temperature must not be negative, got {kl_temperature}")
         super().__init__()
         self.dynamics = dynamics
-        self.stack = dynamics.stack
+        self.replicas = dynamics.replicas
         self.kl_temperature = kl_temperature
         self._register_num_data(num_data, dynamics.network.posterior.mu)
         self._set_in_keys()
@@ -127,11 +127,11 @@ class DynamicsLoss(NumData, LossModule):
         """Returns the losses of a batch of transitions.
 
         Args:
-            tensordict: a batch [*stack, *batch].
+            tensordict: a batch [*replicas, *batch].
 
         Returns:
             a TensorDict with the scalar "loss" to differentiate and, without a graph,
-            "dynamics_loss" and "dynamics_kl" (in nats), each [*stack].
+            "dynamics_loss" and "dynamics_kl" (in nats), each [*replicas].
 
         Raises:
             RuntimeError: if N is not known.
@@ -176,5 +176,5 @@ class DynamicsLoss(NumData, LossModule):
         return ~terminated if counts is None else counts & ~terminated, counts
 
     def _flat(self, tensor: Tensor) -> Tensor:
-        """Returns [*stack, *batch] as [*stack, B]."""
-        return tensor.reshape(*self.stack, -1)
+        """Returns [*replicas, *batch] as [*replicas, B]."""
+        return tensor.reshape(*self.replicas, -1)

@@ -44,16 +44,16 @@ def information_gain(
     noise: Tensor | None = None,
     step_size: float = 0.01,
 ) -> Tensor:
-    """Returns the information gain of each transition, [*stack, *rows], in nats; no gradients.
+    """Returns the information gain of each transition, [*replicas, *rows], in nats; no gradients.
 
     Args:
         dynamics: the model and its posterior.
-        observation: state, shape [*stack, *rows, S].
-        action: index [*stack, *rows] or vector [*stack, *rows, A].
-        next_observation: next state, shape [*stack, *rows, S].
+        observation: state, shape [*replicas, *rows, S].
+        action: index [*replicas, *rows] or vector [*replicas, *rows, A].
+        next_observation: next state, shape [*replicas, *rows, S].
 
     Keyword Args:
-        noise: ε, shape [*stack, P], a draw of the weights that all rows share; None for the gain
+        noise: ε, shape [*replicas, P], a draw of the weights that all rows share; None for the gain
             at the mean, ε = 0.
         step_size: λ; the gain is proportional to its square. Defaults to 0.01.
 
@@ -63,7 +63,7 @@ def information_gain(
     Example:
         >>> import torch
         >>> from bbq_torchrl.vime import DynamicsModel, information_gain
-        >>> dynamics = DynamicsModel(3, 2, stack=(5,))
+        >>> dynamics = DynamicsModel(3, 2, replicas=5)
         >>> state, action = torch.randn(5, 32, 3), torch.randint(2, (5, 32))
         >>> gain = information_gain(dynamics, state, action, torch.randn(5, 32, 3))
         >>> gain.shape, bool((gain > 0).all())
@@ -94,33 +94,33 @@ def mlp_information_gain(
     noise_std: float = 1.0,
     step_size: float = 0.01,
 ) -> Tensor:
-    """Returns the information gain of each row for ReLU networks, [*stack, *rows], in nats.
+    """Returns the information gain of each row for ReLU networks, [*replicas, *rows], in nats.
 
     Args:
-        x: inputs, shape [*stack, *rows, in].
-        target: what the outputs should have been, shape [*stack, *rows, out].
-        mu: means of the weights, shape [*stack, P].
-        rho: softplus(rho) are their standard deviations, shape [*stack, P].
+        x: inputs, shape [*replicas, *rows, in].
+        target: what the outputs should have been, shape [*replicas, *rows, out].
+        mu: means of the weights, shape [*replicas, P].
+        rho: softplus(rho) are their standard deviations, shape [*replicas, P].
         layout: the layers.
 
     Keyword Args:
-        noise: ε, shape [*stack, P]; None for 0.
+        noise: ε, shape [*replicas, P]; None for 0.
         noise_std: standard deviation of the likelihood.
         step_size: λ.
 
     Raises:
         ValueError: if a shape does not fit.
     """
-    stack = mu.shape[:-1]
-    rows = x.shape[len(stack) : -1]
+    replicas = mu.shape[:-1]
+    rows = x.shape[len(replicas) : -1]
     for name, tensor, size in (("x", x, layout.sizes[0]), ("target", target, layout.sizes[-1])):
-        if tensor.shape != (*stack, *rows, size):
+        if tensor.shape != (*replicas, *rows, size):
             raise ValueError(
-                f"{name} must have shape {[*stack, *rows, size]}, got {list(tensor.shape)}"
+                f"{name} must have shape {[*replicas, *rows, size]}, got {list(tensor.shape)}"
             )
     if noise is not None and noise.shape != mu.shape:
         raise ValueError(f"noise must have shape {list(mu.shape)}, got {list(noise.shape)}")
-    count, flat = prod(stack), (prod(stack), layout.numel)
+    count, flat = prod(replicas), (prod(replicas), layout.numel)
     sigma = F.softplus(rho)
     variance = sigma.square()
     weights = mu
@@ -146,4 +146,4 @@ def mlp_information_gain(
             error = torch.bmm(error, layers[k][0].mT).mul_(inputs[k] > 0)
     # a posterior so wide that the sum overflows is as surprised as a number can tell
     gain = gain.mul_(0.5 * step_size**2).clamp_max_(torch.finfo(gain.dtype).max)
-    return gain.reshape((*stack, *rows))
+    return gain.reshape((*replicas, *rows))

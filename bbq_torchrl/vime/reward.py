@@ -11,7 +11,7 @@ from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
-from bbq_torchrl.bayes.stack_values import stack_values
+from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.vime.information_gain import information_gain
 from bbq_torchrl.vime.running_median import RunningMedian
 
@@ -27,9 +27,9 @@ __all__ = ["GainWeights", "VIMEReward"]
 
 GainWeights = Literal["map", "mc"]
 
-# Rows are worked on this many at a time. With more than one element in the stack the last piece
+# Rows are worked on this many at a time. With more than one replica the last piece
 # is filled up: what a matrix product rounds to depends on its shape, and a row's must not depend
-# on how many rows another element has.
+# on how many rows another replica has.
 _PIECE = 256
 
 
@@ -60,7 +60,7 @@ class VIMEReward(Transform):
     nor are rows that do not count (``valid_key``, an optional entry). Transitions that come with a
     bonus keep it and leave statistics and medians alone.
 
-    Elements of the stack are independent: none's bonus depends, to the bit, on another's
+    Replicas are independent: none's bonus depends, to the bit, on another's
     transitions or on the number of rows.
 
     Args:
@@ -68,7 +68,7 @@ class VIMEReward(Transform):
 
     Keyword Args:
         eta: η, what a bonus of 1 is worth in units of the task reward; a number or a tensor
-            [*stack]. Defaults to 0.1.
+            [*replicas]. Defaults to 0.1.
         weights: "map", the gain at the posterior's mean, or "mc", at one weight draw for each
             store, shared by its transitions. Defaults to "map".
         step_size: λ of the gain. Defaults to 0.01.
@@ -140,7 +140,7 @@ class VIMEReward(Transform):
                 f"weights must be one of {list(get_args(GainWeights))}, got {weights!r}"
             )
         if isinstance(eta, Tensor):
-            eta = stack_values("eta", eta, dynamics.stack, minimum=0)
+            eta = replica_values("eta", eta, dynamics.replicas, minimum=0)
         elif not 0 <= eta < float("inf"):
             raise ValueError(f"eta must be finite and not negative, got {eta}")
         for name, value in (("step_size", step_size), ("clip", clip)):
@@ -169,17 +169,17 @@ class VIMEReward(Transform):
         self.normalize = normalize
         self.clip = clip
         self.valid_key = valid_key
-        self.median = RunningMedian(dynamics.stack, median_window, like=dynamics.mean)
+        self.median = RunningMedian(dynamics.replicas, median_window, like=dynamics.mean)
         # sum and number of the bonuses since they were last reported; not worth a checkpoint
         self.register_buffer(
-            "_given", dynamics.mean.new_zeros((2, *dynamics.stack)).double(), persistent=False
+            "_given", dynamics.mean.new_zeros((2, *dynamics.replicas)).double(), persistent=False
         )
         self._generators: list[torch.Generator] | None = None
 
     def pop_metrics(self) -> dict[str, Tensor]:
         """Returns the mean bonus of what was stored since the last call, and starts anew.
 
-        A trainer's metric, under "intrinsic_reward", shape [*stack]: the mean over the
+        A trainer's metric, under "intrinsic_reward", shape [*replicas]: the mean over the
         transitions that count, in units of the usual one (eta is not in it), terminal ones
         included with their 0; NaN where nothing was stored.
         """
@@ -189,21 +189,19 @@ class VIMEReward(Transform):
         return {"intrinsic_reward": mean}
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
-        """Restarts the random numbers of "mc", each element of the stack its own.
+        """Restarts the random numbers of "mc", each replica its own.
 
         Before the first call they come from torch's global generator. States do not hold them.
 
         Args:
-            seeds: one for each element of the stack, in order; one for stack ().
+            seeds: one for each replica, in order; one if there are none.
 
         Raises:
             ValueError: for another number of seeds.
         """
-        count = prod(self.dynamics.stack)
+        count = prod(self.dynamics.replicas)
         if len(seeds) != count:
-            raise ValueError(
-                f"seeds must be {count}, one for each element of the stack, got {len(seeds)}"
-            )
+            raise ValueError(f"seeds must be {count}, one for each replica, got {len(seeds)}")
         device = self.dynamics.mean.device
         self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
 
@@ -215,10 +213,10 @@ class VIMEReward(Transform):
         (bonus_key,) = self.out_keys_inv
         if tensordict.get(bonus_key, None) is not None:
             return tensordict
-        stack = self.dynamics.stack
-        if tensordict.batch_size[: len(stack)] != stack:
+        replicas = self.dynamics.replicas
+        if tensordict.batch_size[: len(replicas)] != replicas:
             raise ValueError(
-                f"the batch size must begin with the stack {list(stack)}, got "
+                f"the batch size must begin with the replicas {list(replicas)}, got "
                 f"{list(tensordict.batch_size)}"
             )
         batch = tensordict.batch_size
@@ -235,7 +233,7 @@ class VIMEReward(Transform):
             valid.to(is_going_on.device).unsqueeze(-1),
             (valid.to(is_going_on.device) & is_going_on).unsqueeze(-1),
         ]
-        rows = [entry.reshape(*stack, -1, entry.shape[-1]) for entry in rows]
+        rows = [entry.reshape(*replicas, -1, entry.shape[-1]) for entry in rows]
         bonus = self._bonus(*rows).reshape(*batch, 1)
         return tensordict.set(bonus_key, bonus.to(tensordict.device or observation.device))
 
@@ -247,7 +245,7 @@ class VIMEReward(Transform):
         valid: Tensor,
         predicted: Tensor,
     ) -> Tensor:
-        """Returns the bonus [*stack, rows] of entries [*stack, rows, *]."""
+        """Returns the bonus [*replicas, rows] of entries [*replicas, rows, *]."""
         count = observation.shape[-2]
         if count == 0:
             return self.dynamics.mean.new_zeros(observation.shape[:-1])
@@ -276,8 +274,8 @@ class VIMEReward(Transform):
         return bonus
 
     def _pieces(self, *entries: Tensor) -> Iterator[list[Tensor]]:
-        """Yields entries [*stack, rows, *] some rows at a time; see ``_PIECE``."""
-        if prod(self.dynamics.stack) > 1:
+        """Yields entries [*replicas, rows, *] some rows at a time; see ``_PIECE``."""
+        if prod(self.dynamics.replicas) > 1:
             missing = -entries[0].shape[-2] % _PIECE
             entries = tuple(F.pad(entry, (0, 0, 0, missing)) for entry in entries)
         yield from (
@@ -285,7 +283,7 @@ class VIMEReward(Transform):
         )
 
     def _noise(self) -> Tensor:
-        """Returns standard normal noise for a weight draw, [*stack, P]."""
+        """Returns standard normal noise for a weight draw, [*replicas, P]."""
         mu = self.dynamics.network.posterior.mu
         if self._generators is None:
             return torch.randn_like(mu)

@@ -1,4 +1,4 @@
-"""A running median for each element of a stack."""
+"""A running median for each replica."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ __all__ = ["RunningMedian"]
 
 
 class RunningMedian(nn.Module):
-    """The median of the medians of the last calls, each element of the stack its own.
+    """The median of the medians of the last calls, each replica its own.
 
     A median neither depends on the order of the values nor on how many do not count, so that
-    elements stay independent to the bit. (Of an even number of values it is the lower one.)
+    replicas stay independent to the bit. (Of an even number of values it is the lower one.)
 
     Args:
-        stack: leading shape.
+        replicas: leading shape.
         window: how many calls count.
 
     Keyword Args:
         like: a tensor of the wanted dtype and device.
 
     Attributes:
-        medians: buffer [*stack, window], the medians of the last calls, overwritten in turn.
-        calls: int64 buffer [*stack], how many calls had a value that counts.
+        medians: buffer [*replicas, window], the medians of the last calls, overwritten in turn.
+        calls: int64 buffer [*replicas], how many calls had a value that counts.
 
     Raises:
         ValueError: if ``window`` is not positive.
@@ -46,21 +46,21 @@ class RunningMedian(nn.Module):
     medians: Tensor
     calls: Tensor
 
-    def __init__(self, stack: Sequence[int], window: int, *, like: Tensor | None = None) -> None:
+    def __init__(self, replicas: Sequence[int], window: int, *, like: Tensor | None = None) -> None:
         super().__init__()
         if window < 1:
             raise ValueError(f"window must be at least 1, got {window}")
         like = torch.empty(0) if like is None else like
-        self.register_buffer("medians", like.new_zeros((*stack, window)))
-        self.register_buffer("calls", like.new_zeros(tuple(stack), dtype=torch.int64))
+        self.register_buffer("medians", like.new_zeros((*replicas, window)))
+        self.register_buffer("calls", like.new_zeros(tuple(replicas), dtype=torch.int64))
 
     @torch.no_grad()
     def update(self, values: Tensor, counts: Tensor | None = None) -> Tensor:
-        """Takes values in and returns the median of the last medians, [*stack]; NaN without any.
+        """Takes values in and returns the median of the last medians, [*replicas]; NaN without any.
 
         Args:
-            values: shape [*stack, n]; NaN does not count.
-            counts: bool [*stack, n], True for the values that count; None for all. An element
+            values: shape [*replicas, n]; NaN does not count.
+            counts: bool [*replicas, n], True for the values that count; None for all. A replica
                 without one keeps what it has.
         """
         window = self.medians.shape[-1]

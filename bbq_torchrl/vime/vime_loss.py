@@ -90,7 +90,7 @@ class VIMELoss(LossModule):
         """Sets N of the dynamics loss, and of the Q-loss if it has one.
 
         Args:
-            num_data: a number, or one for each element of the stack, [*stack].
+            num_data: a number, or one for each replica, [*replicas].
         """
         self.dynamics_loss.set_num_data(num_data)
         if hasattr(self.q_loss, "set_num_data"):
@@ -99,8 +99,8 @@ class VIMELoss(LossModule):
     def begin_epoch(self) -> None:
         """Lets the dynamics learn on the next batch, and from there on every so manieth.
 
-        To be called before each epoch where the elements of the stack have epochs of different
-        lengths (:class:`~bbq_torchrl.data.ReplicaReplay`), or the length of one element's epoch
+        To be called before each epoch where the replicas have epochs of different
+        lengths (:class:`~bbq_torchrl.data.ReplicaReplay`), or the length of one replica's epoch
         decides which batches of the next the others' dynamics learn on.
         """
         self.batches = 0
@@ -120,7 +120,7 @@ class VIMELoss(LossModule):
         """Returns the losses of a batch of transitions.
 
         Args:
-            tensordict: a batch [*stack, *batch].
+            tensordict: a batch [*replicas, *batch].
 
         Returns:
             a TensorDict with what both losses return; the scalar "loss" to differentiate is

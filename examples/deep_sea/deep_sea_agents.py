@@ -161,7 +161,7 @@ def _scaled(size: int, network: nn.Module) -> nn.Module:
 
 
 def _epsilon_greedy(size: int, replicas: int, settings: Settings) -> Agent:
-    network = _scaled(size, FlatMLP(size**2, 2, settings.hidden, stack=(replicas,)))
+    network = _scaled(size, FlatMLP(size**2, 2, settings.hidden, replicas=replicas))
     actor = q_actor(network, ACTION, action_mask_key=None)
     dither = EGreedyModule(
         ACTION, eps_init=1.0, eps_end=settings.eps_end, annealing_num_steps=settings.eps_episodes
@@ -180,7 +180,7 @@ def _bootstrap(prior_scale: float, size: int, replicas: int, settings: Settings)
         2,
         settings.hidden,
         heads=settings.heads,
-        stack=(replicas,),
+        replicas=replicas,
         trunk_layers=0,
         prior_scale=prior_scale,
     )
@@ -191,7 +191,7 @@ def _bootstrap(prior_scale: float, size: int, replicas: int, settings: Settings)
         greedy=MajorityVote(actor),
         loss=BootstrapDQNLoss(actor, gamma=settings.gamma),
         begin_dive=explore.resample,
-        when_stored=BootstrapMask(settings.heads, settings.mask_prob, stack=(replicas,)),
+        when_stored=BootstrapMask(settings.heads, settings.mask_prob, replicas=replicas),
     )
 
 
@@ -202,7 +202,7 @@ def _bbqn(
         size**2,
         2,
         settings.hidden,
-        stack=(replicas,),
+        replicas=replicas,
         prior_std=settings.prior_std,
         mean_init=mean_init,
         std_init=settings.std_init,

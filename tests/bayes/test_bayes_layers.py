@@ -28,7 +28,7 @@ from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
-STACKS = [(), (3,), (2, 2)]
+REPLICAS = [(), (3,), (2, 2)]
 
 
 class BayesScale(BayesLayer):
@@ -91,33 +91,33 @@ def made(name, **settings):
     return net, features
 
 
-@pytest.mark.parametrize("stack", STACKS, ids=str)
+@pytest.mark.parametrize("replicas", REPLICAS, ids=str)
 @pytest.mark.parametrize("name", LAYERS)
-def test_an_element_of_a_stack_is_a_layer_of_its_own(name, stack):
-    net, features = made(name, stack=stack)
+def test_a_replica_is_a_layer_of_its_own(name, replicas):
+    net, features = made(name, replicas=replicas)
     alone, _ = made(name)
     (own,) = posteriors(net)
-    x = torch.randn(*stack, 6, *features).double()
+    x = torch.randn(*replicas, 6, *features).double()
     weights = own.sample()
     out = net(x, weights=weights)
-    for index in product(*map(range, stack)):
+    for index in product(*map(range, replicas)):
         torch.testing.assert_close(out[index], alone(x[index], weights=weights[index]))
     # rows with weights of their own
     rows = own.sample((6,))
     out = net(x, weights=rows)
-    for index in product(*map(range, (*stack, 6))):
+    for index in product(*map(range, (*replicas, 6))):
         torch.testing.assert_close(out[index], alone(x[index], weights=rows[index]))
 
 
-@pytest.mark.parametrize("stack", STACKS, ids=str)
+@pytest.mark.parametrize("replicas", REPLICAS, ids=str)
 @pytest.mark.parametrize("kind", ["closed", "sampled"])
 @pytest.mark.parametrize("name", LAYERS)
-def test_the_kl_is_that_of_torch_distributions(name, kind, stack):
-    net, features = made(name, stack=stack, prior_std=0.3)
+def test_the_kl_is_that_of_torch_distributions(name, kind, replicas):
+    net, features = made(name, replicas=replicas, prior_std=0.3)
     (posterior,) = posteriors(net)
     seen = []
     with weight_scope("draw", kl=kind, noise=Recorder(seen)) as scope:
-        net(torch.randn(*stack, 2, *features).double())
+        net(torch.randn(*replicas, 2, *features).double())
     (noise,) = seen
     q = Normal(posterior.mu, posterior.sigma)
     p = Normal(torch.zeros_like(posterior.mu), 0.3)

@@ -18,7 +18,7 @@ from bbq_torchrl.bayes import (
     weight_scope,
 )
 
-STACKS = [(), (3,), (2, 3)]
+REPLICAS = [(), (3,), (2, 3)]
 
 
 def trained(net):
@@ -31,35 +31,35 @@ def trained(net):
 
 def by_hand(net, x, flat):
     """One network after the other, from its definition."""
-    stack = net.stack
+    replicas = net.replicas
     outs = []
     for a, b in zip(
-        x.reshape(-1, *x.shape[len(stack) :]), flat.reshape(-1, flat.shape[-1]), strict=True
+        x.reshape(-1, *x.shape[len(replicas) :]), flat.reshape(-1, flat.shape[-1]), strict=True
     ):
         out = a
         for k, (matrix, bias) in enumerate(net.layout.unflatten(b)):
             out = (out if k == 0 else out.relu()) @ matrix + bias
         outs.append(out)
-    return torch.stack(outs).reshape(*stack, *outs[0].shape)
+    return torch.stack(outs).reshape(*replicas, *outs[0].shape)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_mean_mode_is_the_network_of_the_means(stack):
-    net, x = trained(BayesMLP(4, 3, (8, 8), stack=stack)), torch.randn(*stack, 6, 4)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_mean_mode_is_the_network_of_the_means(replicas):
+    net, x = trained(BayesMLP(4, 3, (8, 8), replicas=replicas)), torch.randn(*replicas, 6, 4)
     torch.testing.assert_close(net(x, "mean"), by_hand(net, x, net.posterior.mu))
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_draw_mode_is_the_network_of_one_draw(stack):
-    net, x = trained(BayesMLP(4, 3, (8, 8), stack=stack)), torch.randn(*stack, 6, 4)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_draw_mode_is_the_network_of_one_draw(replicas):
+    net, x = trained(BayesMLP(4, 3, (8, 8), replicas=replicas)), torch.randn(*replicas, 6, 4)
     torch.manual_seed(0)
     weights = net.draw_weights()
     torch.manual_seed(0)
     torch.testing.assert_close(net(x, "draw"), by_hand(net, x, weights))
 
 
-def test_one_network_is_the_same_with_and_without_a_stack_of_one():
-    single, stacked = trained(BayesMLP(4, 3, (8,))), BayesMLP(4, 3, (8,), stack=(1,))
+def test_one_network_is_the_same_with_and_without_a_replica_dimension_of_one():
+    single, stacked = trained(BayesMLP(4, 3, (8,))), BayesMLP(4, 3, (8,), replicas=(1,))
     with torch.no_grad():
         stacked.posterior.mu.copy_(single.posterior.mu)
         stacked.posterior.rho.copy_(single.posterior.rho)
@@ -72,10 +72,10 @@ def test_one_network_is_the_same_with_and_without_a_stack_of_one():
 
 
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
-@pytest.mark.parametrize("stack", [(), (2,)])
-def test_gradcheck_in_every_mode(mode, stack):
-    net = trained(BayesMLP(3, 2, (4,), stack=stack, dtype=torch.double))
-    x = torch.randn(*stack, 5, 3, dtype=torch.double, requires_grad=True)
+@pytest.mark.parametrize("replicas", [(), (2,)])
+def test_gradcheck_in_every_mode(mode, replicas):
+    net = trained(BayesMLP(3, 2, (4,), replicas=replicas, dtype=torch.double))
+    x = torch.randn(*replicas, 5, 3, dtype=torch.double, requires_grad=True)
 
     def call(x, mu, rho):
         torch.manual_seed(0)
@@ -92,8 +92,8 @@ def test_rows_share_a_draw_in_mode_draw_and_do_not_in_mode_local():
     assert torch.unique(local, dim=0).shape[0] == 6
 
 
-def test_elements_of_the_stack_draw_independently():
-    net, x = BayesMLP(4, 3, (8,), stack=(5,)), torch.randn(4).expand(5, 2, 4)
+def test_replicas_draw_independently():
+    net, x = BayesMLP(4, 3, (8,), replicas=(5,)), torch.randn(4).expand(5, 2, 4)
     assert torch.unique(net(x, "draw")[:, 0], dim=0).shape[0] == 5
 
 
@@ -149,7 +149,7 @@ def test_starts():
     net = BayesMLP(10, 3, (20,), prior_std=0.3)
     assert not net.posterior.mu.any()
     torch.testing.assert_close(net.posterior.sigma, torch.full_like(net.posterior.mu, 0.3))
-    net = BayesMLP(10, 3, (20,), stack=(2,), mean_init="kaiming", std_init=0.03)
+    net = BayesMLP(10, 3, (20,), replicas=(2,), mean_init="kaiming", std_init=0.03)
     for matrix, bias in net.layout.unflatten(net.posterior.mu.detach()):
         bound = matrix.shape[-2] ** -0.5
         assert 0.5 * bound < matrix.abs().max() <= bound
@@ -232,14 +232,14 @@ def test_another_mean_init_is_refused():
 
 
 def test_copies_states_and_functional_calls_agree():
-    net, x = trained(BayesMLP(4, 3, (8,), stack=(2,))), torch.randn(2, 6, 4)
+    net, x = trained(BayesMLP(4, 3, (8,), replicas=(2,))), torch.randn(2, 6, 4)
     expected = net(x, "mean")
     assert torch.equal(deepcopy(net)(x, "mean"), expected)
-    other = BayesMLP(4, 3, (8,), stack=(2,))
+    other = BayesMLP(4, 3, (8,), replicas=(2,))
     other.load_state_dict(net.state_dict())
     assert torch.equal(other(x, "mean"), expected)
     parameters = dict(net.named_parameters())
-    called = functional_call(BayesMLP(4, 3, (8,), stack=(2,)), parameters, (x, "mean"))
+    called = functional_call(BayesMLP(4, 3, (8,), replicas=(2,)), parameters, (x, "mean"))
     assert torch.equal(called, expected)
     double = net.double()(x.double(), "mean")
     torch.testing.assert_close(double.float(), expected)

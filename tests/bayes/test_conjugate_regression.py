@@ -51,11 +51,11 @@ def optimum(data: Data) -> tuple[torch.Tensor, torch.Tensor]:
 def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", steps=200, pool=None):
     """Returns mean and standard deviation of the weights that maximize the evidence bound.
 
-    One network whose gradient is the average over draws (a stack of equal networks, each with a
+    One network whose gradient is the average over draws (replicas of one network, each with a
     draw and a mini-batch of its own): one draw a step has the same optimum, later.
     """
     net = BayesLinear(
-        FEATURES, 1, stack=(DRAWS,), prior_std=PRIOR_STD, std_init=0.2, dtype=torch.double
+        FEATURES, 1, replicas=(DRAWS,), prior_std=PRIOR_STD, std_init=0.2, dtype=torch.double
     )
     count = data.x.shape[0]
     num_data = count if num_data is None else num_data

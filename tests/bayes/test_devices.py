@@ -26,7 +26,7 @@ DEVICES = [
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
 @pytest.mark.parametrize("start", ["made there", "moved there"])
 def test_values_kl_and_gradients_stay_on_the_device(device, mode, start):
-    options = {"stack": (2,), "prior_std": "fan_in", "mean_init": "kaiming", "std_init": 0.05}
+    options = {"replicas": (2,), "prior_std": "fan_in", "mean_init": "kaiming", "std_init": 0.05}
     if start == "made there":
         net = BayesMLP(4, 3, (8,), device=device, **options)
     else:
@@ -55,7 +55,7 @@ def test_the_dtype_of_the_parameters_is_that_of_the_values(dtype, mode):
 
 @pytest.mark.parametrize("kind", [BayesLinear, BayesMLP])
 def test_copies_states_and_functional_calls_draw_the_same_weights(kind):
-    net, other = (kind(4, 3, stack=(2,), prior_std=0.5) for _ in range(2))
+    net, other = (kind(4, 3, replicas=(2,), prior_std=0.5) for _ in range(2))
     with torch.no_grad():
         net.posterior.mu.normal_()
         net.posterior.rho.uniform_(-3, 0)

@@ -11,7 +11,9 @@ from bbq_torchrl.bayes import BayesLinear, BayesMLP, kl_divergence, weight_scope
 
 @pytest.fixture
 def network():
-    net = nn.Sequential(BayesLinear(3, 4, stack=(2,)), nn.Tanh(), BayesLinear(4, 2, stack=(2,)))
+    net = nn.Sequential(
+        BayesLinear(3, 4, replicas=(2,)), nn.Tanh(), BayesLinear(4, 2, replicas=(2,))
+    )
     with torch.no_grad():
         for parameter in net.parameters():
             parameter.add_(0.1 * torch.randn_like(parameter))

@@ -14,17 +14,17 @@ RARE = 1e-6
 
 
 def noise_of(net: BayesMLP, draws: int, pool: NoisePool) -> torch.Tensor:
-    """The noise of some draws, [draws, *stack, P]: weights of a network with μ = 0, σ = 1."""
+    """The noise of some draws, [draws, *replicas, P]: weights of a network with μ = 0, σ = 1."""
     net.posterior.reset_std_(1.0)
     with weight_scope(noise=pool), torch.no_grad():
         return torch.stack([net.draw_weights() for _ in range(draws)])
 
 
-@pytest.mark.parametrize("stack", [(), (3,), (2, 2)], ids=str)
-def test_a_draw_is_of_standard_normal_numbers(stack):
-    noise = noise_of(BayesMLP(60, 40, (50,), stack=stack), 1, NoisePool())
+@pytest.mark.parametrize("replicas", [(), (3,), (2, 2)], ids=str)
+def test_a_draw_is_of_standard_normal_numbers(replicas):
+    noise = noise_of(BayesMLP(60, 40, (50,), replicas=replicas), 1, NoisePool())
 
-    assert noise.shape == (1, *stack, 61 * 50 + 51 * 40)
+    assert noise.shape == (1, *replicas, 61 * 50 + 51 * 40)
     assert stats.kstest(noise.flatten().double().numpy(), "norm").pvalue > RARE
     rows = noise.reshape(-1, noise.shape[-1]).double()
     neighbors = (rows[:, 1:] * rows[:, :-1]).sum() / rows[:, 1:].numel() ** 0.5
@@ -41,8 +41,8 @@ def test_one_weight_has_normal_noise_from_draw_to_draw():
     assert len(noise[:, 0].unique()) > 390
 
 
-def test_networks_of_a_stack_share_no_number_and_neither_do_layers():
-    net = BayesMLP(30, 20, (), stack=(4,), dtype=torch.double)
+def test_replicas_of_a_network_share_no_number_and_neither_do_layers():
+    net = BayesMLP(30, 20, (), replicas=(4,), dtype=torch.double)
     pool = NoisePool()
     own = [noise_of(net, 20, pool)[:, r].unique().tolist() for r in range(4)]
     own.append(noise_of(BayesMLP(30, 20, (), dtype=torch.double), 20, pool).unique().tolist())

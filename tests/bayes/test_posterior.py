@@ -11,12 +11,12 @@ from torch.distributions import Normal, kl_divergence
 from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.bayes.posterior import inverse_softplus
 
-STACKS = [(), (3,), (2, 2)]
+REPLICAS = [(), (3,), (2, 2)]
 
 
-def posterior_with(stack=(), groups=(40, 21), prior_std=(0.1, 0.7), dtype=torch.double):
+def posterior_with(replicas=(), groups=(40, 21), prior_std=(0.1, 0.7), dtype=torch.double):
     """A posterior at random means and spreads."""
-    posterior = GaussianPosterior(groups, prior_std, stack=stack, dtype=dtype)
+    posterior = GaussianPosterior(groups, prior_std, replicas=replicas, dtype=dtype)
     with torch.no_grad():
         posterior.mu.normal_(0, 0.5)
         posterior.rho.uniform_(-4, 2)
@@ -40,7 +40,7 @@ def naive(posterior, noise):
 
 
 def with_noise(posterior, noise):
-    """Makes the posterior draw the given noise; a stack's elements come one after the other."""
+    """Makes the posterior draw the given noise; its replicas come one after the other."""
     rows = iter(noise.reshape(-1, noise.shape[-1]))
 
     def fill(buffer):
@@ -50,9 +50,9 @@ def with_noise(posterior, noise):
     posterior.fill_noise_ = fill
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_closed_kl_is_that_of_torch_distributions(stack):
-    posterior = posterior_with(stack)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_closed_kl_is_that_of_torch_distributions(replicas):
+    posterior = posterior_with(replicas)
     _, closed, _ = naive(posterior, torch.zeros_like(posterior.mu))
     torch.testing.assert_close(posterior.kl(), closed)
     torch.testing.assert_close(posterior.sample_with_kl()[1], closed)
@@ -66,11 +66,11 @@ def test_closed_kl_is_the_mean_of_the_sampled_one():
     assert abs(sampled.mean() - closed) < 5 * error
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("kind", ["closed", "sampled"])
 @pytest.mark.parametrize("prior_std", [(0.1, 0.7), (0.3,)])
-def test_draw_kl_and_gradients_equal_naive_autograd(stack, kind, prior_std):
-    posterior = posterior_with(stack, prior_std=prior_std)
+def test_draw_kl_and_gradients_equal_naive_autograd(replicas, kind, prior_std):
+    posterior = posterior_with(replicas, prior_std=prior_std)
     if len(prior_std) == 1:
         posterior.prior_rho.resize_(1)
     noise = torch.randn_like(posterior.mu)
@@ -142,7 +142,7 @@ class _Drawing(torch.nn.Module):
 # 37: full vectors and a remainder; softplus may round differently in the two
 @pytest.mark.parametrize("numel", [1, 37, 1000])
 def test_at_the_prior_the_closed_kl_has_a_gradient_of_exactly_zero(prior_std, dtype, numel):
-    posterior = GaussianPosterior([numel], prior_std, stack=(2,), dtype=dtype)
+    posterior = GaussianPosterior([numel], prior_std, replicas=(2,), dtype=dtype)
     _, kl = posterior.sample_with_kl()
     for value in (kl, posterior.kl()):
         assert value.abs().max() < 1e-5 * numel
@@ -219,7 +219,7 @@ def test_inverse_softplus_inverts_softplus(std):
     torch.testing.assert_close(torch.nn.functional.softplus(inverse_softplus(value)), value)
 
 
-def test_changing_one_element_of_the_stack_leaves_the_others_gradient_bits_alone():
+def test_changing_one_replica_leaves_the_others_gradient_bits_alone():
     def gradients(spoil):
         torch.manual_seed(0)
         posterior = posterior_with((3,), groups=(1000, 501), dtype=torch.float)

@@ -9,7 +9,7 @@ from torch.func import functional_call
 
 from bbq_torchrl.bayes import BayesLinear, BayesMLP, SharedNoise, weight_scope
 
-STACKS = [(), (3,), (2, 3)]
+REPLICAS = [(), (3,), (2, 3)]
 
 
 def trained(net):
@@ -19,9 +19,11 @@ def trained(net):
     return net
 
 
-def several_layers(stack=()):
+def several_layers(replicas=()):
     return trained(
-        nn.Sequential(BayesLinear(4, 8, stack=stack), nn.Tanh(), BayesLinear(8, 2, stack=stack))
+        nn.Sequential(
+            BayesLinear(4, 8, replicas=replicas), nn.Tanh(), BayesLinear(8, 2, replicas=replicas)
+        )
     )
 
 
@@ -36,11 +38,11 @@ class Draw(nn.Module):
         return self.posterior.sample()
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("first_with_kl", [False, True])
 @pytest.mark.parametrize("second_with_kl", [False, True])
-def test_blocks_draw_the_same_weights(stack, first_with_kl, second_with_kl):
-    net, x = several_layers(stack), torch.randn(*stack, 5, 4)
+def test_blocks_draw_the_same_weights(replicas, first_with_kl, second_with_kl):
+    net, x = several_layers(replicas), torch.randn(*replicas, 5, 4)
     noise, outs = SharedNoise(), []
     for with_kl in (first_with_kl, second_with_kl):
         kl = "sampled" if with_kl else None
@@ -53,8 +55,8 @@ def test_blocks_draw_the_same_weights(stack, first_with_kl, second_with_kl):
 
 @pytest.mark.parametrize("kl", ["closed", "sampled"])
 def test_other_parameters_get_the_same_noise(kl):
-    # large enough for a stack that is drawn a part at a time
-    net = trained(BayesMLP(150, 40, (150, 150), stack=(5,), dtype=torch.double))
+    # large enough for replicas that are drawn a part at a time
+    net = trained(BayesMLP(150, 40, (150, 150), replicas=(5,), dtype=torch.double))
     other = {k: v.detach() - 0.5 for k, v in net.named_parameters()}
     posterior, noise = net.posterior, SharedNoise()
     with weight_scope("draw", noise=noise, kl=kl):

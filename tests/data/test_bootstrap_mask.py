@@ -41,17 +41,17 @@ def test_heads_learn_from_their_share_independently(prob):
         assert (covariance.abs() <= 6 * error).all()
 
 
-@pytest.mark.parametrize("stack", [(), (1,), (3,), (2, 2)])
-def test_masks_have_the_stack_the_rows_and_the_heads(stack):
-    transform = BootstrapMask(4, stack=stack)
-    assert masks(transform, *stack, 7).shape == (*stack, 7, 4)
-    assert masks(transform, *stack, 7, 3).shape == (*stack, 7, 3, 4)
-    assert masks(transform, *stack, 0).shape == (*stack, 0, 4)
-    assert masks(transform, *stack).shape == (*stack, 4)  # one transition
+@pytest.mark.parametrize("replicas", [(), (1,), (3,), (2, 2)])
+def test_masks_have_the_replicas_the_rows_and_the_heads(replicas):
+    transform = BootstrapMask(4, replicas=replicas)
+    assert masks(transform, *replicas, 7).shape == (*replicas, 7, 4)
+    assert masks(transform, *replicas, 7, 3).shape == (*replicas, 7, 3, 4)
+    assert masks(transform, *replicas, 0).shape == (*replicas, 0, 4)
+    assert masks(transform, *replicas).shape == (*replicas, 4)  # one transition
 
 
 def test_elements_have_streams_of_their_own():
-    transform = BootstrapMask(4, stack=(3,))
+    transform = BootstrapMask(4, replicas=(3,))
     transform.set_seeds([1, 2, 1])
     drawn = masks(transform, 3, 40)
     assert torch.equal(drawn[0], drawn[2])
@@ -72,7 +72,7 @@ def test_the_seed_at_first_is_torchs():
 
 def test_masks_do_not_depend_on_padding_calls_or_the_other_elements():
     """The n-th transition that counts gets the n-th draw of its element, whatever is around it."""
-    transform = BootstrapMask(5, stack=(2,))
+    transform = BootstrapMask(5, replicas=(2,))
     transform.set_seeds([3, 4])
     expected = masks(transform, 2, 9)
 
@@ -118,9 +118,9 @@ def test_entries_may_have_other_names():
 
 
 def test_copies_and_states_go_on_with_the_same_numbers():
-    transform = BootstrapMask(4, stack=(2,))
+    transform = BootstrapMask(4, replicas=(2,))
     masks(transform, 2, 5)
-    loaded = BootstrapMask(4, stack=(2,))
+    loaded = BootstrapMask(4, replicas=(2,))
     file = io.BytesIO()
     torch.save(transform.state_dict(), file)
     file.seek(0)
@@ -178,8 +178,8 @@ def test_input_that_does_not_fit_is_refused():
     for prob in (0.0, -0.5, 1.5, float("nan")):
         with pytest.raises(ValueError, match=r"prob must be in \(0, 1\], got"):
             BootstrapMask(4, prob)
-    transform = BootstrapMask(4, stack=(3,))
-    with pytest.raises(ValueError, match=r"seeds must be 3, one for each element of the stack \[3"):
+    transform = BootstrapMask(4, replicas=(3,))
+    with pytest.raises(ValueError, match=r"seeds must be 3, one for each replica \[3"):
         transform.set_seeds([1])
     with pytest.raises(
         ValueError, match=r"transitions must have the batch size \[3, \*rows\], got \[2, 5\]"

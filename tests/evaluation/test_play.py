@@ -54,7 +54,7 @@ def test_a_seed_decides_all_dialogues_whatever_was_played_before(env):
 
 def network(env):
     torch.manual_seed(0)
-    layers = FlatMLP(env.layout.size, 39, [32], stack=(2,), dropout=0.5)
+    layers = FlatMLP(env.layout.size, 39, [32], replicas=(2,), dropout=0.5)
     return Greedy(q_actor(layers, env.action_spec_unbatched))
 
 

@@ -289,7 +289,7 @@ def _index_actor(network):
 def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone():
     from bbq_extending.epinet_mlp import EpinetMLP
 
-    network = EpinetMLP(3, 2, (8,), index_size=4, prior_scale=2.0, stack=(2,))
+    network = EpinetMLP(3, 2, (8,), index_size=4, prior_scale=2.0, replicas=(2,))
     x, index = torch.randn(2, 5, 3), torch.randn(2, 5, 4)
     base = network(x, torch.zeros(2, 5, 4))
     (network(x, index) - base).square().sum().backward()
@@ -311,7 +311,7 @@ def test_an_index_is_kept_until_the_episode_ends_and_is_none_without_exploration
     from bbq_extending.epinet_mlp import EpinetMLP
     from bbq_extending.index_sampling import IndexSampling
 
-    network = EpinetMLP(3, 2, (8,), index_size=4, stack=(2,))
+    network = EpinetMLP(3, 2, (8,), index_size=4, replicas=(2,))
     policy = IndexSampling(_index_actor(network), 4)
     rows = TensorDict(
         observation=torch.ones(2, 3, 3),
@@ -333,7 +333,7 @@ def test_an_index_is_the_same_in_a_value_and_its_target():
     from bbq_extending.epinet_mlp import EpinetMLP
     from bbq_extending.index_sampling import IndexLoss
 
-    network = EpinetMLP(3, 2, (8,), index_size=4, stack=(2,))
+    network = EpinetMLP(3, 2, (8,), index_size=4, replicas=(2,))
     loss = IndexLoss(_index_actor(network), 4, gamma=0.5)
     HardUpdate(loss, value_network_update_interval=0)
     batch = TensorDict(

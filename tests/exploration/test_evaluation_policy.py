@@ -17,9 +17,9 @@ def values(policy, td):
     return policy(td.clone())["action_value"]
 
 
-@pytest.mark.parametrize("stack", [(), (3,)])
-def test_mean_is_the_mean_network(stack):
-    actor, td = bayes_actor(stack), observations(*stack, 8)
+@pytest.mark.parametrize("replicas", [(), (3,)])
+def test_mean_is_the_mean_network(replicas):
+    actor, td = bayes_actor(replicas), observations(*replicas, 8)
     net = actor[0].module
     with torch.no_grad():
         net.posterior.mu.normal_()
@@ -32,9 +32,9 @@ def test_mean_is_the_mean_network(stack):
     assert all_legal(out)
 
 
-@pytest.mark.parametrize("stack", [(), (3,)])
-def test_average_is_the_mean_of_q_over_the_draws(stack):
-    actor, td = bayes_actor(stack), observations(*stack, 8)
+@pytest.mark.parametrize("replicas", [(), (3,)])
+def test_average_is_the_mean_of_q_over_the_draws(replicas):
+    actor, td = bayes_actor(replicas), observations(*replicas, 8)
     net, legal = actor[0].module, td["action_mask"]
     policy = EvaluationPolicy(actor, mode="average", num_draws=4)
     torch.manual_seed(0)
@@ -65,9 +65,9 @@ def test_draws_stay_until_resampled(mode):
     assert not (values(policy, td)[legal] == first[legal]).any()
 
 
-@pytest.mark.parametrize("stack", [(), (3,)])
-def test_thompson_acts_as_the_policy_that_trains_whatever_the_exploration_type(stack):
-    actor, td = bayes_actor(stack), observations(*stack, 8)
+@pytest.mark.parametrize("replicas", [(), (3,)])
+def test_thompson_acts_as_the_policy_that_trains_whatever_the_exploration_type(replicas):
+    actor, td = bayes_actor(replicas), observations(*replicas, 8)
     policy = EvaluationPolicy(actor, mode="thompson")
     torch.manual_seed(0)
     with set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -17,7 +17,7 @@ from bbq_torchrl.exploration import Boltzmann, Greedy, ThompsonSampling
 from bbq_torchrl.networks import FlatMLP, q_actor
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
-STACKS = [(), (3,)]
+REPLICAS = [(), (3,)]
 
 
 def values(policy, td):
@@ -31,7 +31,7 @@ def is_one_number(rows):
     return bool((rows - rows.flatten()[0]).abs().max() < 1e-4)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize(
     ("per", "shared", "rows_share", "calls_share"),
     [
@@ -43,15 +43,15 @@ def is_one_number(rows):
         ("round", True, True, True),
     ],
 )
-def test_who_shares_a_draw(stack, per, shared, rows_share, calls_share):
-    policy = ThompsonSampling(bayes_actor(stack), per=per, shared=shared)
-    td = observations(*stack, 4)
+def test_who_shares_a_draw(replicas, per, shared, rows_share, calls_share):
+    policy = ThompsonSampling(bayes_actor(replicas), per=per, shared=shared)
+    td = observations(*replicas, 4)
     first, again = values(policy, td), values(policy, td)
     for element in first.reshape(-1, 4):
         assert is_one_number(element) == rows_share
         assert rows_share or torch.unique(element).numel() == 4
     assert torch.equal(first, again) == calls_share
-    if stack:  # elements of a stack never share
+    if replicas:  # replicas never share
         assert torch.unique(first[:, 0]).numel() == 3
     policy.resample()
     assert not (values(policy, td) == first).any()
@@ -65,13 +65,13 @@ def test_draws_are_the_papers_by_default():
     assert ThompsonSampling(actor, per="round").shared
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_dialogue_keeps_its_draw_until_the_next_one_begins(stack):
-    policy = ThompsonSampling(bayes_actor(stack), per="episode")
-    td = observations(*stack, 4)
-    td["is_init"] = torch.ones(*stack, 4, 1, dtype=torch.bool)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_a_dialogue_keeps_its_draw_until_the_next_one_begins(replicas):
+    policy = ThompsonSampling(bayes_actor(replicas), per="episode")
+    td = observations(*replicas, 4)
+    td["is_init"] = torch.ones(*replicas, 4, 1, dtype=torch.bool)
     first = values(policy, td)
-    td["is_init"] = torch.zeros(*stack, 4, 1, dtype=torch.bool)
+    td["is_init"] = torch.zeros(*replicas, 4, 1, dtype=torch.bool)
     assert torch.equal(values(policy, td), first)
     td["is_init"][..., 1, :] = True
     second = values(policy, td)
@@ -144,8 +144,8 @@ def test_thompson_sampling_acts_on_the_parameters_of_the_moment():
     torch.testing.assert_close(values(policy, td), expected)
 
 
-def policies(stack):
-    actor = bayes_actor(stack)
+def policies(replicas):
+    actor = bayes_actor(replicas)
     spec = Categorical(ACTIONS)
     eps = {"eps_init": 0.5, "eps_end": 0.5, "action_mask_key": "action_mask"}
     made = {
@@ -162,15 +162,15 @@ def policies(stack):
     return made
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("name", list(policies(())))
 @pytest.mark.parametrize("exploration", [RANDOM, DETERMINISTIC, None])
-def test_no_strategy_takes_a_forbidden_action(stack, name, exploration):
-    policy = policies(stack)[name]
+def test_no_strategy_takes_a_forbidden_action(replicas, name, exploration):
+    policy = policies(replicas)[name]
     with set_exploration_type(exploration):
         for _ in range(3):
-            td = policy(observations(*stack, 200, same=False))
-            assert td["action"].shape == (*stack, 200)
+            td = policy(observations(*replicas, 200, same=False))
+            assert td["action"].shape == (*replicas, 200)
             assert td["action"].dtype == torch.int64
             assert all_legal(td)
 

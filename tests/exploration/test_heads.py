@@ -23,7 +23,7 @@ from bbq_torchrl.networks import BootstrapMLP, FlatMLP, VoteModule, bootstrap_ac
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 HEADS = 7
-STACKS = [(), (3,)]
+REPLICAS = [(), (3,)]
 
 
 class FixedValues(nn.Module):
@@ -110,10 +110,10 @@ def test_one_head_cannot_outvote_the_others_by_large_values():
 
 
 @pytest.mark.parametrize("exploration", [RANDOM, DETERMINISTIC, None])
-@pytest.mark.parametrize("stack", STACKS)
-def test_the_vote_is_what_the_actor_greedy_and_the_evaluation_do(exploration, stack):
-    actor = actor_on(BootstrapMLP(FEATURES, ACTIONS, (8,), heads=HEADS, stack=stack))
-    td = observations(*stack, 50, same=False)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_the_vote_is_what_the_actor_greedy_and_the_evaluation_do(exploration, replicas):
+    actor = actor_on(BootstrapMLP(FEATURES, ACTIONS, (8,), heads=HEADS, replicas=replicas))
+    td = observations(*replicas, 50, same=False)
     everywhere = [actor, MajorityVote(actor), Greedy(actor), EvaluationPolicy(actor)]
     if exploration is DETERMINISTIC:
         everywhere.append(BootstrapSampling(actor))
@@ -139,30 +139,30 @@ def test_sampling_votes_where_it_does_not_explore(mode):
 # -- one head ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("per", ["step", "episode", "round"])
-def test_how_long_a_head_is_acted_on(stack, per):
-    policy, td = BootstrapSampling(fixed(), per=per), bare(*stack, 40)
+def test_how_long_a_head_is_acted_on(replicas, per):
+    policy, td = BootstrapSampling(fixed(), per=per), bare(*replicas, 40)
     first, again = heads_used(policy, td), heads_used(policy, td)
     assert torch.equal(again, policy.heads)
     assert first.unique().numel() > 1  # all the same: 7^-39
     assert torch.equal(first, again) == (per != "step")
-    if stack:
+    if replicas:
         assert torch.unique(first, dim=0).shape[0] == 3
     policy.resample()
     assert not torch.equal(heads_used(policy, td), again)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("trailing", [(), (1,)])
-def test_a_dialogue_keeps_its_head_until_the_next_one_begins(stack, trailing):
-    policy, td = BootstrapSampling(fixed(1000)), bare(*stack, 40)
-    td["is_init"] = torch.ones(*stack, 40, *trailing, dtype=torch.bool)
+def test_a_dialogue_keeps_its_head_until_the_next_one_begins(replicas, trailing):
+    policy, td = BootstrapSampling(fixed(1000)), bare(*replicas, 40)
+    td["is_init"] = torch.ones(*replicas, 40, *trailing, dtype=torch.bool)
     first = heads_used(policy, td)
     td["is_init"].zero_()
     assert torch.equal(heads_used(policy, td), first)
-    begins = torch.arange(40).expand(*stack, 40) % 3 == 0
-    td["is_init"] = begins.reshape(*stack, 40, *trailing)
+    begins = torch.arange(40).expand(*replicas, 40) % 3 == 0
+    td["is_init"] = begins.reshape(*replicas, 40, *trailing)
     second = heads_used(policy, td)
     assert torch.equal(second[~begins], first[~begins])
     # 14 or 42 rows begin; each keeps its head of a thousand by chance with probability 1/1000
@@ -250,19 +250,19 @@ def test_it_acts_greedily_on_its_head_among_legal_actions():
 # -- both ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("exploration", [RANDOM, DETERMINISTIC, None])
 @pytest.mark.parametrize("spec", [Categorical(ACTIONS), OneHot(ACTIONS)])
-def test_no_forbidden_action_is_taken(stack, exploration, spec):
-    actor = actor_on(BootstrapMLP(FEATURES, ACTIONS, (8,), heads=3, stack=stack), spec)
+def test_no_forbidden_action_is_taken(replicas, exploration, spec):
+    actor = actor_on(BootstrapMLP(FEATURES, ACTIONS, (8,), heads=3, replicas=replicas), spec)
     policies = [MajorityVote(actor)]
     policies += [BootstrapSampling(actor, per=per) for per in ("step", "episode", "round")]
     explore = EGreedyModule(spec, 0.5, 0.5, action_mask_key="action_mask")
     policies.append(TensorDictSequential(MajorityVote(actor), explore))
     with set_exploration_type(exploration):
         for policy in policies:
-            td = policy(observations(*stack, 200, same=False))
-            assert td["action"].shape == (*stack, 200, *spec.shape)
+            td = policy(observations(*replicas, 200, same=False))
+            assert td["action"].shape == (*replicas, 200, *spec.shape)
             assert td["action"].dtype == torch.int64
             if isinstance(spec, OneHot):
                 assert (td["action"].sum(-1) == 1).all()

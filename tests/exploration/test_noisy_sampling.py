@@ -17,23 +17,23 @@ from bbq_torchrl.networks import FlatMLP, NoisyMLP, q_actor
 
 RANDOM = ExplorationType.RANDOM
 EXPLORATIONS = [None, *ExplorationType]
-STACKS = [(), (3,)]
+REPLICAS = [(), (3,)]
 
 
-def noisy_actor(stack=(), hidden=(16,)):
-    return q_actor(NoisyMLP(FEATURES, ACTIONS, hidden, stack=stack), Categorical(ACTIONS))
+def noisy_actor(replicas=(), hidden=(16,)):
+    return q_actor(NoisyMLP(FEATURES, ACTIONS, hidden, replicas=replicas), Categorical(ACTIONS))
 
 
 def values(policy, td):
     return policy(td.clone())["action_value"][..., 2].detach()  # action 2 is always legal
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("exploration", EXPLORATIONS)
-def test_it_explores_under_random_and_outside_of_a_context_only(stack, shared, exploration):
-    actor = noisy_actor(stack)
-    policy, td = NoisySampling(actor, shared=shared), observations(*stack, 4, same=False)
+def test_it_explores_under_random_and_outside_of_a_context_only(replicas, shared, exploration):
+    actor = noisy_actor(replicas)
+    policy, td = NoisySampling(actor, shared=shared), observations(*replicas, 4, same=False)
     mean = values(Greedy(actor), td)
     with set_exploration_type(exploration):
         first, again = values(policy, td), values(policy, td)
@@ -45,11 +45,11 @@ def test_it_explores_under_random_and_outside_of_a_context_only(stack, shared, e
         assert torch.equal(again, mean)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("shared", [False, True])
-def test_who_shares_the_noise(stack, shared):
+def test_who_shares_the_noise(replicas, shared):
     # all rows see the same
-    rows = values(NoisySampling(noisy_actor(stack), shared=shared), observations(*stack, 4))
+    rows = values(NoisySampling(noisy_actor(replicas), shared=shared), observations(*replicas, 4))
     for element in rows.reshape(-1, 4):
         if shared:
             torch.testing.assert_close(element, element[:1].expand(4))
@@ -74,19 +74,19 @@ def test_rows_with_noise_of_their_own_are_uncorrelated_and_spread_as_shared_nois
     assert (rows.std() / spread).item() == pytest.approx(1, abs=5 * (2 * 12 / (4 * n)) ** 0.5)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("exploration", EXPLORATIONS)
 @pytest.mark.parametrize("with_epsilon", [False, True])
-def test_no_forbidden_action_is_taken(stack, shared, exploration, with_epsilon):
-    policy = NoisySampling(noisy_actor(stack), shared=shared)
+def test_no_forbidden_action_is_taken(replicas, shared, exploration, with_epsilon):
+    policy = NoisySampling(noisy_actor(replicas), shared=shared)
     if with_epsilon:
         epsilon = EGreedyModule(Categorical(ACTIONS), 0.5, 0.5, action_mask_key="action_mask")
         policy = TensorDictSequential(policy, epsilon)
     with set_exploration_type(exploration):
         for _ in range(3):
-            td = policy(observations(*stack, 200, same=False))
-            assert td["action"].shape == (*stack, 200)
+            td = policy(observations(*replicas, 200, same=False))
+            assert td["action"].shape == (*replicas, 200)
             assert td["action"].dtype == torch.int64
             assert all_legal(td)
 

@@ -20,7 +20,7 @@ from bbq_torchrl.networks import q_actor
 FEATURES, ACTIONS, DRAWS = 4, 5, 4000
 LEAST_P = 1e-6
 # How the draws of one posterior are had: as rows with draws of their own, or (where a batch
-# shares one) as elements of a stack of equal networks.
+# shares one) as replicas of equal networks.
 WAYS = [("step", False), ("step", True), ("episode", False), ("round", False), ("round", True)]
 
 
@@ -36,7 +36,7 @@ def actions(make, per, shared, x, mask=None):
     """Returns the actions of DRAWS weight draws at the input x [F], int64 [DRAWS].
 
     Args:
-        make: returns the network for a stack.
+        make: returns the network for a replicas.
         per: of the policy.
         shared: of the policy.
         x: the input.
@@ -67,8 +67,8 @@ def counts(action):
 def test_an_agent_that_knows_nothing_takes_every_legal_action_equally_often(per, shared, legal):
     mask = torch.tensor(legal)
 
-    def make(stack):
-        return BayesMLP(FEATURES, ACTIONS, (8,), stack=stack, prior_std=0.5)
+    def make(replicas):
+        return BayesMLP(FEATURES, ACTIONS, (8,), replicas=replicas, prior_std=0.5)
 
     taken = counts(actions(make, per, shared, torch.randn(FEATURES), mask))
 
@@ -112,8 +112,8 @@ def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(per, share
     expected = probability_of_being_best(mean.double().numpy(), std.double().numpy())
     assert sum(expected) == pytest.approx(1.0)
 
-    def make(stack):
-        net = BayesLinear(FEATURES, ACTIONS, stack=stack)
+    def make(replicas):
+        net = BayesLinear(FEATURES, ACTIONS, replicas=replicas)
         with torch.no_grad():
             for ours, theirs in zip(net.parameters(), posterior.parameters(), strict=True):
                 ours.copy_(theirs)
@@ -136,8 +136,8 @@ def test_a_networks_action_is_taken_as_often_as_it_is_the_best(per, shared):
     hidden = (torch.einsum("i,nio->no", x, first) + bias).relu()
     expected = counts((torch.einsum("ni,nio->no", hidden, second) + second_bias).argmax(-1))
 
-    def make(stack):
-        net = BayesMLP(FEATURES, ACTIONS, (8,), stack=stack)
+    def make(replicas):
+        net = BayesMLP(FEATURES, ACTIONS, (8,), replicas=replicas)
         with torch.no_grad():
             for ours, theirs in zip(net.parameters(), posterior.parameters(), strict=True):
                 ours.copy_(theirs)

@@ -12,13 +12,15 @@ from torch import nn
 from bbq_torchrl.networks import BootstrapMLP, reset_inactive_
 
 FEATURES, OUT, HIDDEN, HEADS = 5, 3, (7, 6), 4
-STACKS = [(), (1,), (3,), (2, 2)]
+REPLICAS = [(), (1,), (3,), (2, 2)]
 TRUNKS = [0, 1, 2]
 
 
-def make(stack=(), trunk_layers=None, hidden=HIDDEN, **settings):
+def make(replicas=(), trunk_layers=None, hidden=HIDDEN, **settings):
     settings = {"heads": HEADS, "dtype": torch.double, **settings}
-    return BootstrapMLP(FEATURES, OUT, hidden, stack=stack, trunk_layers=trunk_layers, **settings)
+    return BootstrapMLP(
+        FEATURES, OUT, hidden, replicas=replicas, trunk_layers=trunk_layers, **settings
+    )
 
 
 def plain(x, layers):
@@ -29,8 +31,8 @@ def plain(x, layers):
 
 
 def separate_networks(x, trunk, heads, net):
-    """Each head of each element of the stack, one after the other: [*stack, *batch, K, out]."""
-    n = len(net.stack)
+    """Each head of each replica, one after the other: [*replicas, *batch, K, out]."""
+    n = len(net.replicas)
     x = x.reshape(-1, *x.shape[n:])
     heads = heads.reshape(-1, net.num_heads, heads.shape[-1])
     outs = []
@@ -42,26 +44,26 @@ def separate_networks(x, trunk, heads, net):
         layers = [shared + net.head_layout.unflatten(head) for head in of_heads]
         outs.append(torch.stack([plain(rows, each) for each in layers], -2))
     out = torch.stack(outs)
-    return out.reshape(*net.stack, *out.shape[1:])
+    return out.reshape(*net.replicas, *out.shape[1:])
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("trunk_layers", TRUNKS)
 @pytest.mark.parametrize("batch", [(8,), (2, 4), ()])
-def test_outputs_are_those_of_separate_networks_that_share_a_trunk(stack, trunk_layers, batch):
-    net = make(stack, trunk_layers)
-    x = torch.randn(*stack, *batch, FEATURES, dtype=torch.double)
+def test_outputs_are_those_of_separate_networks_that_share_a_trunk(replicas, trunk_layers, batch):
+    net = make(replicas, trunk_layers)
+    x = torch.randn(*replicas, *batch, FEATURES, dtype=torch.double)
     out = net(x)
-    assert out.shape == (*stack, *batch, HEADS, OUT)
+    assert out.shape == (*replicas, *batch, HEADS, OUT)
     torch.testing.assert_close(out, separate_networks(x, net.trunk, net.heads, net))
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("trunk_layers", TRUNKS)
-def test_heads_get_their_own_gradient_and_the_trunk_the_mean_of_theirs(stack, trunk_layers):
-    net = make(stack, trunk_layers)
-    x = torch.randn(*stack, 8, FEATURES, dtype=torch.double, requires_grad=True)
-    probe = torch.randn(*stack, 8, HEADS, OUT, dtype=torch.double)
+def test_heads_get_their_own_gradient_and_the_trunk_the_mean_of_theirs(replicas, trunk_layers):
+    net = make(replicas, trunk_layers)
+    x = torch.randn(*replicas, 8, FEATURES, dtype=torch.double, requires_grad=True)
+    probe = torch.randn(*replicas, 8, HEADS, OUT, dtype=torch.double)
     wanted = [x, net.heads] + ([] if net.trunk is None else [net.trunk])
     gradients = torch.autograd.grad((net(x) * probe).sum(), wanted)
 
@@ -167,15 +169,17 @@ def test_copies_and_states_hold_the_prior_too(trunk_layers):
         assert not torch.equal(copy(x), net(x))
 
 
-@pytest.mark.parametrize("stack", [(), (2,)])
+@pytest.mark.parametrize("replicas", [(), (2,)])
 @pytest.mark.parametrize("trunk_layers", TRUNKS)
 @pytest.mark.parametrize("prior_scale", [0.0, 1.0])
-def test_a_feature_that_appears_late_changes_nothing_when_it_does(stack, trunk_layers, prior_scale):
+def test_a_feature_that_appears_late_changes_nothing_when_it_does(
+    replicas, trunk_layers, prior_scale
+):
     # wide enough that no layer is dead in all rows
-    net = make(stack, trunk_layers, (32, 32), prior_scale=prior_scale)
+    net = make(replicas, trunk_layers, (32, 32), prior_scale=prior_scale)
     inactive = torch.tensor([False, True, False, False, True])
     reset_inactive_(net, inputs=inactive, outputs=torch.tensor([False, True, False]))
-    x = torch.randn(*stack, 8, FEATURES, dtype=torch.double)
+    x = torch.randn(*replicas, 8, FEATURES, dtype=torch.double)
     early = x.masked_fill(inactive, 0)
     assert torch.equal(net(x), net(early))
     optimizer = torch.optim.Adam(net.parameters(), 0.01)

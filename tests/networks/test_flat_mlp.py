@@ -10,7 +10,7 @@ from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp, mlp_loca
 from bbq_torchrl.networks import FlatMLP
 
 LAYOUT = FlatLayout((5, 7, 6, 3))
-STACKS = [(), (1,), (4,), (2, 3)]
+REPLICAS = [(), (1,), (4,), (2, 3)]
 
 
 def plain(x, flat, layout=LAYOUT):
@@ -20,23 +20,23 @@ def plain(x, flat, layout=LAYOUT):
     return x
 
 
-def per_element(x, flat, stack):
+def per_element(x, flat, replicas):
     outs = [
         plain(a, b)
         for a, b in zip(
-            x.reshape(-1, *x.shape[len(stack) :]), flat.reshape(-1, flat.shape[-1]), strict=True
+            x.reshape(-1, *x.shape[len(replicas) :]), flat.reshape(-1, flat.shape[-1]), strict=True
         )
     ]
-    return torch.stack(outs).reshape(*stack, *outs[0].shape)
+    return torch.stack(outs).reshape(*replicas, *outs[0].shape)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("batch", [(8,), (2, 4), ()])
-def test_values_and_gradients_equal_those_of_separate_networks(stack, batch):
-    x = torch.randn(*stack, *batch, 5, dtype=torch.double, requires_grad=True)
-    flat = torch.randn(*stack, LAYOUT.numel, dtype=torch.double, requires_grad=True)
-    out, expected = mlp(x, flat, LAYOUT), per_element(x, flat, stack)
-    assert out.shape == (*stack, *batch, 3)
+def test_values_and_gradients_equal_those_of_separate_networks(replicas, batch):
+    x = torch.randn(*replicas, *batch, 5, dtype=torch.double, requires_grad=True)
+    flat = torch.randn(*replicas, LAYOUT.numel, dtype=torch.double, requires_grad=True)
+    out, expected = mlp(x, flat, LAYOUT), per_element(x, flat, replicas)
+    assert out.shape == (*replicas, *batch, 3)
     torch.testing.assert_close(out, expected)
     probe = torch.randn_like(out)
     for ours, theirs in zip(
@@ -66,12 +66,12 @@ def test_gradcheck_with_dropout():
     assert torch.autograd.gradcheck(same_masks, (x, flat))
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_gradcheck_of_local_reparameterisation(stack):
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_gradcheck_of_local_reparameterisation(replicas):
     layout = FlatLayout((3, 4, 2))
-    x = torch.randn(*stack, 2, 3, dtype=torch.double, requires_grad=True)
-    mu = torch.randn(*stack, layout.numel, dtype=torch.double, requires_grad=True)
-    sigma = torch.rand(*stack, layout.numel, dtype=torch.double) + 0.1
+    x = torch.randn(*replicas, 2, 3, dtype=torch.double, requires_grad=True)
+    mu = torch.randn(*replicas, layout.numel, dtype=torch.double, requires_grad=True)
+    sigma = torch.rand(*replicas, layout.numel, dtype=torch.double) + 0.1
 
     def same_noise(*args):
         torch.manual_seed(3)
@@ -102,7 +102,7 @@ def test_dropout_drops_the_given_share_and_keeps_the_mean():
 
 
 def test_dropout_masks_differ_between_rows_and_elements():
-    net = FlatMLP(1, 64, (64,), stack=(3,), dropout=0.5)
+    net = FlatMLP(1, 64, (64,), replicas=(3,), dropout=0.5)
     out = net(torch.ones(3, 5, 1), "draw").flatten(0, 1)
     assert torch.unique(out, dim=0).shape[0] == 15
 

@@ -10,7 +10,7 @@ from bbq_torchrl.bayes.functional import FlatLayout
 from bbq_torchrl.networks import FlatMLP, NoisyMLP, grow, reset_inactive_
 from bbq_torchrl.networks.growth import grow_flat, growth_index
 
-STACKS = [(), (2,)]
+REPLICAS = [(), (2,)]
 INPUTS, OUTPUTS = torch.tensor([4, 0, 2]), torch.tensor([1, 3])  # where old ones go
 
 
@@ -21,23 +21,23 @@ def wide(x):
     return out
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("kind", [FlatMLP, BayesMLP])
-def test_a_grown_network_gives_the_old_outputs_where_new_inputs_are_zero(kind, stack):
-    net = kind(3, 2, (8, 8), stack=stack)
+def test_a_grown_network_gives_the_old_outputs_where_new_inputs_are_zero(kind, replicas):
+    net = kind(3, 2, (8, 8), replicas=replicas)
     if kind is BayesMLP:
         with torch.no_grad():
             net.posterior.mu.normal_()
     grown = grow(net, 5, 4, inputs=INPUTS, outputs=OUTPUTS)
-    x = torch.randn(*stack, 6, 3)
+    x = torch.randn(*replicas, 6, 3)
     torch.testing.assert_close(grown(wide(x), "mean")[..., OUTPUTS], net(x, "mean"))
     assert (net.in_features, net.out_features) == (3, 2)
     assert (grown.in_features, grown.out_features) == (5, 4)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_new_weights_of_a_bayesian_network_start_at_the_prior(stack):
-    net = BayesMLP(3, 2, (8,), stack=stack, prior_std=0.3, mean_init="kaiming", std_init=0.01)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_new_weights_of_a_bayesian_network_start_at_the_prior(replicas):
+    net = BayesMLP(3, 2, (8,), replicas=replicas, prior_std=0.3, mean_init="kaiming", std_init=0.01)
     grown = grow(net, 5, 4, inputs=INPUTS, outputs=OUTPUTS)
     index = growth_index(net.layout, grown.layout, INPUTS, OUTPUTS)
     is_new = torch.ones(grown.layout.numel, dtype=torch.bool)
@@ -45,15 +45,15 @@ def test_new_weights_of_a_bayesian_network_start_at_the_prior(stack):
     assert is_new.sum() == grown.layout.numel - net.layout.numel
     assert not grown.posterior.mu[..., is_new].any()
     prior = grown.posterior.prior_rho.expand(int(is_new.sum()))
-    assert torch.equal(grown.posterior.rho[..., is_new], prior.expand(*stack, -1))
+    assert torch.equal(grown.posterior.rho[..., is_new], prior.expand(*replicas, -1))
     for name in ("mu", "rho"):
         assert torch.equal(getattr(grown.posterior, name)[..., index], getattr(net.posterior, name))
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("prior_std", [0.3, "fan_in"])
-def test_new_weights_add_no_kl(stack, prior_std):
-    net = BayesMLP(3, 2, (8,), stack=stack, prior_std=prior_std, dtype=torch.double)
+def test_new_weights_add_no_kl(replicas, prior_std):
+    net = BayesMLP(3, 2, (8,), replicas=replicas, prior_std=prior_std, dtype=torch.double)
     with torch.no_grad():
         net.posterior.mu.normal_()
         net.posterior.rho.uniform_(-3, 0)
@@ -69,7 +69,7 @@ def test_new_weights_add_no_kl(stack, prior_std):
 
 
 def test_new_input_weights_of_a_plain_network_start_at_zero():
-    grown = grow(FlatMLP(3, 2, (8,), stack=(2,)), 5, 4, inputs=INPUTS, outputs=OUTPUTS)
+    grown = grow(FlatMLP(3, 2, (8,), replicas=(2,)), 5, 4, inputs=INPUTS, outputs=OUTPUTS)
     (first, _), (last, bias) = grown.layout.unflatten(grown.weight)
     assert not first[:, [1, 3]].any()
     assert first[:, INPUTS].all()
@@ -77,11 +77,11 @@ def test_new_input_weights_of_a_plain_network_start_at_zero():
     assert bias.all()
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("kind", [FlatMLP, BayesMLP])
-def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
+def test_growing_equals_masking_through_training(kind, replicas, monkeypatch):
     """The proof: both ways see the same data, a feature and an action appear half-way."""
-    options = {"stack": stack, "dtype": torch.double}
+    options = {"replicas": replicas, "dtype": torch.double}
     if kind is BayesMLP:
         options.update(prior_std=0.3, mean_init="kaiming", std_init=0.05)
     masked = kind(5, 4, (7, 6), **options)
@@ -125,14 +125,14 @@ def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
         optimizer.step()
 
     def data():
-        noise["full"] = torch.randn(*stack, masked.layout.numel, dtype=torch.double)
-        y = torch.randn(*stack, 9, dtype=torch.double)
-        return torch.randn(*stack, 9, 5, dtype=torch.double), y
+        noise["full"] = torch.randn(*replicas, masked.layout.numel, dtype=torch.double)
+        y = torch.randn(*replicas, 9, dtype=torch.double)
+        return torch.randn(*replicas, 9, 5, dtype=torch.double), y
 
     small_optimizer, masked_optimizer = optimizer_of(small), optimizer_of(masked)
     for _ in range(40):
         x, y = data()
-        action = torch.randint(2, (*stack, 9))
+        action = torch.randint(2, (*replicas, 9))
         step(small, small_optimizer, x[..., INPUTS], action, y)
         step(masked, masked_optimizer, wide(x[..., INPUTS]), OUTPUTS[action], y)
 
@@ -160,7 +160,7 @@ def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
             grown.weight[..., is_new] = masked.weight[..., is_new]
     for _ in range(40):
         x, y = data()
-        action = torch.randint(4, (*stack, 9))
+        action = torch.randint(4, (*replicas, 9))
         step(grown, grown_optimizer, x, action, y)
         step(masked, masked_optimizer, x, action, y)
     for ours, theirs in zip(grown.parameters(), masked.parameters(), strict=True):
@@ -170,7 +170,7 @@ def test_growing_equals_masking_through_training(kind, stack, monkeypatch):
 def test_inactive_weights_of_a_masked_network_start_where_growth_puts_them():
     inputs = torch.tensor([False, True, False])
     outputs = torch.tensor([True, False])
-    net = BayesMLP(3, 2, (4,), stack=(2,), prior_std=0.3, mean_init="kaiming", std_init=0.01)
+    net = BayesMLP(3, 2, (4,), replicas=(2,), prior_std=0.3, mean_init="kaiming", std_init=0.01)
     reset_inactive_(net, inputs=inputs, outputs=outputs)
     prior = net.posterior.prior_rho.item()
     for name, inactive in (("mu", 0.0), ("rho", prior)):
@@ -202,9 +202,9 @@ def test_growth_that_does_not_fit_is_refused():
         reset_inactive_(net, inputs=torch.tensor([0, 1, 1]))
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_feature_that_appears_in_a_noisy_network_changes_nothing_before_it_is_learned(stack):
-    net = NoisyMLP(5, 4, (8,), stack=stack)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_a_feature_that_appears_in_a_noisy_network_changes_nothing_before_it_is_learned(replicas):
+    net = NoisyMLP(5, 4, (8,), replicas=replicas)
     inputs = torch.tensor([False, True, False, True, False])
     outputs = torch.tensor([False, False, True, False])
     start = {k: v.clone() for k, v in net.state_dict().items()}
@@ -215,7 +215,7 @@ def test_a_feature_that_appears_in_a_noisy_network_changes_nothing_before_it_is_
             assert torch.equal(value[..., ~inputs], start[name][..., ~inputs])
         else:  # new outputs keep their start
             assert torch.equal(value, start[name])
-    x = torch.randn(*stack, 6, 5)
+    x = torch.randn(*replicas, 6, 5)
     for mode in ("mean", "draw", "local"):
         outs = []
         for seen in (x, x.masked_fill(inputs, 0.0)):
@@ -225,7 +225,7 @@ def test_a_feature_that_appears_in_a_noisy_network_changes_nothing_before_it_is_
 
 
 def test_inactive_weights_of_a_noisy_network_are_bitwise_untouched_and_then_learn():
-    net = NoisyMLP(5, 4, (8,), stack=(2,))
+    net = NoisyMLP(5, 4, (8,), replicas=(2,))
     inputs = torch.tensor([False, True, False, True, False])
     outputs = torch.tensor([False, False, True, False])
     reset_inactive_(net, inputs=inputs, outputs=outputs)

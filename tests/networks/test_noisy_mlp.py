@@ -1,4 +1,4 @@
-"""NoisyMLP against TorchRL's NoisyLinear: outputs, moments, stacks, modes, states."""
+"""NoisyMLP against TorchRL's NoisyLinear: outputs, moments, replicas, modes, states."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import NoisyLinear, reset_noise
 
 from bbq_torchrl.bayes import weight_scope
-from bbq_torchrl.networks import NoisyMLP, StackedNoisyLinear
+from bbq_torchrl.networks import NoisyMLP, ReplicaNoisyLinear
 
 RANDOM = ExplorationType.RANDOM
-STACKS = [(), (1,), (3,), (2, 3)]
+REPLICAS = [(), (1,), (3,), (2, 3)]
 BATCHES = [(), (6,), (2, 4)]
 
 
@@ -28,14 +28,14 @@ def noise(monkeypatch):
         drawn.append(scale(self, size))
         return drawn[-1]
 
-    monkeypatch.setattr(StackedNoisyLinear, "_scale_noise", record)
+    monkeypatch.setattr(ReplicaNoisyLinear, "_scale_noise", record)
     return drawn
 
 
 def torchrl_networks(net):
-    """One network of TorchRL's own layers for each element of the stack, same parameters."""
+    """One network of TorchRL's own layers for each replica, same parameters."""
     made = []
-    for k in range(net.stack.numel()):
+    for k in range(net.replicas.numel()):
         layers = []
         for layer in net.layers:
             theirs = NoisyLinear(layer.in_features, layer.out_features, dtype=torch.double)
@@ -55,16 +55,16 @@ def set_noise(network, vectors):
         layer.bias_epsilon.copy_(noise_out)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("batch", BATCHES)
 @pytest.mark.parametrize("mode", ["draw", "mean"])
-def test_outputs_and_gradients_are_those_of_torchrls_layers(noise, stack, batch, mode):
-    net = NoisyMLP(4, 3, (8, 6), stack=stack, dtype=torch.double)
-    x = torch.randn(*stack, *batch, 4, dtype=torch.double, requires_grad=True)
+def test_outputs_and_gradients_are_those_of_torchrls_layers(noise, replicas, batch, mode):
+    net = NoisyMLP(4, 3, (8, 6), replicas=replicas, dtype=torch.double)
+    x = torch.randn(*replicas, *batch, 4, dtype=torch.double, requires_grad=True)
     out = net(x, mode)
-    assert out.shape == (*stack, *batch, 3)
+    assert out.shape == (*replicas, *batch, 3)
     assert len(noise) == (6 if mode == "draw" else 0)
-    count = net.stack.numel()
+    count = net.replicas.numel()
     theirs = torchrl_networks(net)
     copy = x.detach().clone().requires_grad_()
     inputs = copy.reshape(count, *batch, 4)
@@ -86,11 +86,11 @@ def test_outputs_and_gradients_are_those_of_torchrls_layers(noise, stack, batch,
         torch.testing.assert_close(ours, torch.stack(parts).reshape(ours.shape))
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_rows_of_mode_local_are_networks_with_noise_of_their_own(noise, stack):
-    net = NoisyMLP(4, 3, (8, 6), stack=stack, dtype=torch.double)
-    count, rows = net.stack.numel(), 5
-    x = torch.randn(*stack, rows, 4, dtype=torch.double)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_rows_of_mode_local_are_networks_with_noise_of_their_own(noise, replicas):
+    net = NoisyMLP(4, 3, (8, 6), replicas=replicas, dtype=torch.double)
+    count, rows = net.replicas.numel(), 5
+    x = torch.randn(*replicas, rows, 4, dtype=torch.double)
     out = net(x, "local").reshape(count, rows, 3)
     theirs, inputs = torchrl_networks(net), x.reshape(count, rows, 4)
     with set_exploration_type(RANDOM):
@@ -100,26 +100,26 @@ def test_rows_of_mode_local_are_networks_with_noise_of_their_own(noise, stack):
                 torch.testing.assert_close(out[k, row], network(inputs[k, row]))
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_parameters_start_as_torchrls(stack):
-    net = NoisyMLP(9, 4, (25,), stack=stack, std_init=0.3)
+@pytest.mark.parametrize("replicas", REPLICAS)
+def test_parameters_start_as_torchrls(replicas):
+    net = NoisyMLP(9, 4, (25,), replicas=replicas, std_init=0.3)
     for layer in net.layers:
         theirs = NoisyLinear(layer.in_features, layer.out_features, std_init=0.3)
         assert dict(layer.named_parameters()).keys() == dict(theirs.named_parameters()).keys()
         for name, parameter in theirs.named_parameters():
             ours = getattr(layer, name).detach()
-            assert ours.shape == (*stack, *parameter.shape)
+            assert ours.shape == (*replicas, *parameter.shape)
             if name.endswith("sigma"):
                 assert torch.equal(ours, parameter.detach().expand(ours.shape))
             else:
                 assert 0 < ours.abs().max() <= layer.in_features**-0.5
     means = net.layers[0].weight_mu.detach().reshape(-1, 25 * 9)
-    assert torch.unique(means, dim=0).shape[0] == net.stack.numel()
+    assert torch.unique(means, dim=0).shape[0] == net.replicas.numel()
     assert NoisyMLP(9, 4).layers[0].std_init == NoisyLinear(9, 4).std_init
     with torch.no_grad():
         net.layers[1].bias_sigma.zero_()
     net.reset_parameters()
-    torch.testing.assert_close(net.layers[1].bias_sigma, torch.full((*stack, 4), 0.3 / 2))
+    torch.testing.assert_close(net.layers[1].bias_sigma, torch.full((*replicas, 4), 0.3 / 2))
 
 
 @pytest.mark.parametrize("mode", ["draw", "local"])
@@ -127,7 +127,7 @@ def test_a_layers_output_has_the_moments_of_factorized_noise(mode):
     # y_i = b_i + Σ_j w_ij x_j, with E ε = 0 and E ε² = E|z| = (2/π)^½ for ε = sgn(z) |z|^½:
     # var y_i = (2/π) Σ_j σ_ij² x_j² + (2/π)^½ σ_i². Layers side by side are independent draws.
     n, rows = (20_000, 1) if mode == "draw" else (1, 20_000)
-    layer, x = StackedNoisyLinear(3, 2, stack=(n,)), torch.tensor([1.0, -0.5, 2.0])
+    layer, x = ReplicaNoisyLinear(3, 2, replicas=(n,)), torch.tensor([1.0, -0.5, 2.0])
     sigma, bias_sigma = torch.tensor([[0.2, 0.3, 0.1], [0.4, 0.1, 0.2]]), torch.tensor([0.5, 0.3])
     with torch.no_grad():
         layer.weight_mu.copy_(torch.tensor([[1.0, 2.0, 3.0], [-1.0, 0.0, 1.0]]))
@@ -155,10 +155,10 @@ def test_rows_share_the_noise_in_mode_draw_and_do_not_in_mode_local():
 
 
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
-def test_elements_of_the_stack_are_bitwise_independent(mode):
+def test_replicas_are_bitwise_independent(mode):
     def gradients(change):
         torch.manual_seed(0)
-        net, x = NoisyMLP(7, 3, (33,), stack=(3,)), torch.randn(3, 32, 7)
+        net, x = NoisyMLP(7, 3, (33,), replicas=(3,)), torch.randn(3, 32, 7)
         if change == "data":
             x[1] *= 3.0
         if change == "nan":
@@ -176,8 +176,8 @@ def test_elements_of_the_stack_are_bitwise_independent(mode):
             assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
 
 
-def test_elements_of_the_stack_draw_independently():
-    net, x = NoisyMLP(4, 3, (8,), stack=(5,)), torch.randn(4).expand(5, 2, 4)
+def test_replicas_draw_independently():
+    net, x = NoisyMLP(4, 3, (8,), replicas=(5,)), torch.randn(4).expand(5, 2, 4)
     with torch.no_grad():
         for parameter in net.parameters():
             parameter.copy_(parameter[:1].expand_as(parameter))
@@ -199,7 +199,7 @@ def test_the_exploration_type_decides_where_nothing_else_does(exploration):
 
 
 def test_sigma_of_what_is_not_active_gets_no_gradient():
-    net, x = NoisyMLP(4, 3, (8,), stack=(2,)), torch.randn(2, 6, 4)
+    net, x = NoisyMLP(4, 3, (8,), replicas=(2,)), torch.randn(2, 6, 4)
     x[..., 1] = 0.0
     net(x, "draw")[..., 0].square().sum().backward()
     first, last = net.layers[0], net.layers[-1]
@@ -213,18 +213,18 @@ def test_sigma_of_what_is_not_active_gets_no_gradient():
         assert parameter.grad[:, 0].all()
 
 
-@pytest.mark.parametrize("stack", [(), (2,)])
-def test_states_hold_parameters_only_and_copies_agree(stack):
-    net, x = NoisyMLP(4, 3, (8,), stack=stack), torch.randn(*stack, 6, 4)
+@pytest.mark.parametrize("replicas", [(), (2,)])
+def test_states_hold_parameters_only_and_copies_agree(replicas):
+    net, x = NoisyMLP(4, 3, (8,), replicas=replicas), torch.randn(*replicas, 6, 4)
     names = {
         f"layers.{k}.{n}_{p}" for k in "01" for n in ("weight", "bias") for p in ("mu", "sigma")
     }
     assert set(net.state_dict()) == names
     assert not list(net.buffers())
-    other = NoisyMLP(4, 3, (8,), stack=stack)
+    other = NoisyMLP(4, 3, (8,), replicas=replicas)
     other.load_state_dict(net.state_dict())
     parameters = {k: v.detach() for k, v in net.named_parameters()}
-    blank = NoisyMLP(4, 3, (8,), stack=stack)
+    blank = NoisyMLP(4, 3, (8,), replicas=replicas)
     calls = [net, other, deepcopy(net), lambda *a: functional_call(blank, parameters, a)]
     for mode in ("mean", "draw", "local"):
         outs = []
@@ -250,15 +250,15 @@ def test_a_call_leaves_an_earlier_ones_gradient_alone():
 
 
 def test_the_layer_shows_its_means_and_its_sizes():
-    layer = StackedNoisyLinear(4, 3, stack=(2,))
+    layer = ReplicaNoisyLinear(4, 3, replicas=(2,))
     with set_exploration_type(RANDOM):
         assert layer.weight is layer.weight_mu
         assert layer.bias is layer.bias_mu
-    assert "in_features=4, out_features=3, bias=True, stack=(2,), std_init=0.5" in repr(layer)
+    assert "in_features=4, out_features=3, bias=True, replicas=(2,), std_init=0.5" in repr(layer)
 
 
 def test_what_does_not_fit_is_refused():
-    net = NoisyMLP(4, 3, (8,), stack=(2,))
+    net = NoisyMLP(4, 3, (8,), replicas=(2,))
     with pytest.raises(ValueError, match=r"input must have shape \[2, \*batch, 4\], got \[3, 4\]"):
         net(torch.ones(3, 4))
     with pytest.raises(ValueError, match=r"mode must be one of \['draw', 'local', 'mean'\]"):
@@ -268,4 +268,4 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="sizes must be at least two positive integers"):
         NoisyMLP(4, 0)
     with pytest.raises(ValueError, match="in_features and out_features must be positive, got 0"):
-        StackedNoisyLinear(0, 3)
+        ReplicaNoisyLinear(0, 3)

@@ -21,7 +21,7 @@ from bbq_torchrl.exploration import (
     NoisySampling,
     ThompsonSampling,
 )
-from bbq_torchrl.networks import BootstrapMLP, StackedNoisyLinear, VoteModule
+from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear, VoteModule
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
 ROWS, ACTIONS, HIDDEN = 6, 4, 8
@@ -153,7 +153,7 @@ def test_bootstrap_and_noisy_losses_and_policies_take_sequences():
         assert out["action_mask"].gather(-1, out["action"].unsqueeze(-1)).all()
         assert out["next", "state"].shape == (ROWS, HIDDEN)  # where the next step goes on
 
-    actor = recurrent(Cell, StackedNoisyLinear)
+    actor = recurrent(Cell, ReplicaNoisyLinear)
     away(NoisyDQNLoss(actor, action_space="categorical"))(transitions(RECURRENT))["loss"].backward()
     first, second = (NoisySampling(actor)(td.clone())["action_value"] for _ in range(2))
     assert not torch.equal(first, second)

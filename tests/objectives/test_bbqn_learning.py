@@ -16,8 +16,8 @@ from bbq_torchrl.objectives import BBQNLoss
 def test_inactive_weights_stay_bitwise_at_the_prior_under_adam():
     # features and actions that are masked, hundreds of steps, every parameter under Adam; the
     # sizes leave remainders in every vectorized loop
-    for stack in [(), (2,)]:
-        net = BayesMLP(11, 7, (13,), stack=stack, prior_std=0.1)
+    for replicas in [(), (2,)]:
+        net = BayesMLP(11, 7, (13,), replicas=replicas, prior_std=0.1)
         start = {k: v.clone() for k, v in net.state_dict().items()}
         loss = BBQNLoss(q_actor(net, Categorical(7)), num_data=50)
         update = HardUpdate(loss, value_network_update_interval=0)
@@ -26,11 +26,11 @@ def test_inactive_weights_stay_bitwise_at_the_prior_under_adam():
         features = torch.rand(11) < 0.6
         features[0], features[-1] = True, False
         for step in range(300):
-            shape = (*stack, 16)
+            shape = (*replicas, 16)
             observation = torch.randn(*shape, 11) * features
             action = torch.tensor([0, 2, 3, 5])[torch.randint(4, shape)]
             state = {"observation": observation, "action_mask": mask.expand(*shape, 7)}
-            td = transitions(stack, (16,))
+            td = transitions(replicas, (16,))
             td.update({**state, "action": action})
             td["next"] = {**td["next"].to_dict(), **state}
             optimizer.zero_grad()
@@ -83,7 +83,7 @@ def test_more_data_narrow_the_posterior_as_bayes_rule_says():
     design = torch.stack([*hadamard.T[1:4], torch.zeros(24), hadamard.T[0]], 1)
     y = design @ torch.tensor([0.5, -0.3, 0.2, 0.0, 0.4]).double() + 0.1 * torch.randn(24)
     noise_std, prior_std = 0.5, 0.3
-    net = BayesMLP(4, 1, (), stack=(2,), prior_std=prior_std, dtype=torch.double)
+    net = BayesMLP(4, 1, (), replicas=(2,), prior_std=prior_std, dtype=torch.double)
     loss = BBQNLoss(
         q_actor(net, Categorical(1), action_mask_key=None),
         noise_std=noise_std,

@@ -6,7 +6,7 @@ import pytest
 import torch
 from q_transitions import (
     ACTIONS,
-    STACKS,
+    REPLICAS,
     bayes_loss,
     elements,
     flat,
@@ -43,9 +43,9 @@ TARGETS = [("map", "mean"), ("mc", "independent"), ("mc", "shared")]
 
 
 def definition(
-    loss, td, noises, stack, *, target_noise, kl, noise_std, temperature, gamma, num_data, **_
+    loss, td, noises, replicas, *, target_noise, kl, noise_std, temperature, gamma, num_data, **_
 ):
-    """Returns each element's loss and KL by the formula, for the noise that was drawn."""
+    """Returns each replica's loss and KL by the formula, for the noise that was drawn."""
     net = loss.value_network[0].module
     layout = net.layout
     mu, rho = (flat(loss, n).reshape(-1, layout.numel) for n in ("mu", "rho"))
@@ -55,7 +55,7 @@ def definition(
     prior = Normal(0.0, torch.nn.functional.softplus(net.posterior.prior_rho))
     count = mu.shape[0]
     losses, kls = [], []
-    for k, batch in enumerate(elements(td, stack)):
+    for k, batch in enumerate(elements(td, replicas)):
         q = Normal(mu[k], torch.nn.functional.softplus(rho[k]))
         weights = q.loc + q.scale * noises[k]
         frozen = frozen_mu[k]
@@ -72,23 +72,23 @@ def definition(
         data = data - torch.tensor(2 * torch.pi, dtype=data.dtype).sqrt().log()
         data = data - torch.tensor(noise_std, dtype=data.dtype).log()
         losses.append(data + temperature * kls[-1] / num_data[k])
-    return torch.stack(losses).reshape(stack), torch.stack(kls).reshape(stack)
+    return torch.stack(losses).reshape(replicas), torch.stack(kls).reshape(replicas)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize(("target", "target_noise"), TARGETS)
 @pytest.mark.parametrize("kl", ["closed", "sampled"])
-def test_value_and_gradient_are_those_of_the_definition(noise, stack, target, target_noise, kl):
-    count = torch.Size(stack).numel()
+def test_value_and_gradient_are_those_of_the_definition(noise, replicas, target, target_noise, kl):
+    count = torch.Size(replicas).numel()
     settings = {"target": target, "target_noise": target_noise, "kl": kl}
     settings.update(noise_std=0.7, gamma=0.8)
-    loss, _ = bayes_loss(stack, dtype=torch.double, kl_temperature=0.3, **settings)
+    loss, _ = bayes_loss(replicas, dtype=torch.double, kl_temperature=0.3, **settings)
     num_data = torch.arange(10.0, 10.0 + count).double()
-    loss.set_num_data(num_data.reshape(stack))
-    td = transitions(stack, dtype=torch.double)
+    loss.set_num_data(num_data.reshape(replicas))
+    td = transitions(replicas, dtype=torch.double)
     out = loss(td)
     expected, expected_kl = definition(
-        loss, td, torch.cat(noise), stack, temperature=0.3, num_data=num_data, **settings
+        loss, td, torch.cat(noise), replicas, temperature=0.3, num_data=num_data, **settings
     )
     torch.testing.assert_close(out["loss_value"], expected.detach())
     torch.testing.assert_close(out["kl"], expected_kl.detach())
@@ -173,9 +173,9 @@ def test_a_nan_in_one_element_does_not_reach_the_others(kl, target_noise):
 
 def test_a_network_of_several_layers_and_other_activations_works_the_same(noise):
     net = nn.Sequential(
-        BayesLinear(5, 8, stack=(2,), prior_std=0.3),
+        BayesLinear(5, 8, replicas=(2,), prior_std=0.3),
         nn.Tanh(),
-        BayesLinear(8, ACTIONS, stack=(2,), prior_std=0.3),
+        BayesLinear(8, ACTIONS, replicas=(2,), prior_std=0.3),
     )
     loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), num_data=70, gamma=0.0)
     HardUpdate(loss, value_network_update_interval=0)

@@ -8,7 +8,7 @@ from q_transitions import (
     ACTIONS,
     FEATURES,
     HEADS,
-    STACKS,
+    REPLICAS,
     elements,
     flat,
     heads_loss,
@@ -88,26 +88,26 @@ def masked(td, share=0.5):
     return td.set("bootstrap_mask", mask)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("trunk_layers", [0, 1, 2])
 @pytest.mark.parametrize("double_dqn", [False, True])
 @pytest.mark.parametrize("with_masks", [False, True])
-def test_it_is_a_loop_over_heads(stack, trunk_layers, double_dqn, with_masks):
+def test_it_is_a_loop_over_heads(replicas, trunk_layers, double_dqn, with_masks):
     loss, _ = heads_loss(
-        stack,
+        replicas,
         trunk_layers=trunk_layers,
         prior_scale=0.5,
         double_dqn=double_dqn,
         gamma=0.8,
         dtype=torch.double,
     )
-    td = transitions(stack, dtype=torch.double)
+    td = transitions(replicas, dtype=torch.double)
     if with_masks:
         masked(td)
     out = loss(td)
     results = [
         [head_loss(loss, batch, e, k, 0.8, double_dqn) for k in range(HEADS)]
-        for e, batch in enumerate(elements(td, stack))
+        for e, batch in enumerate(elements(td, replicas))
     ]
 
     def means(which):
@@ -116,7 +116,7 @@ def test_it_is_a_loop_over_heads(stack, trunk_layers, double_dqn, with_masks):
     total = torch.stack([r[0] for row in results for r in row]).sum()
     torch.testing.assert_close(out["loss"], total)
     for which, key in enumerate(["loss_value", "td_error", "q_value"]):
-        torch.testing.assert_close(out[key], means(which).detach().reshape(stack))
+        torch.testing.assert_close(out[key], means(which).detach().reshape(replicas))
     squares = torch.stack([torch.stack([r[3] for r in row]).sum(0) for row in results])
     learning = td["bootstrap_mask"].sum(-1) if with_masks else torch.tensor(HEADS)
     expected = squares.reshape(td.shape) / learning.clamp_min(1)
@@ -139,8 +139,8 @@ def test_every_distance_is_torchs(distance):
 
 def test_one_head_without_masks_is_the_dqn_loss():
     td = transitions((2,), dtype=torch.double)
-    net = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=1, stack=(2,), dtype=torch.double)
-    single = FlatMLP(FEATURES, ACTIONS, (8,), stack=(2,), dtype=torch.double)
+    net = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=1, replicas=(2,), dtype=torch.double)
+    single = FlatMLP(FEATURES, ACTIONS, (8,), replicas=(2,), dtype=torch.double)
     with torch.no_grad():
         single.weight.copy_(torch.cat([net.trunk, net.heads.squeeze(1)], -1))
     ours = BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)))

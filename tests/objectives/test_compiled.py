@@ -29,10 +29,12 @@ LOSSES = {
 
 
 @pytest.mark.parametrize("kl", ["closed", "sampled"])
-@pytest.mark.parametrize("stack", [(), (3,)], ids=str)
-def test_a_draw_with_its_kl_is_one_graph(stack, kl):
-    net = BayesMLP(80, 60, (90,), stack=stack, std_init=0.2)  # enough weights for fast normals
-    x = torch.randn(*stack, 5, 80)
+@pytest.mark.parametrize("replicas", [(), (3,)], ids=str)
+def test_a_draw_with_its_kl_is_one_graph(replicas, kl):
+    net = BayesMLP(
+        80, 60, (90,), replicas=replicas, std_init=0.2
+    )  # enough weights for fast normals
+    x = torch.randn(*replicas, 5, 80)
 
     def value():
         with weight_scope("draw", kl=kl) as scope:

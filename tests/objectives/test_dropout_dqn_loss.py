@@ -7,7 +7,7 @@ import torch
 from q_transitions import (
     ACTIONS,
     FEATURES,
-    STACKS,
+    REPLICAS,
     elements,
     flat,
     network,
@@ -68,11 +68,11 @@ def test_prioritised_replay_weights_are_torchrls(weighted):
     assert not torch.allclose(ours(td)["loss"], theirs(td)["loss"])
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("double_dqn", [False, True])
-def test_each_element_of_the_stack_is_a_network_of_its_own(stack, double_dqn):
-    loss, _ = plain_loss(stack, dtype=torch.double, double_dqn=double_dqn, gamma=0.8)
-    td = transitions(stack, dtype=torch.double)
+def test_each_replica_is_a_network_of_its_own(replicas, double_dqn):
+    loss, _ = plain_loss(replicas, dtype=torch.double, double_dqn=double_dqn, gamma=0.8)
+    td = transitions(replicas, dtype=torch.double)
     out = loss(td)
     layout = loss.value_network[0].module.layout
     rows = lambda t: t.reshape(-1, layout.numel)  # noqa: E731
@@ -80,7 +80,7 @@ def test_each_element_of_the_stack_is_a_network_of_its_own(stack, double_dqn):
     for weights, frozen, batch in zip(
         rows(flat(loss, "weight")),
         rows(flat(loss, "weight", target=True)),
-        elements(td, stack),
+        elements(td, replicas),
         strict=True,
     ):
         y = target_of(layout, frozen, batch, 0.8)
@@ -95,11 +95,11 @@ def test_each_element_of_the_stack_is_a_network_of_its_own(stack, double_dqn):
         expected.append((chosen - y).square().mean())
         errors.append((chosen - y).abs().mean().detach())
         values.append(chosen.mean().detach())
-    expected = torch.stack(expected).reshape(stack)
+    expected = torch.stack(expected).reshape(replicas)
     torch.testing.assert_close(out["loss_value"], expected.detach())
     torch.testing.assert_close(out["loss"], expected.sum())
-    torch.testing.assert_close(out["td_error"], torch.stack(errors).reshape(stack))
-    torch.testing.assert_close(out["q_value"], torch.stack(values).reshape(stack))
+    torch.testing.assert_close(out["td_error"], torch.stack(errors).reshape(replicas))
+    torch.testing.assert_close(out["q_value"], torch.stack(values).reshape(replicas))
     torch.testing.assert_close(
         torch.autograd.grad(out["loss"], flat(loss, "weight")),
         torch.autograd.grad(expected.sum(), flat(loss, "weight")),
@@ -241,8 +241,8 @@ def test_settings_outside_of_what_is_listed_are_refused():
         plain_loss(double_dqn=True, delay_value=False)
     with pytest.raises(ValueError, match="action_space must be categorical or one-hot, got binary"):
         DropoutDQNLoss(q_actor(FlatMLP(5, 4), Categorical(4)), action_space="binary")
-    mixed = nn.Sequential(FlatMLP(5, 4, stack=(2,)), FlatMLP(4, 4, stack=(3,)))
-    with pytest.raises(ValueError, match="must have one stack dimension in common"):
+    mixed = nn.Sequential(FlatMLP(5, 4, replicas=(2,)), FlatMLP(4, 4, replicas=(3,)))
+    with pytest.raises(ValueError, match="must have one replica dimension in common"):
         DropoutDQNLoss(q_actor(mixed, Categorical(4)))
 
 

@@ -78,7 +78,7 @@ class Chain:
 
 def share_solved(explore) -> float:
     """Returns the share of replicas whose mean network solves the chain after learning."""
-    net = BayesLinear(2, ACTIONS, stack=(REPLICAS,), prior_std=2.0)
+    net = BayesLinear(2, ACTIONS, replicas=(REPLICAS,), prior_std=2.0)
     actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
     loss = BBQNLoss(actor, noise_std=0.5, gamma=0.9)
     freeze = HardUpdate(loss, value_network_update_interval=0)

@@ -8,7 +8,7 @@ from copy import deepcopy
 import pytest
 import torch
 from q_transitions import (
-    STACKS,
+    REPLICAS,
     bayes_loss,
     flat,
     heads_loss,
@@ -34,10 +34,10 @@ def gradients(loss, td):
 # ------------------------------------------------------------------------- frozen values
 
 
-@pytest.mark.parametrize("stack", STACKS, ids=str)
-def test_next_state_values_are_the_best_legal_values_of_the_frozen_network(stack):
-    loss, _ = plain_loss(stack, dtype=torch.double)
-    td = transitions(stack, dtype=torch.double)
+@pytest.mark.parametrize("replicas", REPLICAS, ids=str)
+def test_next_state_values_are_the_best_legal_values_of_the_frozen_network(replicas):
+    loss, _ = plain_loss(replicas, dtype=torch.double)
+    td = transitions(replicas, dtype=torch.double)
     td["next", "reward"].zero_()
     td["next", "terminated"].zero_()
 
@@ -54,10 +54,10 @@ def test_next_state_values_are_the_best_legal_values_of_the_frozen_network(stack
 
 
 @pytest.mark.parametrize("name", FIXED)
-@pytest.mark.parametrize("stack", [(), (3,)], ids=str)
-def test_a_loss_with_next_state_values_at_hand_is_the_same_loss(name, stack):
-    loss, _ = FIXED[name](stack, dtype=torch.double)
-    td = transitions(stack, dtype=torch.double)
+@pytest.mark.parametrize("replicas", [(), (3,)], ids=str)
+def test_a_loss_with_next_state_values_at_hand_is_the_same_loss(name, replicas):
+    loss, _ = FIXED[name](replicas, dtype=torch.double)
+    td = transitions(replicas, dtype=torch.double)
     expected = gradients(loss, td)
     td["next", "next_state_value"] = loss.next_state_values(td)
     # Nothing of the next state is read any more.
@@ -120,14 +120,14 @@ def test_a_loss_with_vime_has_the_q_losss_next_state_values():
 # ------------------------------------------------------------------------- what BBQN holds
 
 
-@pytest.mark.parametrize("stack", [(), (3,)], ids=str)
+@pytest.mark.parametrize("replicas", [(), (3,)], ids=str)
 @pytest.mark.parametrize("prior", [[0.3], [0.3] * 50], ids=["one prior", "a prior a weight"])
-def test_a_known_kl_is_returned_with_todays_gradient(stack, prior):
-    mu = torch.randn(*stack, 50, dtype=torch.double, requires_grad=True)
-    rho = torch.randn(*stack, 50, dtype=torch.double, requires_grad=True)
-    noise, prior = torch.randn(*stack, 50).double(), torch.tensor(prior).double()
-    known = torch.rand(stack).double()
-    factor = torch.randn(*stack, 50).double()
+def test_a_known_kl_is_returned_with_todays_gradient(replicas, prior):
+    mu = torch.randn(*replicas, 50, dtype=torch.double, requires_grad=True)
+    rho = torch.randn(*replicas, 50, dtype=torch.double, requires_grad=True)
+    noise, prior = torch.randn(*replicas, 50).double(), torch.tensor(prior).double()
+    known = torch.rand(replicas).double()
+    factor = torch.randn(*replicas, 50).double()
 
     def both(known):
         weights, kl = draw_with_kl(mu, rho, prior, "closed", noise, None, known)
@@ -194,9 +194,9 @@ def test_an_mc_target_holds_the_frozen_standard_deviations():
 
 @pytest.mark.parametrize("target", ["map", "mc"])
 def test_held_and_not_held_agree_on_average(target):
-    # the mean gradient over many batches, each network of the stack with draws of its own
-    stack = (400,)
-    loss, _ = bayes_loss(stack, hidden=(4,), target=target)
+    # the mean gradient over many batches, each network replica with draws of its own
+    replicas = (400,)
+    loss, _ = bayes_loss(replicas, hidden=(4,), target=target)
     with torch.no_grad():
         for parameter in loss.parameters():
             parameter.copy_(parameter[:1].expand_as(parameter))
@@ -244,10 +244,10 @@ def test_softplus_of_the_frozen_posterior_is_computed_once(monkeypatch):
 
 
 @pytest.mark.parametrize("name", FIXED)
-@pytest.mark.parametrize("stack", [(), (3,)], ids=str)
-def test_row_weights_at_hand_are_those_of_the_mask(name, stack):
-    loss, _ = FIXED[name](stack, dtype=torch.double)
-    td = transitions(stack, dtype=torch.double)
+@pytest.mark.parametrize("replicas", [(), (3,)], ids=str)
+def test_row_weights_at_hand_are_those_of_the_mask(name, replicas):
+    loss, _ = FIXED[name](replicas, dtype=torch.double)
+    td = transitions(replicas, dtype=torch.double)
     td["valid"] = torch.rand(td.shape) < 0.7
     expected = gradients(loss, td)
     td["row_weight"] = td["valid"] / td["valid"].sum(-1, keepdim=True).double()

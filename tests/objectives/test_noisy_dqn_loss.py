@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 import torch
-from q_transitions import ACTIONS, FEATURES, STACKS, elements, noisy_loss, slopes, transitions
+from q_transitions import ACTIONS, FEATURES, REPLICAS, elements, noisy_loss, slopes, transitions
 from torch import nn
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.exploration import NoisySampling
-from bbq_torchrl.networks import FlatMLP, NoisyMLP, StackedNoisyLinear, q_actor
+from bbq_torchrl.networks import FlatMLP, NoisyMLP, ReplicaNoisyLinear, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
 from bbq_torchrl.trainers import ReplicaAdam
 
@@ -27,18 +27,18 @@ def noise(monkeypatch):
         drawn.append(torch.randn(size, dtype=torch.double))
         return drawn[-1].sign() * drawn[-1].abs().sqrt()
 
-    monkeypatch.setattr(StackedNoisyLinear, "_scale_noise", scale)
+    monkeypatch.setattr(ReplicaNoisyLinear, "_scale_noise", scale)
     return drawn
 
 
 def layers_of(params, k):
     """The four tensors of each layer of element k."""
     params = params["module", "0", "module", "layers"]
-    stack_ndim = params["0", "bias_mu"].ndim - 1
+    replica_ndim = params["0", "bias_mu"].ndim - 1
     return [
         [
-            params[str(n), kind].flatten(0, stack_ndim - 1)[k]
-            if stack_ndim
+            params[str(n), kind].flatten(0, replica_ndim - 1)[k]
+            if replica_ndim
             else params[str(n), kind]
             for kind in KINDS
         ]
@@ -57,11 +57,11 @@ def network(layers, x, z=None):
     return x
 
 
-def definition(loss, td, noises, stack, gamma, double_dqn, with_target_noise=True):
+def definition(loss, td, noises, replicas, gamma, double_dqn, with_target_noise=True):
     """Each element's loss for the noise that was drawn: online, target, choice."""
-    count, depth = torch.Size(stack).numel(), 6
+    count, depth = torch.Size(replicas).numel(), 6
     losses = []
-    for k, batch in enumerate(elements(td, stack)):
+    for k, batch in enumerate(elements(td, replicas)):
         z = [v.reshape(count, -1)[k] for v in noises]
         online, frozen = (
             layers_of(p, k) for p in (loss.value_network_params, loss.target_value_network_params)
@@ -80,21 +80,21 @@ def definition(loss, td, noises, stack, gamma, double_dqn, with_target_noise=Tru
         going_on = ~batch["next", "terminated"].squeeze(-1)
         y = batch["next", "reward"].squeeze(-1) + gamma * going_on * value
         losses.append((y.detach() - chosen).square().mean())
-    return torch.stack(losses).reshape(stack)
+    return torch.stack(losses).reshape(replicas)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("double_dqn", [False, True])
 @pytest.mark.parametrize("kind", [NoisyDQNLoss, DropoutDQNLoss])
-def test_value_and_gradient_are_those_of_the_definition(noise, stack, double_dqn, kind):
+def test_value_and_gradient_are_those_of_the_definition(noise, replicas, double_dqn, kind):
     loss, _ = noisy_loss(
-        stack, hidden=(8, 6), dtype=torch.double, double_dqn=double_dqn, gamma=0.8, kind=kind
+        replicas, hidden=(8, 6), dtype=torch.double, double_dqn=double_dqn, gamma=0.8, kind=kind
     )
-    td = transitions(stack, dtype=torch.double)
+    td = transitions(replicas, dtype=torch.double)
     out = loss(td)
     has_target_noise = kind is NoisyDQNLoss
     assert len(noise) == 6 * (1 + has_target_noise + (has_target_noise and double_dqn))
-    expected = definition(loss, td, noise, stack, 0.8, double_dqn, has_target_noise)
+    expected = definition(loss, td, noise, replicas, 0.8, double_dqn, has_target_noise)
     torch.testing.assert_close(out["loss_value"], expected.detach())
     torch.testing.assert_close(out["loss"], expected.sum())
     parameters = list(loss.parameters())
@@ -131,7 +131,7 @@ def test_noise_is_on_under_every_exploration_type(exploration):
 
 
 @pytest.mark.parametrize("double_dqn", [False, True])
-def test_elements_of_the_stack_are_bitwise_independent(double_dqn):
+def test_replicas_are_bitwise_independent(double_dqn):
     def gradients(spoil):
         torch.manual_seed(0)
         loss, _ = noisy_loss((3,), hidden=(33,), double_dqn=double_dqn)
@@ -175,7 +175,7 @@ def test_each_replica_has_an_optimizer_of_its_own():
 
 
 def test_noisy_layers_with_other_activations_work_too():
-    net = nn.Sequential(StackedNoisyLinear(FEATURES, 8), nn.Tanh(), StackedNoisyLinear(8, ACTIONS))
+    net = nn.Sequential(ReplicaNoisyLinear(FEATURES, 8), nn.Tanh(), ReplicaNoisyLinear(8, ACTIONS))
     loss = NoisyDQNLoss(q_actor(net, Categorical(ACTIONS)))
     HardUpdate(loss, value_network_update_interval=0)
     loss(transitions())["loss"].backward()
@@ -193,16 +193,18 @@ def test_acting_on_the_noise_solves_contextual_bandits():
     # The best of three arms is the one that the context names; no other exploration than noise.
     # Ten networks side by side; of 200 with these settings each one chose all arms right, and one
     # that misses an arm is at 2/3: more than half of the ten would have to fail.
-    stack, rows = (10,), 16
-    actor = q_actor(NoisyMLP(3, 3, (16,), stack=stack), Categorical(3), action_mask_key=None)
+    replicas, rows = (10,), 16
+    actor = q_actor(NoisyMLP(3, 3, (16,), replicas=replicas), Categorical(3), action_mask_key=None)
     policy = NoisySampling(actor)
     loss = NoisyDQNLoss(actor, gamma=0.0)
     HardUpdate(loss, value_network_update_interval=0)
     optimizer = torch.optim.Adam(loss.parameters(), 1e-2)
 
     def pull(rows):
-        context = torch.randint(3, (*stack, rows))
-        td = transitions(stack, (rows,)).exclude("action", "action_mask", ("next", "action_mask"))
+        context = torch.randint(3, (*replicas, rows))
+        td = transitions(replicas, (rows,)).exclude(
+            "action", "action_mask", ("next", "action_mask")
+        )
         td["observation"] = nn.functional.one_hot(context, 3).float()
         td["next", "observation"] = td["observation"]
         td = policy(td)
@@ -211,7 +213,7 @@ def test_acting_on_the_noise_solves_contextual_bandits():
     with set_exploration_type(ExplorationType.RANDOM):
         for _ in range(100):
             td, is_best = pull(rows)
-            reward = is_best.float() + 0.1 * torch.randn(*stack, rows)
+            reward = is_best.float() + 0.1 * torch.randn(*replicas, rows)
             td["next", "reward"] = reward.unsqueeze(-1)
             optimizer.zero_grad()
             loss(td)["loss"].backward()

@@ -7,7 +7,7 @@ from copy import deepcopy
 
 import pytest
 import torch
-from q_transitions import ACTIONS, FEATURES, STACKS, bayes_loss, flat, transitions
+from q_transitions import ACTIONS, FEATURES, REPLICAS, bayes_loss, flat, transitions
 from torch import nn
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
@@ -25,13 +25,13 @@ def both_values(loss, td):
     return values.detach(), loss._target_values(target, inputs).detach()
 
 
-def several_layers(stack=(), **settings):
+def several_layers(replicas=(), **settings):
     net = nn.Sequential(
-        BayesLinear(FEATURES, 8, stack=stack, prior_std=0.5),
+        BayesLinear(FEATURES, 8, replicas=replicas, prior_std=0.5),
         nn.Tanh(),
-        BayesLinear(8, 8, stack=stack, prior_std=0.5),
+        BayesLinear(8, 8, replicas=replicas, prior_std=0.5),
         nn.ReLU(),
-        BayesLinear(8, ACTIONS, stack=stack, prior_std=0.5),
+        BayesLinear(8, ACTIONS, replicas=replicas, prior_std=0.5),
     )
     loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), num_data=100, target="mc", **settings)
     return loss, HardUpdate(loss, value_network_update_interval=0)
@@ -46,15 +46,15 @@ def test_the_target_decides_unless_something_is_said(target, expected):
     assert bayes_loss(target_noise=expected, **settings)[0].target_noise == expected
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("kl", ["closed", "sampled"])
 @pytest.mark.parametrize("make", [bayes_loss, several_layers])
-def test_with_equal_parameters_the_shared_target_is_the_online_draw(stack, kl, make):
-    loss, update = make(stack, **{"target": "mc"} if make is bayes_loss else {}, kl=kl)
+def test_with_equal_parameters_the_shared_target_is_the_online_draw(replicas, kl, make):
+    loss, update = make(replicas, **{"target": "mc"} if make is bayes_loss else {}, kl=kl)
     for noise in ("shared", "independent"):
         loss.target_noise = noise
         update.step()
-        values, target = both_values(loss, transitions(stack))
+        values, target = both_values(loss, transitions(replicas))
         assert torch.equal(values, target) == (noise == "shared")
         assert noise == "shared" or (values != target).any(-1).all()
 

@@ -74,14 +74,14 @@ def test_in_and_out_keys(case):
     assert set(loss(transitions()).keys()) == set(out_keys)
 
 
-@pytest.mark.parametrize("stack", [(), (3,)])
-def test_only_the_scalar_loss_has_a_graph(case, stack):
+@pytest.mark.parametrize("replicas", [(), (3,)])
+def test_only_the_scalar_loss_has_a_graph(case, replicas):
     make, _, out_keys = case
-    loss, _ = make(stack)
-    out = loss(transitions(stack))
+    loss, _ = make(replicas)
+    out = loss(transitions(replicas))
     assert out.batch_size == ()
     for key in out_keys:
-        assert out[key].shape == (() if key == "loss" else stack)
+        assert out[key].shape == (() if key == "loss" else replicas)
         assert out[key].requires_grad == (key == "loss")
 
 
@@ -155,7 +155,7 @@ def test_states_round_trip(case):
     make, _, _ = case
     loss, _ = make((2,))
     td = transitions((2,))
-    other = make_again(make, loss, stack=(2,))
+    other = make_again(make, loss, replicas=(2,))
     assert not any(a is b for a in loss.parameters() for b in other.parameters())
     assert torch.equal(result(other, td), result(loss, td))
 

@@ -46,11 +46,11 @@ def make_trainer(domain: Domain, agent: str, folder: Path, rounds: int = 3) -> R
     kind = AGENTS[agent]
     if len(kind) == 3:
         target, kl, per = kind
-        actor = q_actor(BayesMLP(features, spec.n, HIDDEN, stack=(replicas,)), spec)
+        actor = q_actor(BayesMLP(features, spec.n, HIDDEN, replicas=(replicas,)), spec)
         loss = BBQNLoss(actor, target=target, kl=kl, hold=per != "step")
         policy = ThompsonSampling(actor, per=per)
     else:
-        actor = q_actor(FlatMLP(features, spec.n, HIDDEN, stack=(replicas,), dropout=0.5), spec)
+        actor = q_actor(FlatMLP(features, spec.n, HIDDEN, replicas=(replicas,), dropout=0.5), spec)
         loss = DropoutDQNLoss(actor)
         explore = (
             EGreedyModule(spec, 0.5, 0.1, annealing_num_steps=4, action_mask_key="action_mask")

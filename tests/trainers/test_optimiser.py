@@ -13,7 +13,7 @@ from bbq_torchrl.trainers import ReplicaAdam
 SHAPES = [(3, 4, 5), (3, 7)]
 
 
-def stacked_parameters() -> list[nn.Parameter]:
+def replica_parameters() -> list[nn.Parameter]:
     generator = torch.Generator().manual_seed(0)
     return [nn.Parameter(torch.randn(shape, generator=generator)) for shape in SHAPES]
 
@@ -29,7 +29,7 @@ FLAGS = [(True, True, True), (True, False, True), (False, False, True), (True, T
 
 
 def test_every_replica_moves_as_with_an_adam_of_its_own():
-    parameters = stacked_parameters()
+    parameters = replica_parameters()
     optimizer = ReplicaAdam(parameters, 3, lr=1e-2)
     alone = [[nn.Parameter(p.detach()[r].clone()) for p in parameters] for r in range(3)]
     adams = [torch.optim.Adam(a, lr=1e-2, fused=True) for a in alone]
@@ -51,7 +51,7 @@ def test_every_replica_moves_as_with_an_adam_of_its_own():
 @pytest.mark.parametrize("rates", [[1e-2, 0.3, 2.0], [1e-2, 1e-2, 0.5], [0.5, 1e-2, 0.5]])
 def test_every_replica_moves_at_its_own_rate(rates):
     def moved(lr):
-        parameters = stacked_parameters()
+        parameters = replica_parameters()
         optimizer = ReplicaAdam(parameters, 3, lr=lr)
         for step, active in enumerate(FLAGS[:6]):
             give_gradients(parameters, step)
@@ -72,11 +72,11 @@ def test_every_replica_moves_at_its_own_rate(rates):
 
 def test_as_many_rates_as_replicas_or_one():
     with pytest.raises(ValueError, match="one for each of the 3 replicas, got 2"):
-        ReplicaAdam(stacked_parameters(), 3, lr=[0.1, 0.2])
+        ReplicaAdam(replica_parameters(), 3, lr=[0.1, 0.2])
 
 
 def test_an_inactive_replica_is_bitwise_untouched():
-    parameters = stacked_parameters()
+    parameters = replica_parameters()
     optimizer = ReplicaAdam(parameters, 3, lr=1e-2)
     give_gradients(parameters, 0)
     optimizer.step()
@@ -94,7 +94,7 @@ def test_an_inactive_replica_is_bitwise_untouched():
 
 
 def test_a_parameter_without_a_gradient_stays():
-    used, unused = stacked_parameters()
+    used, unused = replica_parameters()
     optimizer = ReplicaAdam([used, unused], 3)
     before = unused.detach().clone()
     used.grad = torch.ones_like(used)
@@ -105,7 +105,7 @@ def test_a_parameter_without_a_gradient_stays():
 
 
 def test_the_state_continues_where_it_was_saved():
-    parameters = stacked_parameters()
+    parameters = replica_parameters()
     optimizer = ReplicaAdam(parameters, 3)
     for step, active in enumerate(FLAGS[:4]):
         give_gradients(parameters, step)
@@ -128,7 +128,7 @@ def test_frozen_parameters_are_left_out():
     assert ReplicaAdam([nn.Parameter(torch.zeros(3, 1)), frozen], 3).parameters[0].shape == (3, 1)
 
 
-def test_parameters_that_are_not_stacked_are_refused():
+def test_parameters_without_replicas_are_refused():
     with pytest.raises(ValueError, match=r"must be the 3 replicas, got shape \(2, 4\)"):
         ReplicaAdam([nn.Parameter(torch.zeros(2, 4))], 3)
     with pytest.raises(ValueError, match="got none"):

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import nn
 from torchrl.envs import Compose, InitTracker, Transform, TransformedEnv
-from trainer_parts import StackedQLoss, make_trainer
+from trainer_parts import ReplicaQLoss, make_trainer
 
 from bbq_torchrl.trainers import NonFiniteLossError, RoundSettings, SpikeSettings
 
@@ -248,7 +248,7 @@ def test_a_spike_that_fills_the_capacity_is_refused(tmp_path):
     assert not (tmp_path / "checkpoint").exists()
 
 
-class _BreaksInReplica1(StackedQLoss):
+class _BreaksInReplica1(ReplicaQLoss):
     broken_from = 5
 
     def forward(self, batch: TensorDictBase) -> TensorDictBase:

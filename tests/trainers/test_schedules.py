@@ -39,7 +39,7 @@ def explorer(kind):
 def make_trainer(kind, folder, rounds):
     replicas = 2
     env = GuessEnv(replicas, 4)
-    actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,), stack=(replicas,)), Categorical(ACTIONS))
+    actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,), replicas=(replicas,)), Categorical(ACTIONS))
     explore, value = explorer(kind)
     loss = DropoutDQNLoss(actor)
     return RoundTrainer(

@@ -84,7 +84,7 @@ class GuessEnv(EnvBase):
         return self._observe().update(values)
 
 
-class StackedLinearQ(nn.Module):
+class ReplicaLinearQ(nn.Module):
     """Q-values of R linear networks, and a bit of noise that comes from the global generator."""
 
     def __init__(self, replicas: int) -> None:
@@ -130,7 +130,7 @@ class QPolicy(nn.Module):
         return tensordict.set("action", self.explore(value, tensordict["action_mask"]))
 
 
-class StackedQLoss(LossModule):
+class ReplicaQLoss(LossModule):
     """Squared TD error, a mean over each replica's valid rows, summed over the replicas."""
 
     value_network: TensorDictModule
@@ -204,10 +204,10 @@ def make_trainer(
 ) -> RoundTrainer:
     """Returns a trainer of tiny parts that learns for a few rounds."""
     network = TensorDictModule(
-        StackedLinearQ(replicas), in_keys=["observation"], out_keys=["action_value"]
+        ReplicaLinearQ(replicas), in_keys=["observation"], out_keys=["action_value"]
     )
     policy = QPolicy(network)
-    loss = StackedQLoss(network)
+    loss = ReplicaQLoss(network)
     return RoundTrainer(
         GuessEnv(replicas, places),
         policy,

@@ -1,4 +1,4 @@
-"""DynamicsModel: running statistics by their definition, actions in every form, stacks."""
+"""DynamicsModel: running statistics by their definition, actions in every form, replicas."""
 
 from __future__ import annotations
 
@@ -8,47 +8,47 @@ import torch
 from bbq_torchrl.vime import DynamicsModel
 
 S, A = 4, 3
-STACKS = [(), (1,), (3,), (2, 2)]
+REPLICAS = [(), (1,), (3,), (2, 2)]
 
 
-def model(stack=(), **settings):
+def model(replicas=(), **settings):
     """A model whose statistics are not the ones at the start."""
-    dynamics = DynamicsModel(S, A, (8,), stack=stack, **settings)
+    dynamics = DynamicsModel(S, A, (8,), replicas=replicas, **settings)
     dtype = dynamics.mean.dtype
-    dynamics.update_statistics(2 + 3 * torch.randn(*stack, 50, S, dtype=dtype))
+    dynamics.update_statistics(2 + 3 * torch.randn(*replicas, 50, S, dtype=dtype))
     return dynamics
 
 
-def elements(tensor, stack):
-    return tensor.reshape(-1, *tensor.shape[len(stack) :])
+def elements(tensor, replicas):
+    return tensor.reshape(-1, *tensor.shape[len(replicas) :])
 
 
 # -- statistics ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("dtype", [torch.float, torch.double])
-def test_statistics_are_those_of_all_rows_that_counted(stack, dtype):
-    dynamics = DynamicsModel(S, A, stack=stack, dtype=dtype)
+def test_statistics_are_those_of_all_rows_that_counted(replicas, dtype):
+    dynamics = DynamicsModel(S, A, replicas=replicas, dtype=dtype)
     stored, counted = [], []
     for rows in (1, 7, 30):
-        x = 5 + 2 * torch.randn(*stack, rows, S, dtype=dtype)
-        valid = torch.rand(*stack, rows) < 0.6
+        x = 5 + 2 * torch.randn(*replicas, rows, S, dtype=dtype)
+        valid = torch.rand(*replicas, rows) < 0.6
         dynamics.update_statistics(torch.where(valid.unsqueeze(-1), x, torch.nan), valid)
         stored.append(x)
         counted.append(valid)
-    x, valid = (elements(torch.cat(t, len(stack)), stack) for t in (stored, counted))
+    x, valid = (elements(torch.cat(t, len(replicas)), replicas) for t in (stored, counted))
     for k in range(len(x)):
         rows = x[k][valid[k]].double()
         if not len(rows):
             continue
-        assert elements(dynamics.count, stack).reshape(-1)[k] == len(rows)
+        assert elements(dynamics.count, replicas).reshape(-1)[k] == len(rows)
         mean, var = rows.mean(0), rows.var(0, unbiased=False)
         torch.testing.assert_close(
-            elements(dynamics.mean, stack)[k].double(), mean, rtol=1e-5, atol=1e-6
+            elements(dynamics.mean, replicas)[k].double(), mean, rtol=1e-5, atol=1e-6
         )
         torch.testing.assert_close(
-            elements(dynamics.var, stack)[k].double(), var, rtol=1e-4, atol=1e-5
+            elements(dynamics.var, replicas)[k].double(), var, rtol=1e-4, atol=1e-5
         )
 
 
@@ -76,7 +76,7 @@ def test_an_element_without_rows_keeps_its_statistics_bitwise():
 
 
 def test_statistics_of_an_element_do_not_depend_on_anothers_rows():
-    one, other = model((3,)), DynamicsModel(S, A, (8,), stack=(3,))
+    one, other = model((3,)), DynamicsModel(S, A, (8,), replicas=(3,))
     other.load_state_dict(one.state_dict())
     x, y = torch.randn(3, 9, S), torch.randn(3, 9, S)
     y[1] = x[1]
@@ -88,7 +88,7 @@ def test_statistics_of_an_element_do_not_depend_on_anothers_rows():
 
 
 def test_standardized_states_have_mean_0_and_variance_1():
-    dynamics = DynamicsModel(S, A, stack=(2,), std_floor=1e-3)
+    dynamics = DynamicsModel(S, A, replicas=(2,), std_floor=1e-3)
     x = torch.randn(2, 500, S) * torch.tensor([0.1, 1.0, 10.0, 100.0]) + 7
     assert torch.equal(dynamics.standardize(x), x)  # nothing is known yet
     dynamics.update_statistics(x)
@@ -122,7 +122,7 @@ def test_statistics_are_buffers_that_learning_does_not_touch():
 
 
 def test_states_round_trip():
-    dynamics, other = model((2,)), DynamicsModel(S, A, (8,), stack=(2,))
+    dynamics, other = model((2,)), DynamicsModel(S, A, (8,), replicas=(2,))
     other.load_state_dict(dynamics.state_dict())
     x, action = torch.randn(2, 5, S), torch.randint(A, (2, 5))
     assert torch.equal(dynamics(x, action), other(x, action))
@@ -143,30 +143,30 @@ def test_resetting_the_parameters_leaves_the_statistics():
 # -- prediction ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("rows", [(6,), (2, 3)])
-def test_it_predicts_from_standardized_state_and_one_hot_action(stack, rows):
-    dynamics = model(stack, dtype=torch.double)
-    x = torch.randn(*stack, *rows, S, dtype=torch.double)
-    action = torch.randint(A, (*stack, *rows))
+def test_it_predicts_from_standardized_state_and_one_hot_action(replicas, rows):
+    dynamics = model(replicas, dtype=torch.double)
+    x = torch.randn(*replicas, *rows, S, dtype=torch.double)
+    action = torch.randint(A, (*replicas, *rows))
     out = dynamics(x, action, "mean")
-    assert out.shape == (*stack, *rows, S)
-    weights = elements(dynamics.network.posterior.mu.detach(), stack)
-    mean, std = elements(dynamics.mean, stack), elements(dynamics.var, stack).sqrt()
+    assert out.shape == (*replicas, *rows, S)
+    weights = elements(dynamics.network.posterior.mu.detach(), replicas)
+    mean, std = elements(dynamics.mean, replicas), elements(dynamics.var, replicas).sqrt()
     for k, (xs, actions) in enumerate(
-        zip(elements(x, stack), elements(action, stack), strict=True)
+        zip(elements(x, replicas), elements(action, replicas), strict=True)
     ):
         (w1, b1), (w2, b2) = dynamics.network.layout.unflatten(weights[k])
         one_hot = torch.nn.functional.one_hot(actions, A).double()
         read = torch.cat([(xs - mean[k]) / std[k], one_hot], -1)
         expected = (read @ w1 + b1).relu() @ w2 + b2
-        torch.testing.assert_close(elements(out, stack)[k], expected)
+        torch.testing.assert_close(elements(out, replicas)[k], expected)
 
 
-@pytest.mark.parametrize("stack", [(), (3,)])
-def test_every_form_of_an_action_is_understood(stack):
-    dynamics = model(stack)
-    x, index = torch.randn(*stack, 6, S), torch.randint(A, (*stack, 6))
+@pytest.mark.parametrize("replicas", [(), (3,)])
+def test_every_form_of_an_action_is_understood(replicas):
+    dynamics = model(replicas)
+    x, index = torch.randn(*replicas, 6, S), torch.randint(A, (*replicas, 6))
     expected = dynamics(x, index)
     one_hot = torch.nn.functional.one_hot(index, A)
     for action in (index.unsqueeze(-1), index.int(), one_hot, one_hot.bool(), one_hot.float()):
@@ -224,7 +224,7 @@ def test_sizes_must_be_positive():
 
 
 def test_shapes_that_do_not_fit_are_named():
-    dynamics = DynamicsModel(S, A, stack=(2,))
+    dynamics = DynamicsModel(S, A, replicas=(2,))
     with pytest.raises(ValueError, match=r"observation must have shape \[2, \*rows, 4\]"):
         dynamics.standardize(torch.zeros(3, 5, S))
     with pytest.raises(ValueError, match=r"observation must have shape \[2, \*rows, 4\]"):
@@ -235,8 +235,8 @@ def test_shapes_that_do_not_fit_are_named():
         dynamics(torch.zeros(2, 5, S), torch.zeros(2, 5))  # an index must not be floating
 
 
-def test_its_weights_can_be_those_of_any_stack_element():
-    # the stack is nothing but models side by side
+def test_its_weights_can_be_those_of_any_replica():
+    # the replicas is nothing but models side by side
     dynamics = model((3,), dtype=torch.double)
     x, action = torch.randn(3, 5, S, dtype=torch.double), torch.randint(A, (3, 5))
     out = dynamics(x, action)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from dynamics_losses import dynamics_loss, gradients, model, result
-from q_transitions import ACTIONS, FEATURES, STACKS, elements, transitions
+from q_transitions import ACTIONS, FEATURES, REPLICAS, elements, transitions
 from torch.distributions import Normal, kl_divergence
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import LossModule
@@ -27,22 +27,22 @@ def noise(monkeypatch):
     return drawn
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("padded", [False, True])
-def test_value_and_gradient_are_those_of_the_definition(noise, stack, padded):
-    dynamics = model(stack, torch.double, noise_std=0.7, prior_std=0.3)
+def test_value_and_gradient_are_those_of_the_definition(noise, replicas, padded):
+    dynamics = model(replicas, torch.double, noise_std=0.7, prior_std=0.3)
     loss = DynamicsLoss(dynamics, kl_temperature=0.4)
-    num_data = torch.arange(10.0, 10.0 + torch.Size(stack).numel()).double()
-    loss.set_num_data(num_data.reshape(stack))
-    td = transitions(stack, dtype=torch.double)
+    num_data = torch.arange(10.0, 10.0 + torch.Size(replicas).numel()).double()
+    loss.set_num_data(num_data.reshape(replicas))
+    td = transitions(replicas, dtype=torch.double)
     if padded:
-        td["valid"] = torch.rand(*stack, 32) < 0.7
+        td["valid"] = torch.rand(*replicas, 32) < 0.7
     out = loss(td)
     posterior = dynamics.network.posterior
     mu, rho = (t.reshape(-1, t.shape[-1]) for t in (posterior.mu, posterior.rho))
     mean, std = (t.reshape(-1, FEATURES) for t in (dynamics.mean, dynamics.var.sqrt()))
     losses, kls = [], []
-    for k, batch in enumerate(elements(td, stack)):
+    for k, batch in enumerate(elements(td, replicas)):
         q = Normal(mu[k], torch.nn.functional.softplus(rho[k]))
         (w1, b1), (w2, b2) = dynamics.network.layout.unflatten(q.loc + q.scale * noise[0][k])
         z, following = (
@@ -61,8 +61,8 @@ def test_value_and_gradient_are_those_of_the_definition(noise, stack, padded):
         losses.append(rows.mean() + 0.4 * kls[-1] / num_data[k])
     expected = torch.stack(losses)
     torch.testing.assert_close(out["loss"], expected.sum())
-    torch.testing.assert_close(out["dynamics_loss"], expected.detach().reshape(stack))
-    torch.testing.assert_close(out["dynamics_kl"], torch.stack(kls).detach().reshape(stack))
+    torch.testing.assert_close(out["dynamics_loss"], expected.detach().reshape(replicas))
+    torch.testing.assert_close(out["dynamics_kl"], torch.stack(kls).detach().reshape(replicas))
     parameters = list(loss.parameters())
     torch.testing.assert_close(
         torch.autograd.grad(out["loss"], parameters),

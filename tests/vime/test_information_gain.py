@@ -12,18 +12,18 @@ from bbq_torchrl.bayes import FlatLayout
 from bbq_torchrl.bayes.posterior import inverse_softplus
 from bbq_torchrl.vime import DynamicsModel, information_gain, mlp_information_gain
 
-STACKS = [(), (1,), (3,), (2, 2)]
+REPLICAS = [(), (1,), (3,), (2, 2)]
 NOISE_STD, STEP = 0.7, 0.03
 
 
-def case(stack=(), sizes=(4, 6, 5, 3), rows=(7,), dtype=torch.double):
+def case(replicas=(), sizes=(4, 6, 5, 3), rows=(7,), dtype=torch.double):
     """Random networks, transitions and weight noise."""
     layout = FlatLayout(sizes)
-    shape = (*stack, layout.numel)
+    shape = (*replicas, layout.numel)
     mu = 0.5 * torch.randn(shape, dtype=dtype)
     rho = torch.empty(shape, dtype=dtype).uniform_(-4, 1)
-    x = torch.randn(*stack, *rows, sizes[0], dtype=dtype)
-    target = torch.randn(*stack, *rows, sizes[-1], dtype=dtype)
+    x = torch.randn(*replicas, *rows, sizes[0], dtype=dtype)
+    target = torch.randn(*replicas, *rows, sizes[-1], dtype=dtype)
     return layout, mu, rho, x, target, torch.randn(shape, dtype=dtype)
 
 
@@ -59,11 +59,11 @@ def test_the_curvature_is_that_of_the_kl():
     torch.testing.assert_close(hessian, torch.diag(expected), rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("sizes", [(4, 3), (4, 6, 3), (4, 6, 5, 3)])
 @pytest.mark.parametrize("at", ["map", "mc"])
-def test_it_is_that_of_per_sample_gradients(stack, sizes, at):
-    layout, mu, rho, x, target, noise = case(stack, sizes)
+def test_it_is_that_of_per_sample_gradients(replicas, sizes, at):
+    layout, mu, rho, x, target, noise = case(replicas, sizes)
     if at == "map":
         noise = torch.zeros_like(noise)
     gain = mlp_information_gain(
@@ -76,8 +76,8 @@ def test_it_is_that_of_per_sample_gradients(stack, sizes, at):
         noise_std=NOISE_STD,
         step_size=STEP,
     )
-    assert gain.shape == (*stack, 7)
-    flat = [t.reshape(-1, *t.shape[len(stack) :]) for t in (mu, rho, noise, x, target)]
+    assert gain.shape == (*replicas, 7)
+    flat = [t.reshape(-1, *t.shape[len(replicas) :]) for t in (mu, rho, noise, x, target)]
     for k, element in enumerate(zip(*flat, strict=True)):
         by_mu, by_rho = slopes(*element, layout)
         of_mu, of_rho = curvature(element[1])
@@ -126,7 +126,7 @@ def test_at_a_draw_it_is_the_kl_of_the_step_to_first_order():
 
 
 @pytest.mark.parametrize("at", ["map", "mc"])
-def test_a_stack_is_networks_side_by_side(at):
+def test_replicas_are_networks_side_by_side(at):
     layout, mu, rho, x, target, noise = case((2, 2))
     if at == "map":
         noise = None
@@ -180,7 +180,7 @@ def test_it_vanishes_with_the_width_and_grows_with_the_error():
 
 
 def test_it_is_the_dynamics_models_in_standardized_states():
-    dynamics = DynamicsModel(3, 2, (6,), stack=(2,), noise_std=NOISE_STD, dtype=torch.double)
+    dynamics = DynamicsModel(3, 2, (6,), replicas=(2,), noise_std=NOISE_STD, dtype=torch.double)
     before, after = (4 + 3 * torch.randn(2, 8, 3, dtype=torch.double) for _ in range(2))
     action = torch.randint(2, (2, 8))
     dynamics.update_statistics(before)

@@ -37,10 +37,10 @@ def transitions(*batch, size=S, end=0.2):
     )
 
 
-def transform(stack=(), size=S, **settings):
+def transform(replicas=(), size=S, **settings):
     """A transform whose model starts from the same weights each time."""
     torch.manual_seed(1)
-    dynamics = DynamicsModel(size, A, (16,), stack=stack)
+    dynamics = DynamicsModel(size, A, (16,), replicas=replicas)
     torch.seed()
     return VIMEReward(dynamics, **settings)
 
@@ -200,7 +200,7 @@ def test_padding_does_not_change_a_digit_of_the_report():
     assert means[0][2].isnan()
 
 
-# -- stacks ----------------------------------------------------------------------------------
+# -- replicas --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("weights", ["map", "mc"])
@@ -233,7 +233,7 @@ def test_elements_do_not_depend_on_one_another_nor_on_padding(weights, lengths, 
             assert torch.equal(value[1], stored[1][2].state_dict()[name][1])
 
 
-def test_a_stack_is_transforms_side_by_side():
+def test_replicas_are_transforms_side_by_side():
     together = transform((2, 2))
     td = transitions(2, 2, 50)
     bonus = together.inv(td)[BONUS]
@@ -259,7 +259,7 @@ def test_seeds_restart_the_noise_of_each_element():
     assert torch.equal(gains[0], gains[2])
     assert torch.equal(gains[0][0], gains[1][0])
     assert not torch.equal(gains[0][1], gains[1][1])
-    with pytest.raises(ValueError, match=r"seeds must be 2, one for each element .* got 1"):
+    with pytest.raises(ValueError, match=r"seeds must be 2, one for each replica, got 1"):
         vime.set_seeds([3])
 
 
@@ -296,14 +296,16 @@ def test_what_is_read_is_not_changed():
     assert (rows == before).all()
 
 
-def test_each_element_of_the_stack_may_have_an_eta():
+def test_each_replica_may_have_an_eta():
     vime = transform((3,), eta=torch.tensor([0.0, 0.3, 2.0]))
     td = vime.inv(transitions(3, 20))
     torch.testing.assert_close(
         vime(td)[REWARD], td[REWARD] + torch.tensor([0.0, 0.3, 2.0])[:, None, None] * td[BONUS]
     )
     assert "eta" not in vime.state_dict()
-    with pytest.raises(ValueError, match=r"eta must be one number or have the stack's shape \[3\]"):
+    with pytest.raises(
+        ValueError, match=r"eta must be one number or have the replicas' shape \[3\]"
+    ):
         transform((3,), eta=torch.ones(2))
     with pytest.raises(ValueError, match="eta must be at least 0 and finite, got"):
         transform((2,), eta=torch.tensor([1.0, -1.0]))
@@ -422,12 +424,12 @@ def test_bad_settings_are_named(settings, message):
         transform(**settings)
 
 
-def test_it_refuses_environments_and_other_stacks():
+def test_it_refuses_environments_and_other_replicas():
     with pytest.raises(ValueError, match="transform of replay buffers"):
         TransformedEnv(PendulumEnv(), transform())
     with pytest.raises(ValueError, match="transform of replay buffers"):
         TransformedEnv(PendulumEnv(), Compose(transform()))
-    with pytest.raises(ValueError, match=r"must begin with the stack \[2\], got \[3, 8\]"):
+    with pytest.raises(ValueError, match=r"must begin with the replicas \[2\], got \[3, 8\]"):
         transform((2,)).inv(transitions(3, 8))
     with pytest.raises(KeyError, match="stored without this transform"):
         transform()(transitions(5))

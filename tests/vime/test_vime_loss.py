@@ -17,8 +17,11 @@ from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.vime import VIMELoss
 
 MAKERS = {
-    "dqn": (lambda stack, **s: plain_loss(stack, dropout=0.5, **s)[0], ["td_error", "q_value"]),
-    "bbqn": (lambda stack, **s: bayes_loss(stack, **s)[0], ["td_error", "q_value", "kl"]),
+    "dqn": (
+        lambda replicas, **s: plain_loss(replicas, dropout=0.5, **s)[0],
+        ["td_error", "q_value"],
+    ),
+    "bbqn": (lambda replicas, **s: bayes_loss(replicas, **s)[0], ["td_error", "q_value", "kl"]),
 }
 
 
@@ -27,15 +30,15 @@ def kind(request):
     return request.param
 
 
-def vime_loss(kind="dqn", stack=(), **settings):
+def vime_loss(kind="dqn", replicas=(), **settings):
     """Both losses, not yet known to any target updater."""
-    return VIMELoss(MAKERS[kind][0](stack), dynamics_loss(stack), **settings)
+    return VIMELoss(MAKERS[kind][0](replicas), dynamics_loss(replicas), **settings)
 
 
-@pytest.mark.parametrize("stack", [(), (3,)])
-def test_it_returns_what_both_return_and_the_sum(kind, stack):
-    loss = vime_loss(kind, stack)
-    td = transitions(stack)
+@pytest.mark.parametrize("replicas", [(), (3,)])
+def test_it_returns_what_both_return_and_the_sum(kind, replicas):
+    loss = vime_loss(kind, replicas)
+    td = transitions(replicas)
     torch.manual_seed(0)
     q, dynamics = loss.q_loss(td.clone()), loss.dynamics_loss(td.clone())
     out = result(loss, td)
@@ -52,7 +55,7 @@ def test_it_returns_what_both_return_and_the_sum(kind, stack):
         assert value.requires_grad == (key == "loss")
         if key != "loss":
             assert torch.equal(value, q.get(key, dynamics.get(key, None)))
-    assert td["td_error"].shape == (*stack, 32, 1)
+    assert td["td_error"].shape == (*replicas, 32, 1)
 
 
 def test_adam_trains_both_as_if_they_were_apart(kind):
@@ -120,7 +123,7 @@ def test_torchrls_target_updaters_find_the_q_losss_targets():
 def test_the_rest_is_the_q_losss(kind):
     loss = vime_loss(kind, (2,))
     assert loss.value_network is loss.q_loss.value_network
-    assert loss.stack == (2,)
+    assert loss.replicas == (2,)
     assert loss.tensor_keys.priority == "td_error"
     assert set(loss.in_keys) == {*loss.q_loss.in_keys, *loss.dynamics_loss.in_keys}
     loss.make_value_estimator(gamma=0.25)
@@ -163,7 +166,7 @@ def test_the_number_of_data_reaches_both(kind):
 
 
 def test_the_dynamics_may_learn_on_every_kth_batch_only():
-    loss = vime_loss(stack=(2,), dynamics_every=3)
+    loss = vime_loss(replicas=(2,), dynamics_every=3)
     learned, reported = [], []
     for _ in range(7):
         loss.zero_grad()
@@ -184,12 +187,12 @@ def test_the_dynamics_may_learn_on_every_kth_batch_only():
 
 @pytest.mark.parametrize("copy", ["state", "deepcopy", "pickle"])
 def test_it_goes_on_where_it_was(copy):
-    loss = vime_loss(stack=(2,), dynamics_every=3)
+    loss = vime_loss(replicas=(2,), dynamics_every=3)
     batches = [transitions((2,)) for _ in range(5)]
     result(loss, batches[0])
     result(loss, batches[1])
     if copy == "state":
-        other = vime_loss(stack=(2,), dynamics_every=3)
+        other = vime_loss(replicas=(2,), dynamics_every=3)
         other.load_state_dict(loss.state_dict())
     else:
         other = deepcopy(loss) if copy == "deepcopy" else pickle.loads(pickle.dumps(loss))

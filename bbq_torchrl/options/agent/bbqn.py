@@ -105,7 +105,7 @@ class BBQN(AgentOption):
             task.inputs,
             task.actions,
             self.hidden,
-            stack=(task.replicas,),
+            replicas=task.replicas,
             prior_std=prior_std if prior_std == "fan_in" else over_replicas(prior_std, task),
             mean_init=self.mean_init,  # type: ignore[arg-type]
             std_init=None if std_init is None else over_replicas(std_init, task),

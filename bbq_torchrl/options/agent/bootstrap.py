@@ -73,7 +73,7 @@ class Bootstrap(AgentOption):
             task.actions,
             self.hidden,
             heads=self.heads,
-            stack=(task.replicas,),
+            replicas=task.replicas,
             trunk_layers=self.trunk_layers,
             prior_scale=self.prior_scale,
             device=task.device,
@@ -104,7 +104,7 @@ class Bootstrap(AgentOption):
         """Draws for each stored transition the heads that learn from it."""
         from bbq_torchrl.data import BootstrapMask
 
-        return [BootstrapMask(self.heads, self.mask_prob, stack=(task.replicas,))]
+        return [BootstrapMask(self.heads, self.mask_prob, replicas=task.replicas)]
 
     def floats(self, inputs: int, actions: int) -> int:
         """The trunk once, the rest for each head."""

@@ -55,12 +55,13 @@ class DQN(AgentOption):
         from bbq_torchrl.networks import FlatMLP, NoisyMLP, q_actor
 
         sizes = (task.inputs, task.actions, self.hidden)
-        stack = (task.replicas,)
         network: FlatMLP | NoisyMLP
         if self.noisy:
-            network = NoisyMLP(*sizes, stack=stack, device=task.device)
+            network = NoisyMLP(*sizes, replicas=task.replicas, device=task.device)
         else:
-            network = FlatMLP(*sizes, stack=stack, dropout=self.dropout, device=task.device)
+            network = FlatMLP(
+                *sizes, replicas=task.replicas, dropout=self.dropout, device=task.device
+            )
         task.reset_inactive_(network)
         return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
 

@@ -66,7 +66,7 @@ class VIME(IntrinsicOption):
             task.inputs,
             task.actions,
             self.hidden,
-            stack=(task.replicas,),
+            replicas=task.replicas,
             prior_std=self.prior_std,
             noise_std=self.noise_std,
             std_floor=self.std_floor,

@@ -47,7 +47,7 @@ class Epinet(AgentOption):
             epinet_hidden=self.epinet_hidden,
             prior_hidden=self.prior_hidden,
             prior_scale=self.prior_scale,
-            stack=(task.replicas,),
+            replicas=task.replicas,
             device=task.device,
         )
         if task.inactive_inputs is not None:

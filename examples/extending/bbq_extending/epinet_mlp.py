@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from bbq_torchrl.bayes import replica_shape
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ __all__ = ["EpinetMLP"]
 
 
 class EpinetMLP(nn.Module):
-    r"""A ReLU network with an epinet beside it, or a stack of them (Osband et al., 2023).
+    r"""A ReLU network with an epinet beside it, or replicas of both (Osband et al., 2023).
 
     With the base network's last hidden features φ(x), which pass no gradient on, and an index z:
 
@@ -35,11 +36,11 @@ class EpinetMLP(nn.Module):
         epinet_hidden: sizes of the epinet's hidden layers.
         prior_hidden: sizes of the hidden layers of each prior.
         prior_scale: factor of the priors.
-        stack: leading shape of the weights; with (R,) these are R independent networks.
+        replicas: R independent networks side by side, or a shape of them.
         device: of the weights.
 
     Example:
-        >>> network = EpinetMLP(3, 2, (16,), index_size=4, stack=(5,))
+        >>> network = EpinetMLP(3, 2, (16,), index_size=4, replicas=5)
         >>> x, index = torch.ones(5, 7, 3), torch.randn(5, 7, 4)
         >>> network(x, index).shape
         torch.Size([5, 7, 2])
@@ -59,11 +60,11 @@ class EpinetMLP(nn.Module):
         epinet_hidden: Sequence[int] = (50,),
         prior_hidden: Sequence[int] = (16,),
         prior_scale: float = 1.0,
-        stack: Sequence[int] = (),
+        replicas: int | Sequence[int] = (),
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        self.stack = torch.Size(stack)
+        self.replicas = replica_shape(replicas)
         self.index_size = index_size
         self.prior_scale = prior_scale
         self.out_features = out_features
@@ -78,7 +79,7 @@ class EpinetMLP(nn.Module):
 
         def weights(name: str, *rows: int) -> Tensor:
             layout = self.layouts[name]
-            flat = torch.empty(*self.stack, *rows, layout.numel, device=device)
+            flat = torch.empty(*self.replicas, *rows, layout.numel, device=device)
             init_linear_(flat, layout)
             return flat
 
@@ -88,11 +89,11 @@ class EpinetMLP(nn.Module):
         self.register_buffer("prior", weights("prior", index_size))
 
     def forward(self, x: Tensor, index: Tensor) -> Tensor:
-        """Returns the values, shape [*stack, *batch, out].
+        """Returns the values, shape [*replicas, *batch, out].
 
         Args:
-            x: inputs, shape [*stack, *batch, in].
-            index: shape [*stack, *batch, index_size]; at 0 the values are the base network's.
+            x: inputs, shape [*replicas, *batch, in].
+            index: shape [*replicas, *batch, index_size]; at 0 the values are the base network's.
         """
         features = mlp(x, self.trunk, self.layouts["trunk"]).relu()
         base = mlp(features, self.head, self.layouts["head"])
@@ -103,8 +104,8 @@ class EpinetMLP(nn.Module):
 
     @torch.no_grad()
     def _priors(self, x: Tensor) -> Tensor:
-        """Returns what each prior makes of the input, [*stack, *batch, index_size, out]."""
-        dim = len(self.stack)
+        """Returns what each prior makes of the input, [*replicas, *batch, index_size, out]."""
+        dim = len(self.replicas)
         each = x.unsqueeze(dim).expand(*x.shape[:dim], self.index_size, *x.shape[dim:])
         return mlp(each, self.prior, self.layouts["prior"]).movedim(dim, -2)
 

@@ -53,7 +53,7 @@ class Langevin(AgentOption):
         from bbq_torchrl.networks import FlatMLP, q_actor
 
         network = FlatMLP(
-            task.inputs, task.actions, self.hidden, stack=(task.replicas,), device=task.device
+            task.inputs, task.actions, self.hidden, replicas=task.replicas, device=task.device
         )
         task.reset_inactive_(network)
         return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)

@@ -1,4 +1,4 @@
-"""A prior and a start for each element of a stack: as networks that have them alone."""
+"""A prior and a start for each replica: as networks that have them alone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 from torch.distributions import Normal, kl_divergence
 
 from bbq_torchrl.bayes import BayesMLP, GaussianPosterior
-from bbq_torchrl.bayes.stack_values import stack_values
+from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.networks import grow, reset_inactive_
 
 PRIORS = {
@@ -18,9 +18,9 @@ PRIORS = {
 }
 
 
-def posterior_of(stack, weights=(7, 4)):
-    """A posterior at random means and spreads, its prior's stds [*stack, 1], and noise."""
-    posterior = GaussianPosterior(weights, PRIORS[stack], stack=stack, dtype=torch.double)
+def posterior_of(replicas, weights=(7, 4)):
+    """A posterior at random means and spreads, its prior's stds [*replicas, 1], and noise."""
+    posterior = GaussianPosterior(weights, PRIORS[replicas], replicas=replicas, dtype=torch.double)
     with torch.no_grad():
         posterior.mu.normal_(0, 0.5)
         posterior.rho.uniform_(-4, 2)
@@ -32,15 +32,15 @@ def posterior_of(stack, weights=(7, 4)):
             row.copy_(next(rows))
 
     posterior.fill_noise_ = fill
-    return posterior, PRIORS[stack].double().unsqueeze(-1), noise
+    return posterior, PRIORS[replicas].double().unsqueeze(-1), noise
 
 
 @pytest.mark.parametrize("kind", ["closed", "sampled"])
 @pytest.mark.parametrize(
-    ("stack", "weights"), [((3,), (7, 4)), ((2, 2), (7, 4)), ((5,), (40_001,))]
+    ("replicas", "weights"), [((3,), (7, 4)), ((2, 2), (7, 4)), ((5,), (40_001,))]
 )
-def test_draw_kl_and_gradients_are_those_of_torch_distributions(stack, weights, kind):
-    posterior, std, noise = posterior_of(stack, weights)
+def test_draw_kl_and_gradients_are_those_of_torch_distributions(replicas, weights, kind):
+    posterior, std, noise = posterior_of(replicas, weights)
     parameters = (posterior.mu, posterior.rho)
     drawn, kl = posterior.sample_with_kl(kind)
     q, p = Normal(posterior.mu, posterior.sigma), Normal(torch.zeros_like(std), std)
@@ -70,12 +70,12 @@ def test_the_gradient_of_the_closed_kl_alone_is_that_of_torch_distributions():
 
 @pytest.mark.parametrize("kind", ["closed", "sampled"])
 def test_each_element_is_bitwise_as_where_all_have_its_prior(kind):
-    stack, weights = (5,), (40_001,)
-    std = PRIORS[stack]
+    replicas, weights = (5,), (40_001,)
+    std = PRIORS[replicas]
 
     def outcome(prior_std):
         torch.manual_seed(0)
-        posterior = GaussianPosterior(weights, prior_std, stack=stack)
+        posterior = GaussianPosterior(weights, prior_std, replicas=replicas)
         start = posterior.rho.detach().clone()
         with torch.no_grad():
             posterior.mu.normal_(0, 0.1)
@@ -93,7 +93,7 @@ def test_each_element_is_bitwise_as_where_all_have_its_prior(kind):
 
 
 def test_at_its_own_prior_an_element_has_a_gradient_of_exactly_zero():
-    posterior = GaussianPosterior([37, 12], PRIORS[(3,)], stack=(3,))
+    posterior = GaussianPosterior([37, 12], PRIORS[(3,)], replicas=(3,))
     _, kl = posterior.sample_with_kl()
     for value in (kl, posterior.kl()):
         for gradient in torch.autograd.grad(value.sum(), posterior.parameters()):
@@ -102,17 +102,17 @@ def test_at_its_own_prior_an_element_has_a_gradient_of_exactly_zero():
 
 def test_a_network_starts_each_element_where_it_is_told():
     stds = torch.tensor([0.01, 0.5])
-    net = BayesMLP(3, 2, (4,), stack=(2,), prior_std=stds)
+    net = BayesMLP(3, 2, (4,), replicas=(2,), prior_std=stds)
     torch.testing.assert_close(net.posterior.sigma, stds[:, None].expand_as(net.posterior.rho))
     torch.testing.assert_close(net.posterior.prior_std, stds[:, None])
-    started = BayesMLP(3, 2, (4,), stack=(2,), std_init=stds)
+    started = BayesMLP(3, 2, (4,), replicas=(2,), std_init=stds)
     torch.testing.assert_close(started.posterior.sigma, net.posterior.sigma)
     assert started.posterior.prior_rho.shape == (1,)
 
 
 def test_what_is_inactive_or_new_is_at_its_own_elements_prior():
     stds = torch.tensor([0.01, 0.5])
-    net = BayesMLP(3, 2, (4,), stack=(2,), prior_std=stds, std_init=2.0)
+    net = BayesMLP(3, 2, (4,), replicas=(2,), prior_std=stds, std_init=2.0)
     inactive = torch.tensor([False, False, True])
     reset_inactive_(net, inputs=inactive)
     matrix, _ = net.layout.unflatten(net.posterior.sigma)[0]
@@ -126,21 +126,21 @@ def test_what_is_inactive_or_new_is_at_its_own_elements_prior():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (torch.ones(3), r"must be one number or have the stack's shape \[2\], got \[3\]"),
+        (torch.ones(3), r"must be one number or have the replicas' shape \[2\], got \[3\]"),
         (torch.tensor([0.1, -1.0]), r"must be positive and finite, got \[0\.1.*, -1\.0\]"),
         (torch.tensor([0.1, torch.inf]), "must be positive and finite"),
     ],
 )
-def test_what_does_not_fit_the_stack_is_refused(values, message):
+def test_what_does_not_fit_the_replicas_is_refused(values, message):
     with pytest.raises(ValueError, match=f"prior_std {message}"):
-        BayesMLP(3, 2, stack=(2,), prior_std=values)
+        BayesMLP(3, 2, replicas=(2,), prior_std=values)
     with pytest.raises(ValueError, match=f"std_init {message}"):
-        BayesMLP(3, 2, stack=(2,), std_init=values)
+        BayesMLP(3, 2, replicas=(2,), std_init=values)
 
 
 def test_the_least_value_may_be_given():
-    assert stack_values("kl_temperature", torch.zeros(2), (2,), minimum=0).tolist() == [0, 0]
+    assert replica_values("kl_temperature", torch.zeros(2), (2,), minimum=0).tolist() == [0, 0]
     with pytest.raises(ValueError, match=r"kl_temperature must be at least 0 and finite"):
-        stack_values("kl_temperature", torch.tensor([-1.0, 0]), (2,), minimum=0)
+        replica_values("kl_temperature", torch.tensor([-1.0, 0]), (2,), minimum=0)
     with pytest.raises(ValueError, match=r"gamma must be at least 0 and at most 1, got \[0\.5, 2"):
-        stack_values("gamma", torch.tensor([0.5, 2.0]), (2,), minimum=0, maximum=1)
+        replica_values("gamma", torch.tensor([0.5, 2.0]), (2,), minimum=0, maximum=1)

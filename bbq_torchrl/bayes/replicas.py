@@ -1,4 +1,4 @@
-"""A hyper-parameter with a value of its own for each element of a stack."""
+"""Replicas, independent networks side by side: their shape, and a value for each of them."""
 
 from __future__ import annotations
 
@@ -10,25 +10,35 @@ from torch import Tensor
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["stack_values"]
+__all__ = ["replica_shape", "replica_values"]
 
 
-def stack_values(
+def replica_shape(replicas: int | Sequence[int]) -> torch.Size:
+    """Returns the leading shape that replicas give to weights and data: 5 is (5,).
+
+    Example:
+        >>> replica_shape(5), replica_shape((2, 3)), replica_shape(())
+        (torch.Size([5]), torch.Size([2, 3]), torch.Size([]))
+    """
+    return torch.Size((replicas,) if isinstance(replicas, int) else replicas)
+
+
+def replica_values(
     name: str,
     values: Tensor,
-    stack: Sequence[int],
+    replicas: Sequence[int],
     *,
     minimum: float | None = None,
     maximum: float | None = None,
 ) -> Tensor:
-    """Returns a hyper-parameter's checked values, float64 [*stack].
+    """Returns a hyper-parameter's checked values, float64 [*replicas].
 
     In float64, so that what is computed from them rounds as it does from one Python number.
 
     Args:
         name: of the hyper-parameter, for the message.
-        values: one for each element, shape [*stack].
-        stack: the shape.
+        values: one for each, shape [*replicas].
+        replicas: the shape.
 
     Keyword Args:
         minimum: the least value that is allowed. Defaults to None: any above 0.
@@ -38,12 +48,12 @@ def stack_values(
         ValueError: for another shape, or a value that is not allowed.
 
     Example:
-        >>> stack_values("noise_std", torch.tensor([1, 2]), (2,))
+        >>> replica_values("noise_std", torch.tensor([1, 2]), (2,))
         tensor([1., 2.], dtype=torch.float64)
     """
-    if values.shape != torch.Size(stack):
+    if values.shape != torch.Size(replicas):
         raise ValueError(
-            f"{name} must be one number or have the stack's shape {list(stack)}, got "
+            f"{name} must be one number or have the replicas' shape {list(replicas)}, got "
             f"{list(values.shape)}"
         )
     values = values.detach().double()
