@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison, draw_panels
+from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, find_results, read_groups
 from bbq_torchrl.evaluation.learning import learning, rounds_to_reach
 from bbq_torchrl.evaluation.pairs import Pairing, pairings
@@ -51,6 +52,7 @@ __all__ = [
     "references",
     "setting_of",
     "table1_text",
+    "write_grid",
     "write_replicas",
     "write_report",
     "write_table1",
@@ -142,6 +144,15 @@ def _replica_rows(group: Group) -> list[dict[str, Any]]:
         for run in group.runs
         for number, entry in enumerate(run.result.per_replica)
     ]
+
+
+def write_grid(groups: Sequence[Group], folder: Path) -> str:
+    """Writes ``grid.md`` and ``replicas.csv``. Returns the grid as Markdown."""
+    text = grid_text(groups)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "grid.md").write_text(text, encoding="utf-8")
+    write_replicas(groups, folder / "replicas.csv")
+    return text
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:
@@ -306,16 +317,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, help="folder for report.md, its tables as CSV files, and curves.png"
     )
-    parser.add_argument(
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument(
         "--table1",
         action="store_true",
         help="the paper's Table 1: its numbers beside, declared pairs, and what is missing",
+    )
+    form.add_argument(
+        "--grid", action="store_true", help="learner x explorer: each learner by each exploration"
     )
     given = parser.parse_args(arguments)
     try:
         groups = read_groups(find_results(given.folders))
         if given.table1:
             text = table1_text(groups) if given.out is None else write_table1(groups, given.out)
+        elif given.grid:
+            text = grid_text(groups) if given.out is None else write_grid(groups, given.out)
         elif given.out is not None:
             text = write_report(groups, given.out)
         else:

@@ -33,6 +33,7 @@ __all__ = [
     "comparisons_table",
     "find_cells",
     "missing_cells",
+    "shown_p_value",
     "table1",
     "verdict",
 ]
@@ -169,6 +170,11 @@ def verdict(difference: Estimate | None, p_value: float) -> str:
     return "yes" if difference.value > 0 else "no"
 
 
+def shown_p_value(p_value: float) -> str:
+    """Returns a p-value with three decimals, such as ``0.021`` or ``< .001``."""
+    return f"{p_value:.3f}" if p_value >= 0.001 else "< .001"
+
+
 def table1(groups: Sequence[Group], env: str) -> str:
     """Returns Table 1 of an environment as Markdown; a cell that was not run is named so."""
     cells = find_cells(groups, env)
@@ -222,8 +228,8 @@ def comparisons_table(groups: Sequence[Group], env: str) -> str:
             if item.difference is None:
                 row += ["–", "–", NOT_RUN]
             else:
-                p_value = f"{item.p_value:.3f}" if item.p_value >= 0.001 else "< .001"
-                row += [f"{item.difference:+.3f}", p_value, verdict(item.difference, item.p_value)]
+                decided = verdict(item.difference, item.p_value)
+                row += [f"{item.difference:+.3f}", shown_p_value(item.p_value), decided]
         rows.append(tuple(row))
     head = ("by pairs", "final success", "p", "ends higher?", "cumulative", "p", "learns faster?")
     return table(head, rows, numbers=len(head) - 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections import Counter
 from dataclasses import Field, fields
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
@@ -141,9 +142,16 @@ def _groups() -> str:
     rows = [
         (
             code(f"+{group}" if group == EXPERIMENT else group),
-            ", ".join(map(code, options(group))),
+            ", ".join(_by_folder(options(group))),
             code(chosen[group]) if chosen.get(group) else "none",
         )
         for group in (*schemas(), EXPERIMENT)
     ]
     return table(("group", "options", "default"), rows)
+
+
+def _by_folder(names: Iterable[str]) -> list[str]:
+    """Returns the names as code, and those of a folder as one, with their number."""
+    folders = Counter(name.rpartition("/")[0] for name in names)
+    plain = [code(name) for name in names if "/" not in name]
+    return plain + [f"{code(f'{name}/…')} ({n})" for name, n in folders.items() if name]

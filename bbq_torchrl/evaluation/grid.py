@@ -1,0 +1,148 @@
+"""Learner x explorer: which part of a result is the learner's, and which its exploration's.
+
+The same learner is trained on the dialogues of several strategies. Where its row of the grid is
+level, what looks like better exploration is better learning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from bbq_torchrl.evaluation.markdown import table
+from bbq_torchrl.evaluation.names import agent_name
+from bbq_torchrl.evaluation.pairs import pair
+from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.evaluation.table1 import NOT_RUN, shown_p_value, verdict
+from bbq_torchrl.study.statistics import holm
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.evaluation.groups import Group
+    from bbq_torchrl.evaluation.statistics import Estimate
+
+__all__ = ["GRID_NOTE", "Deviation", "Grid", "deviations", "find_grid", "grid_text"]
+
+QUANTITIES = {"final_success": "final success", "training_success": "cumulative training success"}
+
+GRID_NOTE = """\
+Means over seeds with their 95 % Student t interval. Each explorer is compared with the first of
+its learner by pairs: replicas that saw the same spiked dialogues, goals and noise of the simulator.
+p: of a t test of the differences, by Holm's method for all explorers of the learner.
+"""
+
+Grid = Mapping[str, Mapping[str, "Group"]]
+"""Learner -> explorer -> the runs, both in the order in which they were given."""
+
+
+def find_grid(groups: Sequence[Group]) -> Grid:
+    """Returns the groups by learner and explorer.
+
+    A learner is the agent without its exploration, such as ``BBQN-MAP``, and the keys of ``agent``
+    in which learners of that name differ.
+
+    Raises:
+        ValueError: two settings of one cell.
+    """
+    names = [_name(group) for group in groups]
+    grid: dict[str, dict[str, Group]] = {}
+    for name, group in zip(names, groups, strict=True):
+        same = [
+            _keys(other)
+            for other_name, other in zip(names, groups, strict=True)
+            if other_name == name
+        ]
+        own = _keys(group)
+        told = [
+            f"{key}={value}"
+            for key, value in own.items()
+            if any(keys.get(key) != value for keys in same)
+        ]
+        row = grid.setdefault(", ".join([name, *told]), {})
+        explorer = group.first.explore
+        if explorer in row:
+            raise ValueError(
+                f"a cell of the grid must have one setting, got two of {name} with "
+                f"explore={explorer}: {row[explorer].runs[0].folder} and {group.runs[0].folder}"
+            )
+        row[explorer] = group
+    return grid
+
+
+def _name(group: Group) -> str:
+    return agent_name({**group.runs[0].config, "explore": {}})
+
+
+def _keys(group: Group) -> dict[str, Any]:
+    setting = group.runs[0].setting
+    return {key: value for key, value in setting.items() if key.startswith("agent.")}
+
+
+class Deviation(NamedTuple):
+    """What another explorer does to a learner.
+
+    Attributes:
+        learner: of the grid.
+        first: the explorer that it is compared with.
+        other: the explorer.
+        difference: other minus first, mean over pairs with its t interval; None without pairs.
+        p_value: adjusted by Holm's method over the learner's explorers.
+    """
+
+    learner: str
+    first: str
+    other: str
+    difference: Estimate | None
+    p_value: float
+
+
+def deviations(grid: Grid, quantity: str) -> list[Deviation]:
+    """Returns each learner's explorers beside its first, by ``final_success`` or the like."""
+    found = []
+    for learner, row in grid.items():
+        first, *others = row
+        pairings = [pair(row[other], row[first]) for other in others]
+        adjusted = holm([item.p_values[quantity] if item.pairs > 1 else 1.0 for item in pairings])
+        for other, item, p_value in zip(others, pairings, adjusted, strict=True):
+            difference = item.differences[quantity].t if item.pairs > 1 else None
+            found.append(Deviation(learner, first, other, difference, p_value))
+    return found
+
+
+def grid_text(groups: Sequence[Group]) -> str:
+    """Returns the grid and its comparisons as Markdown.
+
+    Raises:
+        ValueError: see :func:`find_grid`.
+    """
+    grid = find_grid(groups)
+    explorers = list(dict.fromkeys(explorer for row in grid.values() for explorer in row))
+    parts = ["# Learner x explorer"]
+    for quantity, title in QUANTITIES.items():
+        rows = [
+            (learner, *(_cell(row.get(explorer), quantity) for explorer in explorers))
+            for learner, row in grid.items()
+        ]
+        parts += [f"## {title.capitalize()}", table(("learner", *explorers), rows)]
+        compared = [
+            (
+                item.learner,
+                f"{item.other} minus {item.first}",
+                "–" if item.difference is None else f"{item.difference:+.3f}",
+                "–" if item.difference is None else shown_p_value(item.p_value),
+                verdict(item.difference, item.p_value),
+            )
+            for item in deviations(grid, quantity)
+        ]
+        if compared:
+            head = ("learner", "by pairs", "difference", "p", "better?")
+            parts.append(table(head, compared, numbers=3))
+    return "\n\n".join([*parts, GRID_NOTE.strip()]) + "\n"
+
+
+def _cell(group: Group | None, quantity: str) -> str:
+    if group is None:
+        return NOT_RUN
+    values = group.final if quantity == "final_success" else group.cumulative
+    return f"{summarize(values).t} ({len(values)} seeds)"

@@ -1,0 +1,111 @@
+"""Learner x explorer: a cell a setting, rows by learner, compared by pairs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from itertools import product
+
+import pytest
+import yaml
+from result_folders import make_run
+from scipy import stats
+
+from bbq_torchrl.cli.store import compose, conf_folder
+from bbq_torchrl.evaluation.grid import deviations, find_grid
+from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.evaluation.names import agent_name
+from bbq_torchrl.evaluation.report import main
+
+OWN = [0.70, 0.80, 0.75, 0.72, 0.78]
+LESS = [0.60, 0.72, 0.64, 0.62, 0.66]
+SAME = [0.71, 0.79, 0.75, 0.73, 0.77]
+
+
+@pytest.fixture
+def runs(tmp_path):
+    make_run(tmp_path / "0", OWN)
+    make_run(tmp_path / "1", LESS, explore="greedy")
+    make_run(tmp_path / "2", SAME, explore="boltzmann")
+    make_run(tmp_path / "3", OWN, agent="dqn", explore="epsilon_greedy")
+    make_run(tmp_path / "4", LESS, agent="dqn", explore="greedy", dropout=0.0)
+    return tmp_path
+
+
+@pytest.fixture
+def groups(runs):
+    return read_groups(sorted(runs.iterdir()))
+
+
+def test_learners_are_rows_whatever_they_explore_by(groups):
+    grid = find_grid(groups)
+    assert {name: list(row) for name, row in grid.items()} == {
+        "BBQN-MAP": ["thompson", "greedy", "boltzmann"],
+        "DQN, agent.dropout=0.5": ["epsilon_greedy"],
+        "DQN, agent.dropout=0.0": ["greedy"],
+    }
+
+
+def test_explorers_are_compared_with_the_learners_first_by_holm(groups):
+    greedy, boltzmann = deviations(find_grid(groups), "final_success")
+    assert (greedy.first, greedy.other, boltzmann.other) == ("thompson", "greedy", "boltzmann")
+    raw = [stats.ttest_rel(other, OWN).pvalue for other in (LESS, SAME)]
+    assert greedy.p_value == pytest.approx(2 * raw[0])  # the smaller of two
+    assert boltzmann.p_value == pytest.approx(max(raw[1], 2 * raw[0]))
+    assert greedy.difference.value == pytest.approx(sum(LESS) / 5 - sum(OWN) / 5)
+
+
+def test_the_command_writes_the_grid(runs, tmp_path, capsys):
+    assert main([str(runs), "--grid", "--out", str(tmp_path / "out")]) == 0
+    text = (tmp_path / "out" / "grid.md").read_text()
+    assert capsys.readouterr().out.strip() == text.strip()
+    start = "| BBQN-MAP | greedy minus thompson |"
+    final, _ = (line for line in text.splitlines() if line.startswith(start))
+    assert final.endswith("| no |")
+    grid = text[: text.index("| learner | by pairs")]
+    assert grid.count("not run") == 3 * 4 - 5
+    assert (tmp_path / "out" / "replicas.csv").read_text().count("\n") == 1 + 5 * 5
+
+
+def test_two_settings_of_a_cell_are_refused(runs, capsys):
+    make_run(runs / "5", OWN, changes={"protocol.batch_size": 64})
+    assert main([str(runs), "--grid"]) == 2
+    error = capsys.readouterr().err
+    assert "got two of BBQN-MAP with explore=thompson" in error
+
+
+def sweeps(folder):
+    """Name and overrides of every job of the recipes in a folder."""
+    for file in sorted((conf_folder() / "experiment" / folder).glob("*.yaml")):
+        params = yaml.safe_load(file.read_text())["hydra"]["sweeper"]["params"]
+        lists = [[f"{key}={value}" for value in str(params[key]).split(",")] for key in params]
+        yield from ((f"{folder}/{file.stem}", list(job)) for job in product(*lists))
+
+
+def test_the_recipes_of_the_grid_are_its_cells():
+    found = set()
+    for name, overrides in sweeps("explorers"):
+        config = compose([f"+experiment={name}", *overrides])
+        assert (config.protocol.rounds, config.replicas) == (100, 5)
+        learner = agent_name(asdict(config) | {"explore": {}})
+        found.add((learner, getattr(config.agent, "dropout", None), config.explore.name))
+    explorers = ("epsilon_greedy", "greedy", "boltzmann")
+    assert found == {
+        *(("BBQN-MAP", None, name) for name in ("thompson", *explorers)),
+        *(("DQN", rate, name) for rate in (0.0, 0.5) for name in explorers),
+        *(("DQN-Bootstrap", None, name) for name in ("bootstrap", "greedy")),
+    }
+
+
+def test_an_ablation_has_the_default_and_changes_one_key():
+    default = asdict(compose(["+experiment=[agents/bbqn_map,paper_full]", "protocol.rounds=100"]))
+    jobs = {}
+    for name, overrides in sweeps("ablations"):
+        jobs.setdefault(name, []).append(overrides)
+    assert len(jobs) == 8
+    for name, settings in jobs.items():
+        assert len(settings) > 1
+        (override,) = settings[-1]
+        group, key = override.partition("=")[0].split(".")
+        config = asdict(compose([f"+experiment={name}", override]))
+        assert config[group][key] != default[group][key]
+        assert config | {group: config[group] | {key: default[group][key]}} == default
