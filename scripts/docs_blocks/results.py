@@ -79,7 +79,8 @@ def table1_groups() -> list[Group]:
 def command(run: Run) -> str:
     """Returns the command that made a run."""
     overrides = yaml.safe_load((run.folder / "overrides.yaml").read_text(encoding="utf-8"))
-    return " ".join(["python train.py", *overrides])
+    quoted = (f"'{item}'" if "[" in item else item for item in overrides)  # for the shell
+    return " ".join(["python train.py", *quoted])
 
 
 def results_blocks() -> dict[str, Callable[[], str]]:
