@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import warnings
 from contextlib import contextmanager
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import optuna
@@ -65,6 +66,8 @@ def run_search(
             _check_definition(search, folder / _DEFINITION)
             study = _study(search, folder)
             _write_definition(search, folder / _DEFINITION)
+        if (most := _most_trials(search)) < search.settings.trials:
+            _LOG.info("search.trials=%d: the space has %d settings", search.settings.trials, most)
     except OSError as error:
         raise ConfigError(f"search.folder={folder} cannot be used: {sentence(error)}") from error
     while True:
@@ -156,7 +159,7 @@ def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optu
                     trial, own = optuna.Trial(study, known._trial_id), lock
                     _LOG.info("trial %d was interrupted and goes on", known.number)
                     break
-        if trial is None and len(trials) < search.settings.trials:
+        if trial is None and len(trials) < _most_trials(search):
             trial = study.ask()
             own = _trial_lock(folder, trial.number)
             own.acquire()
@@ -192,11 +195,25 @@ def _values(search: Search, study: optuna.Study, trial: optuna.Trial) -> dict[st
     return values
 
 
+def _has_choices_only(search: Search) -> bool:
+    return all(parameter.type == "categorical" for parameter in search.space)
+
+
+def _most_trials(search: Search) -> int:
+    """How many trials there are to be: of choices alone no setting is tried twice."""
+    if not _has_choices_only(search):
+        return search.settings.trials
+    return min(search.settings.trials, prod(len(item.choices) for item in search.space))
+
+
 def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:
-    if search.settings.sampler == "random":
-        return optuna.samplers.RandomSampler(seed=seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        if _has_choices_only(search):
+            # TPE and random sampling come back to the same few settings, and a trial has one seed.
+            return optuna.samplers.BruteForceSampler(seed=seed)
+        if search.settings.sampler == "random":
+            return optuna.samplers.RandomSampler(seed=seed)
         # constant_liar: several processes do not try the same values at the same time.
         return optuna.samplers.TPESampler(
             n_startup_trials=search.settings.startup_trials, constant_liar=True, seed=seed
@@ -206,6 +223,8 @@ def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:
 def _tell(study: optuna.Study, trial: optuna.Trial, outcome: Outcome) -> None:
     if outcome.reason is not None:
         trial.set_user_attr("reason", outcome.reason)
+    # Brute force stops a study of Optuna's own loop, which there is none of here.
+    study.sampler = optuna.samplers.RandomSampler()
     study.tell(trial, outcome.value, state=outcome.state)
     said = outcome.reason if outcome.value is None else f"{outcome.value:.4f}"
     _LOG.info(

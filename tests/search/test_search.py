@@ -97,10 +97,10 @@ def composed_once(monkeypatch):
     monkeypatch.setattr(Search, "config", config)
 
 
-def search(folder, *arguments, trials=4):
+def search(folder, *arguments, trials=4, of="dqn"):
     return compose_search(
         [
-            f"search={Path(__file__).with_name('dqn.yaml')}",
+            f"search={Path(__file__).with_name(f'{of}.yaml')}",
             f"protocol.rounds={ROUNDS}",
             f"search.folder={folder}",
             f"search.trials={trials}",
@@ -131,6 +131,24 @@ def test_the_best_trial_is_written_down_with_the_command_that_trains_it(tmp_path
     config = compose(overrides)
     assert config.agent.lr == best["values"]["agent.lr"] == float(rows[best["trial"]]["agent.lr"])
     assert best["value"] == pytest.approx(max(0.0, 1 - abs(math.log10(config.agent.lr) + 3)))
+
+
+@pytest.mark.parametrize("trials", [5, 9])
+def test_of_choices_alone_none_is_tried_twice(tmp_path, trials):
+    run_search(search(tmp_path, "search.pruner=none", trials=trials, of="choices"), Training())
+    tried = [(row["agent.lr"], row["explore.eps_init"]) for row in table(tmp_path)]
+    assert len(tried) == len(set(tried)) == min(trials, 3 * 2)
+
+
+def test_of_choices_alone_a_killed_search_ends_as_one_that_was_not(tmp_path):
+    for name in ("whole", "killed"):
+        chosen = search(tmp_path / name, trials=5, of="choices")
+        if name == "killed":
+            with pytest.raises(Killed):
+                run_search(chosen, Training(dies_in=(3, 2)))
+        run_search(chosen, Training())
+    without = ("seconds", "folder")
+    assert table(tmp_path / "killed", without) == table(tmp_path / "whole", without)
 
 
 @pytest.mark.parametrize("trial", [0, 2])
