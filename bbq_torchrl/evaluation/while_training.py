@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
     from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
     from torchrl.envs import EnvBase
 
 __all__ = ["RoundEvaluator"]
@@ -64,10 +65,10 @@ class RoundEvaluator:
         self.changes = changes
         self.best = BestWeights(policy(), env.batch_size[0])
 
-    def __call__(self, round_number: int) -> list[dict[str, float]]:
-        """Returns each replica's mean outcomes; NaN in a round without an evaluation."""
+    def __call__(self, round_number: int) -> dict[str, float | Tensor]:
+        """Returns mean outcomes, [replicas] each; NaN in a round without an evaluation."""
         if (round_number + 1) % self.every:
-            return [dict.fromkeys(_COLUMNS, math.nan) for _ in range(self.env.batch_size[0])]
+            return dict.fromkeys(_COLUMNS, math.nan)
         self.enter_round(self.env, round_number)
         seed = derive_seed(self.seed, "evaluate while training", round_number)
         played = evaluate(
@@ -76,5 +77,4 @@ class RoundEvaluator:
         means = [outcome.double().mean(-1) for outcome in played]
         since = max((change for change in self.changes if change <= round_number), default=0)
         self.best.update(round_number, means[0], since=since)
-        columns = zip(*(mean.tolist() for mean in means), strict=True)
-        return [dict(zip(_COLUMNS, values, strict=True)) for values in columns]
+        return dict(zip(_COLUMNS, means, strict=True))

@@ -7,10 +7,12 @@ Importing an option does not import torch: making it does.
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from bbq_torchrl.extras import install_command
 from bbq_torchrl.options.settings import (
     COUNT,
     COUNTS,
@@ -364,6 +366,9 @@ class LoggerOption(Option):
 
     group: ClassVar[str] = "logger"
 
+    package: ClassVar[str] = ""
+    """What has to be installed, and the extra that brings it; empty: nothing."""
+
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
         """Makes TorchRL's loggers of a run.
 
@@ -371,15 +376,15 @@ class LoggerOption(Option):
             run_folder: where they write.
             resume: whether the run goes on from an earlier process.
         """
-        from bbq_torchrl.trainers import make_loggers
-
-        return make_loggers([self.name], run_folder, resume=resume)  # type: ignore[list-item]
+        raise NotImplementedError
 
     def check_package(self) -> None:
-        """Raises ImportError, which names the extra to install, where a package is missing."""
-        from bbq_torchrl.trainers import check_logger
-
-        check_logger(self.name)
+        """Raises ImportError, which names the extra to install, where the package is missing."""
+        if self.package and importlib.util.find_spec(self.package) is None:
+            raise ImportError(
+                f"logger={self.name} needs the package {self.package}: "
+                f"{install_command(self.package)}"
+            )
 
 
 def action_mask_key(env: EnvBase) -> str | None:

@@ -10,7 +10,6 @@ from bbq_torchrl.trainers.checkpoint import (
 )
 from bbq_torchrl.trainers.collect import EpisodeStats, Policy, outcomes, play, play_dialogues
 from bbq_torchrl.trainers.errors import NonFiniteLossError, SpikeError
-from bbq_torchrl.trainers.loggers import LoggerName, check_logger, make_loggers
 from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimizer import ReplicaAdam, ReplicaOptimizer
@@ -26,7 +25,6 @@ __all__ = [
     "CheckpointMismatchError",
     "EpisodeStats",
     "Evaluator",
-    "LoggerName",
     "MetricRow",
     "MetricsFile",
     "NonFiniteLossError",
@@ -39,10 +37,8 @@ __all__ = [
     "RoundTrainer",
     "SpikeError",
     "SpikeSettings",
-    "check_logger",
     "derive_seed",
     "keep_freed_memory",
-    "make_loggers",
     "outcomes",
     "play",
     "play_dialogues",

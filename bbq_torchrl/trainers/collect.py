@@ -154,18 +154,15 @@ def rows_per_replica(rollout: TensorDictBase, keys: tuple[NestedKey, ...]) -> li
     return list(rollout.select(*keys)[valid].split(counts))
 
 
-def pop_metrics(transform: nn.Module | None, replicas: int) -> list[dict[str, float]]:
-    """Returns what a replay's transform noted since the last call, a dict for each replica.
+def pop_metrics(transform: nn.Module | None) -> dict[str, Tensor]:
+    """Returns metrics that a replay's transform noted since the last call, [replicas] each.
 
     Args:
         transform (nn.Module, optional): of its modules those count that are
             :class:`~bbq_torchrl.data.hooks.Measured`.
-        replicas (int): the number of replicas.
     """
-    found: list[dict[str, float]] = [{} for _ in range(replicas)]
+    found: dict[str, Tensor] = {}
     for module in () if transform is None else transform.modules():
         if provides(module, Measured):
-            for name, values in module.pop_metrics().items():
-                for row, value in zip(found, values.tolist(), strict=True):
-                    row[name] = value
+            found |= module.pop_metrics()
     return found

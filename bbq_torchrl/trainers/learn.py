@@ -92,15 +92,14 @@ class LossSums:
         """Counts an update of the active replicas."""
         self.updates = [n + is_active for n, is_active in zip(self.updates, active, strict=True)]
 
-    def means(self) -> list[dict[str, float]]:
-        """Returns the means over each replica's updates; one synchronisation with the device."""
+    def means(self) -> dict[str, list[float]]:
+        """Returns by name the means over each replica's updates; waits once for the device."""
         self._add_pending()
         assert self._sums is not None
-        columns = self._sums.t().tolist()
-        return [
-            {name: total / updates for name, total in zip(self._names, column, strict=True)}
-            for column, updates in zip(columns, self.updates, strict=True)
-        ]
+        return {
+            name: [total / updates for total, updates in zip(totals, self.updates, strict=True)]
+            for name, totals in zip(self._names, self._sums.tolist(), strict=True)
+        }
 
 
 class Update:

@@ -61,13 +61,21 @@ class Learner:
         self.seed_phase = seed_phase
         self._update = Update(loss, optimizer)
 
-    def learn(self, round_number: int) -> tuple[list[dict[str, float]], list[int]]:
-        """Learns for a round. Returns each replica's mean losses and number of updates."""
+    @property
+    def updates(self) -> list[int]:
+        """How many updates each replica has had in the round."""
+        return self._update.sums.updates
+
+    def learn(self, round_number: int) -> dict[str, list[float]]:
+        """Learns for a round. Returns the mean of what the loss reports, for each replica."""
         self._update.sums.reset()
         if provides(self.loss, UsesNumData):
             self.loss.set_num_data(self.replay.num_data())
         self.update_all(round_number)
-        return self._update.sums.means(), self._update.sums.updates
+        return {
+            "loss" if name == "loss_value" else name: means
+            for name, means in self._update.sums.means().items()
+        }
 
     def update_all(self, round_number: int) -> None:
         """Freezes and learns, without waiting for the device."""

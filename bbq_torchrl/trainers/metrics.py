@@ -1,4 +1,4 @@
-"""metrics.csv: a row for every round and replica."""
+"""The one way of a round's numbers: into memory, metrics.csv and whatever logger there is."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
+
+    from torchrl.record.loggers import Logger
 
 __all__ = ["MetricRow", "MetricsFile", "replace_text"]
 
 MetricRow = dict[str, int | float]
+"""A round's metrics of one replica."""
 
 
 def replace_text(path: Path, text: str) -> None:
@@ -31,43 +35,77 @@ def replace_text(path: Path, text: str) -> None:
 class MetricsFile:
     """The metrics of a run, in memory and in a tidy CSV file that grows round by round.
 
-    What a round has not (NaN) is empty in the file.
+    Loggers are fed from the same rows. What a round has not (NaN) is empty in the file, and is not
+    logged.
 
     The file is a copy: what counts is in the checkpoint. A process killed while it writes, or
     between two checkpoints, leaves rows that a resumed run replaces (:meth:`load_state_dict`).
 
     Args:
         path (Path): the file; its folder is made if it is missing.
+        replicas (int): the number of replicas.
+        loggers (sequence of Logger): TorchRL loggers, which get ``<metric>/replica_<r>`` at the
+            step of the round.
+
+    Attributes:
+        rows: those of all rounds, one for each round and replica.
 
     Example:
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
         >>> with TemporaryDirectory() as folder:
-        ...     metrics = MetricsFile(Path(folder) / "metrics.csv")
-        ...     metrics.append([{"round": 0, "replica": 0, "success_rate": 0.5}])
+        ...     metrics = MetricsFile(Path(folder) / "metrics.csv", replicas=2)
+        ...     rows = metrics.append(0, {"success_rate": torch.tensor([0.5, 0.25]), "seconds": 3})
         ...     print((Path(folder) / "metrics.csv").read_text().splitlines())
-        ['round,replica,success_rate', '0,0,0.5']
+        ['round,replica,success_rate,seconds', '0,0,0.5,3', '0,1,0.25,3']
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, replicas: int, loggers: Sequence[Logger] = ()) -> None:
         self.path = path
+        self.replicas = replicas
+        self.loggers = tuple(loggers)
         self.rows: list[MetricRow] = []
 
-    def append(self, rows: Sequence[MetricRow]) -> None:
-        """Adds rows, in memory and at the end of the file.
+    def append(
+        self, round_number: int, columns: Mapping[str, float | Tensor | Sequence[float]]
+    ) -> list[MetricRow]:
+        """Adds a round, in memory, at the end of the file and to the loggers; returns its rows.
+
+        Args:
+            round_number (int): the round, from 0.
+            columns (mapping): by name, one number, or one for each replica.
 
         Raises:
-            ValueError: if a row has other columns than the first one.
+            ValueError: if the columns are others than those of the rounds before.
         """
-        columns = tuple((self.rows or rows)[0])
-        for row in rows:
-            if tuple(row) != columns:
-                raise ValueError(f"a row must have the columns {columns}, got {tuple(row)}")
+        rows = list(self._rows_of(round_number, columns))
+        names = tuple((self.rows or rows)[0])
+        if tuple(rows[0]) != names:
+            raise ValueError(f"a row must have the columns {names}, got {tuple(rows[0])}")
         is_first = not self.rows
         self.rows.extend(rows)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("w" if is_first else "a", encoding="utf-8", newline="") as file:
             file.write(_csv(rows, header=is_first))
+        for logger in self.loggers:
+            for row in rows:
+                _log(logger, row)
+        return rows
+
+    def _rows_of(
+        self, round_number: int, columns: Mapping[str, float | Tensor | Sequence[float]]
+    ) -> Iterator[MetricRow]:
+        values = {name: self._of_each(value) for name, value in columns.items()}
+        for replica in range(self.replicas):
+            own = {name: column[replica] for name, column in values.items()}
+            yield {"round": round_number, "replica": replica, **own}
+
+    def _of_each(self, value: float | Tensor | Sequence[float]) -> Sequence[float]:
+        """Returns a metric's value for each replica."""
+        if isinstance(value, Tensor):
+            of_each: list[float] = value.expand(self.replicas).tolist()
+            return of_each
+        return [value] * self.replicas if isinstance(value, int | float) else value
 
     def state_dict(self) -> dict[str, Any]:
         """Returns all rows: the columns' names, which of them are integers, and the values."""
@@ -95,6 +133,12 @@ class MetricsFile:
             replace_text(self.path, _csv(self.rows, header=True))
         else:
             self.path.unlink(missing_ok=True)
+
+
+def _log(logger: Logger, row: MetricRow) -> None:
+    for name, value in row.items():
+        if name not in ("round", "replica") and value == value:
+            logger.log_scalar(f"{name}/replica_{row['replica']}", float(value), step=row["round"])
 
 
 def _csv(rows: Sequence[MetricRow], *, header: bool) -> str:

@@ -23,7 +23,6 @@ from bbq_torchrl.trainers.collect import (
 )
 from bbq_torchrl.trainers.errors import NonFiniteLossError
 from bbq_torchrl.trainers.learner import Learner, TargetUpdater
-from bbq_torchrl.trainers.loggers import log_rows, trim_scalars
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.seeding import derive_seed
@@ -67,8 +66,8 @@ class Evaluator(Protocol):
     def best(self) -> BestWeights:
         """The best weights so far; they are saved in every checkpoint."""
 
-    def __call__(self, round_number: int) -> Sequence[Mapping[str, float]]:
-        """Returns columns of the round's metrics for each replica, the same in every round.
+    def __call__(self, round_number: int) -> Mapping[str, float | Tensor]:
+        """Returns metrics of the round by name, one number or [replicas]; the same names always.
 
         NaN stands for a round without an evaluation. It may use torch's global generator, but
         nothing else of the training's.
@@ -104,8 +103,7 @@ class RoundTrainer:
         run_folder (Path): takes ``metrics.csv`` and ``checkpoint/``.
         spike_policy (callable, optional): fills the buffer before the first round.
         spike (SpikeSettings): how much, and whether it is protected.
-        loggers (sequence of Logger): TorchRL loggers; see
-            :func:`~bbq_torchrl.trainers.make_loggers`.
+        loggers (sequence of Logger): TorchRL loggers, fed from the rows of ``metrics.csv``.
         callbacks (sequence of callable): called after every round.
         evaluator (Evaluator, optional): evaluates the policy at the end of a round, without a
             trace in the training: metrics and weights are bitwise those of one without it.
@@ -162,7 +160,6 @@ class RoundTrainer:
         self.settings = settings
         self.run_folder = Path(run_folder)
         self.spike_policy = spike_policy
-        self.loggers = tuple(loggers)
         self.callbacks = tuple(callbacks)
         self.evaluator = evaluator
         self.round_metrics = dict(round_metrics or {})
@@ -172,7 +169,7 @@ class RoundTrainer:
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
         self.learner = Learner(loss, replay, optimizer, target_updater, settings, self._seed_phase)
-        self.metrics = MetricsFile(self.run_folder / "metrics.csv")
+        self.metrics = MetricsFile(self.run_folder / "metrics.csv", replicas, loggers)
         best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
         self.checkpoints = CheckpointFolder(
             self.run_folder / "checkpoint",
@@ -248,10 +245,8 @@ class RoundTrainer:
         Raises:
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
         """
-        rows = self._round(self.rounds_done)
-        self.metrics.append(rows)
+        rows = self.metrics.append(self.rounds_done, self._round(self.rounds_done))
         self.rounds_done += 1
-        log_rows(self.loggers, rows)
         for callback in self.callbacks:
             callback(self, rows)
         if self._is_checkpoint_due():
@@ -288,86 +283,68 @@ class RoundTrainer:
                 ", ".join(without),
             )
 
-    def _round(self, round_number: int) -> list[MetricRow]:
-        """Plays and learns one round. Returns its metrics, a row for each replica."""
+    def _round(self, round_number: int) -> dict[str, float | Tensor | Sequence[float]]:
+        """Plays and learns one round. Returns its metrics by name, in the order of the columns."""
         started = time.perf_counter()
+        # Cloned: what is read may be the memory of a schedule that moves on.
         metrics = {
-            name: _of_each(read(), self.replicas) for name, read in self.round_metrics.items()
+            name: torch.as_tensor(read(), dtype=torch.float64).clone()
+            for name, read in self.round_metrics.items()
         }
         collected = self._collect(round_number)
-        self._drop_spike(collected)
+        self._drop_spike(collected["success_rate"].tolist())
         collected_at = time.perf_counter()
-        learned, updates = self._learn(round_number)
+        learned = self._learn(round_number)
         self._step_schedules()
         learned_at = time.perf_counter()
-        evaluated: Sequence[Mapping[str, float]] = [{}] * self.replicas
-        if self.evaluator is not None:
-            evaluated = self.evaluator(round_number)
+        evaluated = {} if self.evaluator is None else self.evaluator(round_number)
         ended = time.perf_counter()
-        shared = {
+        return {
+            "dialogues": self.settings.dialogues,
+            **collected,
+            **evaluated,
+            **learned,
+            "buffer": self.replay.lengths,
+            "updates": self.learner.updates,
+            **metrics,
             "seconds": ended - started,
             "seconds_collect": collected_at - started,
             "seconds_learn": learned_at - collected_at,
             **({} if self.evaluator is None else {"seconds_eval": ended - learned_at}),
         }
-        rows: list[MetricRow] = []
-        for replica, length in enumerate(self.replay.lengths):
-            losses = {
-                "loss" if name == "loss_value" else name: value
-                for name, value in learned[replica].items()
-            }
-            rows.append(
-                {
-                    "round": round_number,
-                    "replica": replica,
-                    "dialogues": self.settings.dialogues,
-                    **collected[replica],
-                    **evaluated[replica],
-                    **losses,
-                    "buffer": length,
-                    "updates": updates[replica],
-                    **{name: values[replica] for name, values in metrics.items()},
-                    **shared,
-                }
-            )
-        return rows
 
-    def _collect(self, round_number: int) -> list[dict[str, float]]:
-        """Plays the round's dialogues and stores them. Returns each replica's mean outcomes."""
+    def _collect(self, round_number: int) -> dict[str, Tensor]:
+        """Plays the round's dialogues and stores them. Returns mean outcomes, [replicas] each."""
         self._seed_phase("collect", round_number)
         self._enter_round(round_number)
         for module in self.policy.modules():
             if provides(module, Resampled):
                 module.resample()
         settings = self.settings
-        pop_metrics(self.replay.transform, self.replicas)  # spiking's are not the round's
+        pop_metrics(self.replay.transform)  # spiking's are not the round's
         totals: Tensor | None = None
         plays = play_dialogues(
             self.env, self.policy, settings.dialogues, max_steps=settings.max_steps
         )
         for rollout in plays:
             result = outcomes(rollout, success_key=self.success_key)
-            sums = torch.stack([entry.double().sum(-1) for entry in result], -1)
+            sums = torch.stack([entry.double().sum(-1) for entry in result])
             totals = sums if totals is None else totals + sums
             self.replay.extend(rows_per_replica(rollout, self.replay.keys))
         assert totals is not None
-        means = (totals / settings.dialogues).tolist()
-        names = ("success_rate", "reward", "turns")
-        return [
-            {**dict(zip(names, row, strict=True)), **noted}
-            for row, noted in zip(
-                means, pop_metrics(self.replay.transform, self.replicas), strict=True
-            )
-        ]
+        means = dict(
+            zip(("success_rate", "reward", "turns"), totals / settings.dialogues, strict=True)
+        )
+        return {**means, **pop_metrics(self.replay.transform)}
 
-    def _learn(self, round_number: int) -> tuple[list[dict[str, float]], list[int]]:
-        """Freezes and learns. Returns each replica's mean losses and number of updates."""
-        means, updates = self.learner.learn(round_number)
-        broken = [r for r, row in enumerate(means) if not math.isfinite(row["loss_value"])]
+    def _learn(self, round_number: int) -> dict[str, list[float]]:
+        """Freezes and learns. Returns the mean of what the loss reports, for each replica."""
+        means = self.learner.learn(round_number)
+        broken = [r for r, loss in enumerate(means["loss"]) if not math.isfinite(loss)]
         if broken:
             saved = self._save(name=f"failed-round-{round_number:06d}")
             raise NonFiniteLossError(round_number, broken, saved)
-        return means, updates
+        return means
 
     def _step_schedules(self) -> None:
         """Moves the policy's schedules (epsilon, temperature) on by one round."""
@@ -380,11 +357,11 @@ class RoundTrainer:
         if provides(self.env, RoundEnv):
             self.env.set_round(round_number)
 
-    def _drop_spike(self, collected: Sequence[Mapping[str, float]]) -> None:
+    def _drop_spike(self, success_rate: Sequence[float]) -> None:
         """Drops a replica's spiked transitions once it does well without them."""
-        for replica, row in enumerate(collected):
+        for replica, rate in enumerate(success_rate):
             before = [past["success_rate"] for past in self.metrics.rows[replica :: self.replicas]]
-            if is_spike_outgrown([*before, row["success_rate"]], self.spike):
+            if is_spike_outgrown([*before, rate], self.spike):
                 self.replay.drop_protected(replica)
 
     def _seed_phase(self, *path: str | int) -> None:
@@ -409,9 +386,3 @@ class RoundTrainer:
             self.rounds_done = self.rounds_saved = int(found[1]["round"])
         elif self.metrics.path.exists():
             raise CheckpointDamagedError.gone(self.run_folder)
-        trim_scalars(self.run_folder, self.rounds_done)
-
-
-def _of_each(value: float | Tensor, replicas: int) -> list[float]:
-    """Returns a metric's value for each replica."""
-    return torch.as_tensor(value, dtype=torch.float64).expand(replicas).tolist()

@@ -101,5 +101,5 @@ class Learner:
 
     def _learn(self) -> int:
         self._round += 1
-        _, updates = self.trainer._learn(self._round)
-        return sum(updates)
+        self.trainer.learner.learn(self._round)
+        return sum(self.trainer.learner.updates)

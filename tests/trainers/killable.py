@@ -30,7 +30,6 @@ from bbq_torchrl.trainers import (
     RoundTrainer,
     SpikeSettings,
     checkpoint,
-    make_loggers,
 )
 
 if TYPE_CHECKING:
@@ -80,14 +79,15 @@ def die_within_a_line(row_block: int) -> None:
     append = MetricsFile.append
     calls = 0
 
-    def torn(self: MetricsFile, rows: list) -> None:
+    def torn(self: MetricsFile, *round_and_columns: object) -> list:
         nonlocal calls
         calls += 1
-        append(self, rows)
+        rows = append(self, *round_and_columns)
         if calls == row_block:
             text = self.path.read_bytes()
             self.path.write_bytes(text[:-25])
             die()
+        return rows
 
     MetricsFile.append = torn
 
@@ -99,7 +99,6 @@ def build(folder: Path) -> RoundTrainer:
         rounds=ROUNDS,
         replicas=2,
         spike=SpikeSettings(dialogues=5, drop_above=0.7, drop_window=2),
-        loggers=make_loggers([], folder, resume=True),
     )
 
 

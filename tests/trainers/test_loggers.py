@@ -9,36 +9,26 @@ from unittest.mock import MagicMock
 import pytest
 from trainer_parts import make_trainer
 
-from bbq_torchrl.trainers import make_loggers
-from bbq_torchrl.trainers.loggers import trim_scalars
+from bbq_torchrl.options import schemas
 
 
-def test_csv_scalars_are_the_metrics(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=3, loggers=make_loggers(["csv"], tmp_path))
-
-    rows = trainer.train()
-
-    for replica in range(3):
-        for name in ("success_rate", "loss", "buffer"):
-            lines = (tmp_path / "scalars" / name / f"replica_{replica}.csv").read_text().split()
-            assert lines == [f"{r['round']},{float(r[name])}" for r in rows[replica::3]]
-    assert not (tmp_path / "videos").exists()
-    assert not (tmp_path / "texts").exists()
+def options():
+    return schemas()["logger"]
 
 
-def test_csv_is_always_among_them_and_each_is_made_once(tmp_path):
-    assert [type(logger).__name__ for logger in make_loggers([], tmp_path)] == ["CSVLogger"]
-    names = [type(lg).__name__ for lg in make_loggers(["tensorboard", "csv", "csv"], tmp_path)]
-    assert names == ["CSVLogger", "TensorboardLogger"]
+def test_csv_is_metrics_csv_alone(tmp_path):
+    make_trainer(tmp_path, rounds=1, loggers=options()["csv"]().make(tmp_path)).train()
+
+    assert {path.name for path in tmp_path.iterdir()} == {"checkpoint", "metrics.csv"}
 
 
 def test_tensorboard_reads_the_metrics_back(tmp_path):
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    trainer = make_trainer(tmp_path, rounds=3, loggers=make_loggers(["tensorboard"], tmp_path))
-    rows = trainer.train()
-    trainer.loggers[1].experiment.close()
+    (logger,) = options()["tensorboard"]().make(tmp_path)
+    rows = make_trainer(tmp_path, rounds=3, loggers=[logger]).train()
+    logger.experiment.close()
 
     events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     for replica in range(3):
@@ -49,21 +39,14 @@ def test_tensorboard_reads_the_metrics_back(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["tensorboard", "wandb", "mlflow"])
-def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, name):
+def test_a_missing_package_is_named_with_its_extra(monkeypatch, name):
     find = importlib.util.find_spec
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda module: None if module == name else find(module)
     )
 
     with pytest.raises(ImportError, match=rf"needs the package {name}: pip install .*\[{name}\]'"):
-        make_loggers([name], tmp_path / "run")
-
-    assert not (tmp_path / "run").exists()
-
-
-def test_an_unknown_logger_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"one of \['csv', 'tensorboard', 'wandb', 'mlflow'\]"):
-        make_loggers(["comet"], tmp_path)
+        options()[name]().check_package()
 
 
 def test_a_resumed_run_goes_on_as_the_same_wandb_run(tmp_path, monkeypatch):
@@ -78,13 +61,14 @@ def test_a_resumed_run_goes_on_as_the_same_wandb_run(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "wandb", stand_in)
     monkeypatch.setattr("torchrl.record.loggers.wandb._has_wandb", True)
 
-    make_loggers(["wandb"], tmp_path)
-    make_loggers(["wandb"], tmp_path, resume=True)
-    make_loggers(["wandb"], tmp_path)
+    wandb = options()["wandb"](project="ours")
+    wandb.make(tmp_path)
+    wandb.make(tmp_path, resume=True)
+    wandb.make(tmp_path)
 
     assert [run["id"] for run in begun] == [None, "a-new-id", None]
     assert [run["resume"] for run in begun] == ["allow", "must", "allow"]
-    assert all(run["project"] == "bbq-torchrl" for run in begun)
+    assert all(run["project"] == "ours" for run in begun)
 
 
 def test_wandb_takes_the_metrics(tmp_path, monkeypatch):
@@ -92,10 +76,10 @@ def test_wandb_takes_the_metrics(tmp_path, monkeypatch):
     monkeypatch.setenv("WANDB_MODE", "offline")
     monkeypatch.setenv("WANDB_SILENT", "true")
 
-    trainer = make_trainer(tmp_path, rounds=2, loggers=make_loggers(["wandb"], tmp_path))
-    rows = trainer.train()
-    summary = dict(trainer.loggers[1].experiment.summary)
-    trainer.loggers[1].experiment.finish()
+    (logger,) = options()["wandb"]().make(tmp_path)
+    rows = make_trainer(tmp_path, rounds=2, loggers=[logger]).train()
+    summary = dict(logger.experiment.summary)
+    logger.experiment.finish()
 
     assert summary["reward/replica_2"] == rows[-1]["reward"]
     assert list((tmp_path / "wandb").glob("offline-run-*/*.wandb"))
@@ -104,8 +88,7 @@ def test_wandb_takes_the_metrics(tmp_path, monkeypatch):
 def test_mlflow_takes_the_metrics(tmp_path):
     mlflow = pytest.importorskip("mlflow")
 
-    trainer = make_trainer(tmp_path, rounds=2, loggers=make_loggers(["mlflow"], tmp_path))
-    rows = trainer.train()
+    rows = make_trainer(tmp_path, rounds=2, loggers=options()["mlflow"]().make(tmp_path)).train()
     run_id = mlflow.active_run().info.run_id
     mlflow.end_run()
 
@@ -113,22 +96,3 @@ def test_mlflow_takes_the_metrics(tmp_path):
     history = client.get_metric_history(run_id, "reward/replica_1")
     assert [point.step for point in history] == [0, 1]
     assert [point.value for point in history] == [row["reward"] for row in rows[1::3]]
-
-
-def test_trimming_keeps_earlier_rounds_and_whole_lines(tmp_path):
-    folder = tmp_path / "scalars" / "loss"
-    folder.mkdir(parents=True)
-    whole = "0,1.5\n1,1.25\n2,1.0\n3,0.5\n"
-    (folder / "replica_0.csv").write_text(whole)
-    (folder / "replica_1.csv").write_text("0,1.5\n1,1.2")
-
-    trim_scalars(tmp_path, 2)
-
-    assert (folder / "replica_0.csv").read_text() == "0,1.5\n1,1.25\n"
-    assert (folder / "replica_1.csv").read_text() == "0,1.5\n"
-
-
-def test_trimming_a_run_without_scalars_does_nothing(tmp_path):
-    trim_scalars(tmp_path, 2)
-
-    assert list(tmp_path.iterdir()) == []

@@ -1,56 +1,93 @@
-"""metrics.csv in memory and on disk."""
+"""A round's metrics in memory, on disk and in loggers."""
 
 from __future__ import annotations
 
 import math
 
 import pytest
+import torch
 
 from bbq_torchrl.trainers import MetricsFile
 
 
+def columns(round_number: int) -> dict[str, object]:
+    return {"buffer": (7, 9), "loss": [0.1 * (round_number + r) for r in range(2)], "kl": math.pi}
+
+
 def rows(round_number: int) -> list[dict[str, int | float]]:
     return [
-        {"round": round_number, "replica": r, "loss": 0.1 * (round_number + r), "kl": math.pi}
+        {
+            "round": round_number,
+            "replica": r,
+            "buffer": (7, 9)[r],
+            "loss": 0.1 * (round_number + r),
+            "kl": math.pi,
+        }
         for r in range(2)
     ]
 
 
 def test_rows_are_appended_below_one_header(tmp_path):
-    metrics = MetricsFile(tmp_path / "new" / "metrics.csv")
+    metrics = MetricsFile(tmp_path / "new" / "metrics.csv", 2)
 
     for number in range(3):
-        metrics.append(rows(number))
+        assert metrics.append(number, columns(number)) == rows(number)
 
     lines = metrics.path.read_text().splitlines()
-    assert lines[0] == "round,replica,loss,kl"
+    assert lines[0] == "round,replica,buffer,loss,kl"
     assert len(lines) == 7
-    assert lines[3] == f"1,0,0.1,{math.pi}"
+    assert lines[3] == f"1,0,7,0.1,{math.pi}"
+
+
+def test_one_number_and_a_tensor_are_of_every_replica(tmp_path):
+    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
+
+    metrics.append(0, {"a": torch.tensor([1, 2]), "b": torch.tensor(0.5), "c": 3})
+
+    assert metrics.path.read_text() == "round,replica,a,b,c\n0,0,1,0.5,3\n0,1,2,0.5,3\n"
+
+
+def test_loggers_get_what_the_file_gets_but_for_what_a_round_has_not(tmp_path):
+    logged = []
+
+    class Logger:
+        def log_scalar(self, name, value, step):
+            logged.append((name, value, step))
+
+    metrics = MetricsFile(tmp_path / "metrics.csv", 2, [Logger()])
+    metrics.append(0, {"loss": [0.5, math.nan], "buffer": [3, 4]})
+    metrics.append(1, {"loss": [0.25, 0.75], "buffer": [5, 6]})
+
+    assert logged == [
+        *(("loss/replica_0", 0.5, 0), ("buffer/replica_0", 3.0, 0), ("buffer/replica_1", 4.0, 0)),
+        *(("loss/replica_0", 0.25, 1), ("buffer/replica_0", 5.0, 1)),
+        *(("loss/replica_1", 0.75, 1), ("buffer/replica_1", 6.0, 1)),
+    ]
 
 
 def test_a_restored_file_is_as_it_was_whatever_lies_there(tmp_path):
-    metrics = MetricsFile(tmp_path / "metrics.csv")
-    metrics.append(rows(0))
-    metrics.append(rows(1))
+    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
+    metrics.append(0, columns(0))
+    metrics.append(1, columns(1))
     state, text = metrics.state_dict(), metrics.path.read_text()
-    metrics.append(rows(2))
+    metrics.append(2, columns(2))
     metrics.path.write_text(metrics.path.read_text()[:-7])
 
-    other = MetricsFile(tmp_path / "metrics.csv")
+    other = MetricsFile(tmp_path / "metrics.csv", 2)
     other.load_state_dict(state)
 
     assert other.path.read_text() == text
     assert other.rows == [*rows(0), *rows(1)]
-    assert [type(v) for v in other.rows[0].values()] == [int, int, float, float]
-    other.append(rows(2))
+    assert [type(v) for v in other.rows[0].values()] == [int, int, int, float, float]
+    other.append(2, columns(2))
     assert other.path.read_text().startswith(text)
     assert len(other.path.read_text().splitlines()) == 7
 
 
 def test_restoring_no_rows_removes_the_file(tmp_path):
-    metrics = MetricsFile(tmp_path / "metrics.csv")
+    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
     empty = metrics.state_dict()
-    metrics.append(rows(0))
+    metrics.append(0, columns(0))
 
     metrics.load_state_dict(empty)
 
@@ -59,8 +96,8 @@ def test_restoring_no_rows_removes_the_file(tmp_path):
 
 
 def test_what_a_round_has_not_is_empty_and_survives(tmp_path):
-    metrics = MetricsFile(tmp_path / "metrics.csv")
-    metrics.append([{"round": 0, "replica": 0, "loss": math.nan, "kl": math.inf}])
+    metrics = MetricsFile(tmp_path / "metrics.csv", 1)
+    metrics.append(0, {"loss": math.nan, "kl": math.inf})
 
     metrics.load_state_dict(metrics.state_dict())
 
@@ -69,12 +106,12 @@ def test_what_a_round_has_not_is_empty_and_survives(tmp_path):
 
 
 def test_other_columns_are_refused_and_nothing_is_written(tmp_path):
-    metrics = MetricsFile(tmp_path / "metrics.csv")
-    metrics.append(rows(0))
+    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
+    metrics.append(0, columns(0))
     text = metrics.path.read_text()
 
     with pytest.raises(ValueError, match=r"must have the columns \('round', .*'kl'\)"):
-        metrics.append([{"round": 1, "replica": 0}])
+        metrics.append(1, {"loss": 0.5})
 
     assert metrics.path.read_text() == text
     assert metrics.rows == rows(0)

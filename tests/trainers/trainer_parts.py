@@ -175,11 +175,11 @@ class GivenRates:
         self.rates = rates
         self.best = BestWeights(network, len(rates[0]))
 
-    def __call__(self, round_number: int) -> list[dict[str, float]]:
+    def __call__(self, round_number: int) -> dict[str, Tensor]:
         torch.randn(round_number + 7)  # the global generator is not the training's
-        rates = self.rates[round_number]
-        self.best.update(round_number, torch.tensor(rates))
-        return [{"eval_success_rate": rate} for rate in rates]
+        rates = torch.tensor(self.rates[round_number], dtype=torch.float64)
+        self.best.update(round_number, rates)
+        return {"eval_success_rate": rates}
 
 
 def random_policy(tensordict: TensorDictBase) -> TensorDictBase:
