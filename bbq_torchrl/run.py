@@ -16,25 +16,24 @@ import torch
 import bbq_torchrl
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.agent import make_domain
-from bbq_torchrl.cli.resume import CURVE, RUN_CONFIG
 from bbq_torchrl.cli.run_lock import run_lock
-from bbq_torchrl.cli.store import save_config
+from bbq_torchrl.cli.saved import save_config
 from bbq_torchrl.cli.training import build_trainer, evaluation_places
 from bbq_torchrl.envs.policies import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import Curves, draw_run
+from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.evaluation.results import (
-    RESULT_FILE,
     RunResult,
     TrainingEvaluation,
-    read_metrics,
     read_result,
     replica_result,
     training_evaluation,
     write_json,
 )
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 from bbq_torchrl.trainers import keep_freed_memory
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import RoundTrainer
-    from bbq_torchrl.trainers.round_trainer import RoundCallback
+    from bbq_torchrl.trainers.hooks import RoundCallback
 
 __all__ = ["run"]
 
@@ -90,7 +89,7 @@ def _run(
     torch.set_num_threads(config.threads)
     keep_freed_memory()
     _quieten_torchrl()
-    save_config(dataclasses.replace(config, resume=None), folder / RUN_CONFIG)
+    save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
     domain = make_domain(config) if domain is None else domain
     trainer, agent = build_trainer(config, folder, callbacks, domain=domain)
     result = None if config.resume is None else _result_of(folder, rounds)
@@ -108,7 +107,7 @@ def _run(
         started = time.perf_counter()
         _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
         result = _evaluated(config, folder, domain, agent, trainer, trained, started)
-        write_json(result, folder / RESULT_FILE)
+        write_json(result, folder / RESULT)
     if config.protocol.keep_checkpoints == "weights":
         trainer.checkpoints.keep_only("loss", "best")
     _draw(config, folder, result, domain)  # last: the run is finished

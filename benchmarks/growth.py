@@ -11,13 +11,13 @@ packages, and is written to results/growth.csv as soon as it is measured.
 from __future__ import annotations
 
 import argparse
-import csv
 import logging
 import multiprocessing
 import random
 import resource
 import sys
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -34,12 +34,12 @@ from bbq_torchrl.domains import Domain, movie_domain  # noqa: E402
 from bbq_torchrl.envs import DialogueEnv  # noqa: E402
 from bbq_torchrl.trainers import keep_freed_memory  # noqa: E402
 from benchmarks.parts.learning import full_trainer  # noqa: E402
+from benchmarks.parts.rows import merge  # noqa: E402
 from benchmarks.parts.simulator import play_simulator  # noqa: E402
 from benchmarks.parts.timing import CLOCKS, Timer  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from multiprocessing.connection import Connection
 
 FILE = ROOT / "results" / "growth.csv"
 COLUMNS = ("what", "size", "seconds", "megabytes")
@@ -62,7 +62,7 @@ def buffer(size: int, timer: Timer, run: Path) -> float:
     """Learns with BBQN on a full buffer of so many transitions: a freeze, an epoch."""
     once = (*BBQN, "protocol.freezes=1", "protocol.epochs=1")
     trainer = full_trainer(once, run, replicas=1, capacity=size)
-    return timer.time(lambda: trainer._learn(0))
+    return timer.time(lambda: trainer.learner.learn(0))
 
 
 def replicas(size: int, timer: Timer, run: Path) -> float:
@@ -131,34 +131,21 @@ GROWTH: dict[str, tuple[Callable[[int, Timer, Path], float], tuple[int, ...]]] =
 
 
 def measure(what: str, size: int, clock: str) -> tuple[float, float]:
-    """Measures one cell in a child process. Returns seconds and megabytes.
-
-    Raises:
-        RuntimeError: if the child fails.
-    """
+    """Measures one cell in a child process. Returns seconds and megabytes."""
     # A fork has everything imported already: only what the cell itself needs is counted.
-    context = multiprocessing.get_context("fork")
-    receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_cell, args=(what, size, clock, sender))
-    child.start()
-    sender.close()
-    try:
-        seconds, peak = receiver.recv()
-    except EOFError as error:
-        child.join()
-        raise RuntimeError(f"{what} at {size} failed with exit code {child.exitcode}") from error
-    child.join()
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as child:
+        seconds, peak = child.submit(_cell, what, size, clock).result()
     return round(seconds, 6), round(peak / 1e6, 3)
 
 
-def _cell(what: str, size: int, clock: str, sender: Connection) -> None:
+def _cell(what: str, size: int, clock: str) -> tuple[float, int]:
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage
     torch.set_num_threads(1)
     keep_freed_memory()
     before = _peak()
     with tempfile.TemporaryDirectory() as folder:
         seconds = GROWTH[what][0](size, Timer(clock), Path(folder) / "run")
-    sender.send((seconds, max(_peak() - before, 1)))
+    return seconds, max(_peak() - before, 1)
 
 
 def _peak() -> int:
@@ -167,18 +154,9 @@ def _peak() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-def keep(file: Path, line: Sequence[object]) -> None:
-    """Writes a cell in the place of an earlier one, in the order of the table."""
-    lines = {}
-    if file.is_file():
-        with file.open(newline="", encoding="utf-8") as opened:
-            lines = {(kept[0], int(kept[1])): kept for kept in list(csv.reader(opened))[1:]}
-    lines[str(line[0]), int(str(line[1]))] = [*map(str, line)]
-    order = list(GROWTH)
-    with file.open("w", newline="", encoding="utf-8") as opened:
-        writer = csv.writer(opened, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(lines[key] for key in sorted(lines, key=lambda k: (order.index(k[0]), k)))
+def _place(line: Sequence[str]) -> tuple[int, int]:
+    """Returns where a cell stands in the file."""
+    return list(GROWTH).index(line[0]), int(line[1])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -193,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for size in (40,) if chosen.tiny else GROWTH[what][1]:
             line = (what, size, *measure(what, size, chosen.clock))
             if not chosen.tiny:
-                keep(chosen.file, line)
+                merge(chosen.file, COLUMNS, 2, [line], key=_place)
             print(*(f"{name} {value}" for name, value in zip(COLUMNS, line, strict=True)), sep=", ")
 
 

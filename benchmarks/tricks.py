@@ -12,7 +12,6 @@ are not measured stay, also of those that went. One thread, processor time.
 from __future__ import annotations
 
 import argparse
-import csv
 import logging
 import statistics
 import sys
@@ -33,6 +32,7 @@ from bbq_torchrl.data import ReplicaReplay  # noqa: E402
 from bbq_torchrl.objectives import OneStepQLoss  # noqa: E402
 from bbq_torchrl.trainers import keep_freed_memory, learn  # noqa: E402
 from benchmarks.parts.learning import AGENTS, TINY_CAPACITY, TINY_OVERRIDES, Learner  # noqa: E402
+from benchmarks.parts.rows import merge  # noqa: E402
 from benchmarks.parts.timing import Timer  # noqa: E402
 
 if TYPE_CHECKING:
@@ -134,10 +134,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     capacity, more = 3_200, ("protocol.eval_every=0",)
     if chosen.tiny:
         capacity, more = TINY_CAPACITY, (*TINY_OVERRIDES, *more)
-    rows = {}
-    if chosen.out.exists():
-        with chosen.out.open(newline="") as file:
-            rows = {tuple(row[:3]): row[3:] for row in csv.reader(file)}
     for replicas, trick in product(chosen.replicas, chosen.tricks):
         agents, common, taken_away = TRICKS[trick]
         for agent in agents:
@@ -151,12 +147,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 )
                 seconds, ratios = measure(learner, common, taken_away, chosen.repeats)
             low, middle, high = (100 * (r - 1) for r in statistics.quantiles(ratios, n=4))
-            key = (trick, agent, str(replicas))
-            rows[key] = [f"{1e3 * seconds:.3f}", *(f"{x:.1f}" for x in (middle, low, high))]
-            sys.stderr.write(f"{key}: {rows[key]}\n")
-    rows = {COLUMNS[:3]: list(COLUMNS[3:]), **rows}
-    with chosen.out.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([*key, *row] for key, row in rows.items())
+            figures = (f"{x:.1f}" for x in (middle, low, high))
+            line = (trick, agent, replicas, f"{1e3 * seconds:.3f}", *figures)
+            merge(chosen.out, COLUMNS, 3, [line])
+            sys.stderr.write(f"{line}\n")
 
 
 if __name__ == "__main__":

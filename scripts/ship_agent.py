@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING
 from bbq_torchrl import shipped
 from bbq_torchrl.cli.agent import make_agent, make_domain
 from bbq_torchrl.cli.resume import description, run_config
-from bbq_torchrl.cli.store import save_config
-from bbq_torchrl.evaluation.results import RESULT_FILE, read_result
+from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, RESULT
 from bbq_torchrl.trainers import CheckpointFolder
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
     whole = make_agent(config, config.env.make(domain, (config.replicas, 1)))
     own = replace(config, replicas=1, resume=None)
     single = make_agent(own, own.env.make(domain, (1, 1)))
-    if CheckpointFolder(run / "checkpoint", loss=whole.loss).restore(description(config)) is None:
+    if CheckpointFolder(run / CHECKPOINTS, loss=whole.loss).restore(description(config)) is None:
         raise ValueError(f"{run} has no checkpoint")
     shapes = {name: value.shape for name, value in single.actor.state_dict().items()}
     state = {
@@ -70,11 +71,11 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
     }
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
-    save_config(own, target / "config.yaml")
+    save_config(own, target / CONFIG)
     shutil.copyfile(run / ".hydra" / "overrides.yaml", target / "overrides.yaml")
     text = json.dumps(asdict(result.only([replica])), indent=1)
-    (target / RESULT_FILE).write_text(f"{text}\n", encoding="utf-8")
-    CheckpointFolder(target / "checkpoint", actor=_Weights(state)).save(
+    (target / RESULT).write_text(f"{text}\n", encoding="utf-8")
+    CheckpointFolder(target / CHECKPOINTS, actor=_Weights(state)).save(
         result.rounds, description(own)
     )
 

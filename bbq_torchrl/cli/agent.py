@@ -9,7 +9,7 @@ import torch
 from torchrl.envs import Compose
 
 from bbq_torchrl.options import Task
-from bbq_torchrl.options.base import action_mask_key
+from bbq_torchrl.options.task import action_mask_key
 from bbq_torchrl.trainers import derive_seed
 
 if TYPE_CHECKING:

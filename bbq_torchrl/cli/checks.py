@@ -9,9 +9,9 @@ import torch
 
 from bbq_torchrl.cli.agent import make_domain
 from bbq_torchrl.cli.memory import check_memory, training_needs
-from bbq_torchrl.cli.resume import RESULT, description, has_result
-from bbq_torchrl.evaluation.results import METRICS_FILE
+from bbq_torchrl.cli.resume import description, has_result
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.text import shown
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
@@ -67,10 +67,10 @@ def _check_resumable(folder: Path, config: Config) -> None:
     """Raises ConfigError if a run has begun, but there is no checkpoint of it to go on from."""
     if has_result(folder, config.protocol.rounds):
         return  # what is missing is drawn, not trained
-    checkpoints = CheckpointFolder(folder / "checkpoint")
+    checkpoints = CheckpointFolder(folder / CHECKPOINTS)
     try:
         found = checkpoints.holds("replay")
-        if not found and any((folder / name).exists() for name in (METRICS_FILE, RESULT)):
+        if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
             raise CheckpointDamagedError.gone(folder)
         checkpoints.check(description(config))
     except (CheckpointDamagedError, CheckpointMismatchError) as error:

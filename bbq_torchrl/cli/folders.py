@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from omegaconf import OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.cli.resume import RUN_CONFIG
 from bbq_torchrl.cli.run_lock import run_lock
 from bbq_torchrl.cli.store import compose_raw
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> l
     chosen = _named_folder(composed, "run")
     if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
         held.enter_context(run_lock(chosen))
-        if (chosen / RUN_CONFIG).exists():
+        if (chosen / CONFIG).exists():
             raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")
         return []
     folder = _reserve(chosen)

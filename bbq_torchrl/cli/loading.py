@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from bbq_torchrl.cli.agent import make_agent, make_domain
 from bbq_torchrl.cli.resume import description, run_config
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.shipped import is_shipped, run_folder
 from bbq_torchrl.trainers import BestWeights, CheckpointDamagedError, CheckpointFolder
 
@@ -111,7 +112,7 @@ def trained_policy(
     if is_shipped(folder):
         saved = {"actor": agent.actor}
     try:
-        found = CheckpointFolder(folder / "checkpoint", **saved).restore(description(config))
+        found = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(description(config))
     except CheckpointDamagedError as error:
         raise ConfigError(str(error)) from error
     if found is None:

@@ -7,9 +7,10 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.cli.store import load_config
+from bbq_torchrl.cli.saved import load_config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
+from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
 
 __all__ = [
-    "CURVE",
-    "RESULT",
-    "RUN_CONFIG",
     "description",
     "has_result",
     "is_finished",
@@ -27,15 +25,6 @@ __all__ = [
     "resumed_config",
     "run_config",
 ]
-
-RUN_CONFIG = "config.yaml"
-"""The composed configuration in a run folder."""
-
-RESULT = "result.json"
-"""The final evaluation in a run folder, of as many rounds as it says."""
-
-CURVE = "curve.png"
-"""The learning curve in a run folder: the last file that a run writes."""
 
 CHANGEABLE = ("protocol.rounds", "protocol.keep_checkpoints", "logger", "device")
 """What may be given beside ``resume``; the rest is the run's own."""
@@ -87,9 +76,9 @@ def run_config(folder: Path) -> Config:
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder} is not a run folder: there is no such folder")
-    if not (folder / RUN_CONFIG).is_file():
-        raise ConfigError(f"{folder} is not a run folder: it has no {RUN_CONFIG}")
-    return load_config(folder / RUN_CONFIG)
+    if not (folder / CONFIG).is_file():
+        raise ConfigError(f"{folder} is not a run folder: it has no {CONFIG}")
+    return load_config(folder / CONFIG)
 
 
 def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
@@ -140,7 +129,7 @@ def restarted_config(config: Config, folder: Path) -> Config:
     Raises:
         ConfigError: the folder holds a run of another configuration.
     """
-    if not (folder / RUN_CONFIG).is_file():
+    if not (folder / CONFIG).is_file():
         return config
     if run_config(folder) != dataclasses.replace(config, resume=None):
         raise ConfigError(

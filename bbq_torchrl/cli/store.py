@@ -1,4 +1,4 @@
-"""Composing, checking, saving and loading configurations.
+"""Composing and checking configurations.
 
 The only module that talks to Hydra's configuration store: a :func:`session` registers every option
 in its group, and finds the ``conf`` folder: inside an installed package, else beside it.
@@ -7,7 +7,6 @@ in its group, and finds the ``conf`` folder: inside an installed package, else b
 from __future__ import annotations
 
 import contextlib
-import os
 import textwrap
 from dataclasses import fields
 from pathlib import Path
@@ -45,27 +44,17 @@ __all__ = [
     "conf_folder",
     "config_folders",
     "explorations_table",
-    "load_config",
     "options",
     "register_options",
-    "save_config",
     "session",
     "to_config",
+    "typed",
 ]
 
 Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
 
 ROOTS = {"config": Config, "evaluate": EvaluateConfig, "calibrate": CalibrateConfig}
 """YAML file of a root -> its schema."""
-
-_ADDED = {"intrinsic": "none"}
-"""Groups that configurations of earlier versions lack, and the option that those versions were."""
-
-_ADDED_KEYS = {"protocol": {"eval_every": 0}}
-"""Keys that configurations of earlier versions lack, and what those versions did."""
-
-_REMOVED_KEYS = ("cuda_graph",)
-"""Keys of earlier versions that changed no number."""
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -223,10 +212,15 @@ def to_config(composed: DictConfig, root: type[Root]) -> Root:
             )
     plain = OmegaConf.create(OmegaConf.to_container(composed, resolve=False))
     assert isinstance(plain, DictConfig)
-    return _typed(plain, root)
+    return typed(plain, root)
 
 
-def _typed(plain: DictConfig, root: type[Root]) -> Root:
+def typed(plain: DictConfig, root: type[Root]) -> Root:
+    """The checked dataclass of plain values.
+
+    Raises:
+        ConfigError: as :func:`to_config` does.
+    """
     try:
         typed = OmegaConf.structured(root)
         for key in map(str, plain):
@@ -305,41 +299,3 @@ def compose(overrides: Sequence[str] = (), root: type[Root] = Config) -> Root:  
     name = next(name for name, schema in ROOTS.items() if schema is root)
     with session():
         return to_config(compose_raw(overrides, name), root)
-
-
-def save_config(config: Config, file: Path) -> None:
-    """Writes a configuration as YAML, atomically, so that a reader never sees half of it."""
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(OmegaConf.to_yaml(OmegaConf.structured(config)), encoding="utf-8")
-    os.replace(temporary, file)
-
-
-def load_config(file: Path) -> Config:
-    """Reads a configuration that :func:`save_config` wrote; keys it lacks take their defaults.
-
-    Raises:
-        ConfigError: no readable configuration, or one that cannot be run.
-    """
-    try:
-        plain = OmegaConf.load(file)
-    except OSError as error:
-        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
-    except Exception as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
-        raise ConfigError(f"{file} is not a YAML file of a run: {reason}") from error
-    if not isinstance(plain, DictConfig):
-        raise ConfigError(f"{file} must hold a mapping of groups, got a list")
-    for key in _REMOVED_KEYS:
-        plain.pop(key, None)
-    for group, option in _ADDED.items():
-        if group not in plain and "agent" in plain:
-            plain[group] = {"name": option}
-    for group, keys in _ADDED_KEYS.items():
-        if OmegaConf.is_dict(plain.get(group)):
-            for key, value in keys.items():
-                if key not in plain[group]:
-                    plain[group][key] = value
-    try:
-        return _typed(plain, Config)
-    except ConfigError as error:
-        raise ConfigError(f"{file}: {error}") from error

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from bbq_torchrl.cli.resume import RESULT, is_finished, run_config
+from bbq_torchrl.cli.resume import is_finished, run_config
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.run_folder import RESULT
 
 if TYPE_CHECKING:
     from pathlib import Path

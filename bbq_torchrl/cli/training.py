@@ -12,7 +12,7 @@ from bbq_torchrl.cli.resume import description
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.while_training import RoundEvaluator
-from bbq_torchrl.options.base import action_mask_key
+from bbq_torchrl.options.task import action_mask_key
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.trainers import RoundSettings, RoundTrainer, SpikeSettings
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
-    from bbq_torchrl.trainers.round_trainer import RoundCallback
+    from bbq_torchrl.trainers.hooks import RoundCallback
 
 __all__ = ["build_trainer", "evaluation_places"]
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from bbq_torchrl.evaluation.learning import areas, rounds_to_reach
+from bbq_torchrl.evaluation.metrics import Metrics, read_metrics
 from bbq_torchrl.evaluation.results import (
-    Metrics,
     ReplicaResult,
     RunResult,
     TrainingEvaluation,
-    read_metrics,
     read_result,
 )
 from bbq_torchrl.evaluation.statistics import (

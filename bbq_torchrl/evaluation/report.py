@@ -6,20 +6,19 @@ documentation is made by the same functions.
 
 from __future__ import annotations
 
-import csv
 import math
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
+from bbq_torchrl.evaluation.csv_tables import write_replicas, write_tables
 from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison, draw_panels
 from bbq_torchrl.evaluation.grid import grid_text
-from bbq_torchrl.evaluation.groups import Group, find_results, read_groups
-from bbq_torchrl.evaluation.learning import learning, rounds_to_reach
+from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.pairs import Pairing, pairings
-from bbq_torchrl.evaluation.statistics import Summary, summarize
+from bbq_torchrl.evaluation.runs import find_results
 from bbq_torchrl.evaluation.table1 import (
     PAPER,
     TABLE1_NOTE,
@@ -32,9 +31,7 @@ from bbq_torchrl.evaluation.tables import (
     LEARNING_NOTE,
     NOTE,
     PAIRS_NOTE,
-    Improvement,
     improvement_table,
-    improvements,
     learning_table,
     pairs_table,
     success_table,
@@ -53,7 +50,6 @@ __all__ = [
     "setting_of",
     "table1_text",
     "write_grid",
-    "write_replicas",
     "write_report",
     "write_table1",
 ]
@@ -119,33 +115,6 @@ def table1_text(groups: Sequence[Group]) -> str:
     return "\n\n".join([*parts, TABLE1_NOTE.strip()]) + "\n"
 
 
-def write_replicas(groups: Sequence[Group], file: Path) -> None:
-    """Writes a CSV file with a row for each replica."""
-    _write_csv(file, [row for group in groups for row in _replica_rows(group)])
-
-
-def _replica_rows(group: Group) -> list[dict[str, Any]]:
-    reached = iter(rounds_to_reach(group.success, 0.6).tolist())
-    return [
-        {
-            "corpus": run.result.domain,
-            "env": run.result.env,
-            "agent": group.label,
-            "replica": entry.replica,
-            "seed": run.result.seed,
-            "rounds": run.result.rounds,
-            "updates": run.updates[number],
-            "success_rate": entry.success_rate,
-            "reward": entry.reward,
-            "turns": entry.turns,
-            "cumulative_success": entry.training_success,
-            "rounds_to_60": f"{next(reached):.0f}".replace("inf", ""),
-        }
-        for run in group.runs
-        for number, entry in enumerate(run.result.per_replica)
-    ]
-
-
 def write_grid(groups: Sequence[Group], folder: Path) -> str:
     """Writes ``grid.md`` and ``replicas.csv``. Returns the grid as Markdown."""
     text = grid_text(groups)
@@ -198,11 +167,7 @@ def write_report(groups: Sequence[Group], folder: Path) -> str:
     compared = pairings(groups)
     text = _markdown(groups, compared)
     (folder / "report.md").write_text("\n".join([text, *pictures, ""]), encoding="utf-8")
-    _write_csv(folder / "report.csv", [_row(group) for group in groups])
-    _write_csv(folder / "improvements.csv", [_improvement(item) for item in improvements(groups)])
-    _write_csv(folder / "pairs.csv", [_pair_row(item) for item in compared])
-    _write_csv(folder / "learning.csv", _learning_rows(groups))
-    write_replicas(groups, folder / "replicas.csv")
+    write_tables(groups, compared, folder)
     return text
 
 
@@ -217,91 +182,6 @@ def _markdown(groups: Sequence[Group], compared: Sequence[Pairing]) -> str:
         LEARNING_NOTE.strip(),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def _row(group: Group) -> dict[str, Any]:
-    """Returns what report.csv holds of a group."""
-    row: dict[str, Any] = {
-        "label": group.label,
-        "agent": group.first.agent,
-        "explore": group.first.explore,
-        "env": group.first.env,
-        "domain": group.first.domain,
-        "seeds": len(group.final),
-        "rounds": group.first.rounds,
-    }
-    for name, values in (("final_success", group.final), ("training_success", group.cumulative)):
-        row |= _summary(name, summarize(values))
-    return row | {"reward": group.reward, "turns": group.turns}
-
-
-def _summary(name: str, summary: Summary) -> dict[str, float]:
-    return {
-        f"{name}_mean": summary.t.value,
-        f"{name}_bootstrap_low": summary.bootstrap.low,
-        f"{name}_bootstrap_high": summary.bootstrap.high,
-        f"{name}_t_low": summary.t.low,
-        f"{name}_t_high": summary.t.high,
-        f"{name}_iqm": summary.iqm.value,
-        f"{name}_iqm_low": summary.iqm.low,
-        f"{name}_iqm_high": summary.iqm.high,
-    }
-
-
-def _improvement(item: Improvement) -> dict[str, Any]:
-    row: dict[str, Any] = {"better": item.better.label, "worse": item.worse.label}
-    for name, value in (("final_success", item.final), ("training_success", item.cumulative)):
-        row |= {name: value.value, f"{name}_low": value.low, f"{name}_high": value.high}
-    return row
-
-
-def _pair_row(item: Pairing) -> dict[str, Any]:
-    row: dict[str, Any] = {"one": item.one.label, "other": item.other.label, "pairs": item.pairs}
-    for name, difference in item.differences.items():
-        row |= _summary(name, difference)
-    return row | {"remark": item.remark}
-
-
-def _learning_rows(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """Returns what learning.csv holds: a row for each learning curve; infinite is empty."""
-    rows = []
-    for group in groups:
-        for curve in learning(group):
-            row: dict[str, Any] = {
-                "label": group.label,
-                "success_in": curve.success_in,
-                "seeds": len(group.final),
-                "rounds": group.first.rounds,
-                **_summary("area", curve.area),
-            }
-            for item in curve.reach:
-                low, high = item.interval
-                row |= {
-                    f"reached_{item.level}": item.reached,
-                    f"rounds_{item.level}": item.median,
-                    f"rounds_{item.level}_low": low,
-                    f"rounds_{item.level}_high": high,
-                    f"dialogues_{item.level}": item.median * group.round_dialogues,
-                }
-            rows.append(row)
-    return rows
-
-
-def _write_csv(file: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Writes a CSV file; what there is not is empty. No file where there are no rows."""
-    if not rows:
-        file.unlink(missing_ok=True)
-        return
-    names = max(rows, key=len)  # rows without pairs lack columns of those with
-    with file.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, fieldnames=list(names), lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({name: value for name, value in row.items() if not _is_none(value)})
-
-
-def _is_none(value: object) -> bool:
-    return isinstance(value, float) and not math.isfinite(value)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

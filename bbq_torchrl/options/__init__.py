@@ -14,11 +14,11 @@ from bbq_torchrl.options.base import (
     IntrinsicOption,
     LoggerOption,
     Option,
-    Task,
 )
 from bbq_torchrl.options.registry import explorations, register, schemas
 from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig, validate
 from bbq_torchrl.options.settings import ConfigError, check_settings
+from bbq_torchrl.options.task import Task
 
 __all__ = [
     "AgentOption",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib.util
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.extras import install_command
@@ -24,6 +23,7 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
+from bbq_torchrl.options.task import action_mask_key, parameters
 from bbq_torchrl.options.values import spread
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     import torch
     from tensordict.nn import TensorDictModuleBase
     from torch import Tensor, nn
-    from torchrl.data import TensorSpec
     from torchrl.envs import EnvBase, Transform
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options.root import Config
+    from bbq_torchrl.options.task import Task
     from bbq_torchrl.trainers import ReplicaOptimizer
 
 __all__ = [
@@ -52,51 +52,7 @@ __all__ = [
     "IntrinsicOption",
     "LoggerOption",
     "Option",
-    "Task",
-    "action_mask_key",
-    "parameters",
 ]
-
-
-@dataclass(frozen=True)
-class Task:
-    """What networks and exploration have to fit.
-
-    Attributes:
-        inputs: features of an observation.
-        action_spec: of one action, categorical.
-        replicas: independent seeds trained side by side; the first dimension of all weights and
-            of every batch.
-        rounds: of the training, which schedules take a share of.
-        device: of the weights.
-        action_mask_key: where an observation says which actions are legal; None: all always are.
-        inactive_inputs: bool [inputs], features that come into use later; None: there are none.
-        inactive_actions: bool [actions], the same of actions.
-    """
-
-    inputs: int
-    action_spec: TensorSpec
-    replicas: int
-    rounds: int
-    device: torch.device | None = None
-    action_mask_key: str | None = "action_mask"
-    inactive_inputs: Tensor | None = None
-    inactive_actions: Tensor | None = None
-
-    @property
-    def actions(self) -> int:
-        """The number of actions."""
-        return int(self.action_spec.n)
-
-    def reset_inactive_(self, network: Any) -> None:
-        """Starts weights of what is not active yet as if it were added only later.
-
-        See :func:`~bbq_torchrl.networks.reset_inactive_`.
-        """
-        from bbq_torchrl.networks import reset_inactive_
-
-        if self.inactive_inputs is not None or self.inactive_actions is not None:
-            reset_inactive_(network, inputs=self.inactive_inputs, outputs=self.inactive_actions)
 
 
 @dataclass
@@ -385,18 +341,3 @@ class LoggerOption(Option):
                 f"logger={self.name} needs the package {self.package}: "
                 f"{install_command(self.package)}"
             )
-
-
-def action_mask_key(env: EnvBase) -> str | None:
-    """Returns where an environment says which actions are legal; None: all of them always are."""
-    return "action_mask" if "action_mask" in list(env.observation_spec.keys()) else None
-
-
-def parameters(sizes: Sequence[int]) -> int:
-    """Returns how many weights and biases a network of these layers has.
-
-    Example:
-        >>> parameters([3, 4, 2])
-        26
-    """
-    return sum((before + 1) * after for before, after in pairwise(sizes))

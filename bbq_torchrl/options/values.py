@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from bbq_torchrl.options.base import Task
     from bbq_torchrl.options.root import Config
+    from bbq_torchrl.options.task import Task
 
 __all__ = [
     "annealed_rounds",

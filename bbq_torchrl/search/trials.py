@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import optuna
 
-from bbq_torchrl.cli.resume import RUN_CONFIG, is_finished
+from bbq_torchrl.cli.resume import is_finished
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.statistics import interquartile_mean
+from bbq_torchrl.run_folder import CONFIG
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -81,7 +82,7 @@ def play_trial(
     """
     states = optuna.trial.TrialState
     folder.mkdir(parents=True, exist_ok=True)
-    if (folder / RUN_CONFIG).is_file():
+    if (folder / CONFIG).is_file():
         config = dataclasses.replace(config, resume=str(folder))
     try:
         if is_finished(folder, config.protocol.rounds):

@@ -10,11 +10,12 @@ from bbq_torchrl.trainers.checkpoint import (
 )
 from bbq_torchrl.trainers.collect import EpisodeStats, Policy, outcomes, play, play_dialogues
 from bbq_torchrl.trainers.errors import NonFiniteLossError, SpikeError
+from bbq_torchrl.trainers.hooks import Evaluator, RoundCallback, RoundEnv
 from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimizer import ReplicaAdam, ReplicaOptimizer
 from bbq_torchrl.trainers.progress import RoundProgress
-from bbq_torchrl.trainers.round_trainer import Evaluator, RoundEnv, RoundTrainer
+from bbq_torchrl.trainers.round_trainer import RoundTrainer
 from bbq_torchrl.trainers.seeding import derive_seed
 from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
 
@@ -31,6 +32,7 @@ __all__ = [
     "Policy",
     "ReplicaAdam",
     "ReplicaOptimizer",
+    "RoundCallback",
     "RoundEnv",
     "RoundProgress",
     "RoundSettings",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
-import os
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+
+from bbq_torchrl.run_folder import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -16,20 +17,10 @@ if TYPE_CHECKING:
 
     from torchrl.record.loggers import Logger
 
-__all__ = ["MetricRow", "MetricsFile", "replace_text"]
+__all__ = ["MetricRow", "MetricsFile"]
 
 MetricRow = dict[str, int | float]
 """A round's metrics of one replica."""
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Writes a file so that a reader, or a crash, finds the old text or the new, never a part."""
-    temporary = path.with_name(f".{path.name}.new")
-    with temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
 
 
 class MetricsFile:
@@ -130,7 +121,7 @@ class MetricsFile:
         ]
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.rows:
-            replace_text(self.path, _csv(self.rows, header=True))
+            write_text(self.path, _csv(self.rows, header=True))
         else:
             self.path.unlink(missing_ok=True)
 

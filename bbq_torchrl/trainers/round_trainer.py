@@ -6,13 +6,14 @@ import logging
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.exploration.hooks import Annealed, Resampled
 from bbq_torchrl.hooks import provides
+from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
 from bbq_torchrl.trainers.collect import (
     Policy,
@@ -22,6 +23,7 @@ from bbq_torchrl.trainers.collect import (
     rows_per_replica,
 )
 from bbq_torchrl.trainers.errors import NonFiniteLossError
+from bbq_torchrl.trainers.hooks import RoundEnv
 from bbq_torchrl.trainers.learner import Learner, TargetUpdater
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
@@ -37,41 +39,12 @@ if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.data import ReplicaReplay
-    from bbq_torchrl.trainers.best_weights import BestWeights
+    from bbq_torchrl.trainers.hooks import Evaluator, RoundCallback
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
 
-__all__ = ["Evaluator", "RoundCallback", "RoundEnv", "RoundTrainer"]
+__all__ = ["RoundTrainer"]
 
 _LOG = logging.getLogger(__name__)
-
-
-class RoundEnv(Protocol):
-    """An environment that changes with the rounds (domain extension). Others stay as they are."""
-
-    def set_round(self, round: int, /) -> None:
-        """Enters a round; called before its dialogues are played, and before spiking with 0."""
-
-
-class RoundCallback(Protocol):
-    """What is called after every round with the trainer and the round's rows."""
-
-    def __call__(self, trainer: RoundTrainer, rows: Sequence[MetricRow], /) -> None:
-        """Takes in the round's rows, one for each replica."""
-
-
-class Evaluator(Protocol):
-    """Plays the policy that is to be reported, after every round."""
-
-    @property
-    def best(self) -> BestWeights:
-        """The best weights so far; they are saved in every checkpoint."""
-
-    def __call__(self, round_number: int) -> Mapping[str, float | Tensor]:
-        """Returns metrics of the round by name, one number or [replicas]; the same names always.
-
-        NaN stands for a round without an evaluation. It may use torch's global generator, but
-        nothing else of the training's.
-        """
 
 
 class RoundTrainer:
@@ -87,9 +60,10 @@ class RoundTrainer:
     moment and resumed ends, on a CPU, with bitwise the same weights and metrics as one that was
     not; and what one replica does never shifts another's random numbers.
 
-    What its parts may have besides, and what the trainer then does, is in :class:`RoundEnv`,
-    :mod:`bbq_torchrl.objectives.hooks`, :mod:`bbq_torchrl.exploration.hooks` (each module of the
-    policy) and :mod:`bbq_torchrl.data.hooks` (the replay's transform).
+    What its parts may have besides, and what the trainer then does, is in
+    :mod:`bbq_torchrl.trainers.hooks`, :mod:`bbq_torchrl.objectives.hooks`,
+    :mod:`bbq_torchrl.exploration.hooks` (each module of the policy) and
+    :mod:`bbq_torchrl.data.hooks` (the replay's transform).
 
     Args:
         env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
@@ -169,10 +143,10 @@ class RoundTrainer:
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
         self.learner = Learner(loss, replay, optimizer, target_updater, settings, self._seed_phase)
-        self.metrics = MetricsFile(self.run_folder / "metrics.csv", replicas, loggers)
+        self.metrics = MetricsFile(self.run_folder / METRICS, replicas, loggers)
         best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
         self.checkpoints = CheckpointFolder(
-            self.run_folder / "checkpoint",
+            self.run_folder / CHECKPOINTS,
             keep=settings.keep_checkpoints,
             loss=loss,
             policy=policy,

@@ -63,24 +63,19 @@ def python(*arguments: str) -> Used:
     )
 
 
-IMPORTS = ("networks", "objectives", "envs", "run")
 MEMORY_GB, HELP_SECONDS = 1.5, 6
 
 
 def process(sizes: Sizes, _: Timer) -> list[Row]:
-    """The most memory of a run with full buffers; the first line of output, and imports."""
+    """The most memory of a run with full buffers; the time until help is shown."""
     overrides = ("agent=bbqn", "env=full", *sizes.memory, *sizes.overrides)
     protocol = ("spike.protect=false", f"protocol.eval_dialogues={sizes.eval_dialogues}")
     with TemporaryDirectory() as folder:
         given = (*overrides, *protocol, f"hydra.run.dir={folder}/run")
         peak = python("train.py", *given).peak_bytes / 1e9
     what = f"agent=bbqn env=full {sizes.memory[0]}: peak of resident memory"
-    rows = [Row("process", what, "GB", peak, MEMORY_GB)]
-    starts = {"python train.py --help": ("train.py", "--help")}
-    for name in IMPORTS if sizes.imports else ():
-        starts[f"import bbq_torchrl.{name}"] = ("-c", f"import bbq_torchrl.{name}")
-    for what, arguments in starts.items():
-        wall = median(python(*arguments).wall for _ in range(min(sizes.repeats, 3)))
-        target = HELP_SECONDS if "--help" in arguments else None
-        rows.append(Row("process", what, "s", wall, target))
-    return rows
+    wall = median(python("train.py", "--help").wall for _ in range(min(sizes.repeats, 3)))
+    return [
+        Row("process", what, "GB", peak, MEMORY_GB),
+        Row("process", "python train.py --help", "s", wall, HELP_SECONDS),
+    ]

@@ -1,4 +1,4 @@
-"""What a round of ``agent=bbqn env=full`` on a full buffer spends its time on."""
+"""How much of a round of ``agent=bbqn env=full`` goes elsewhere than into simulator and updates."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.trainers import learner
-from bbq_torchrl.trainers.learn import LossSums
+from bbq_torchrl.trainers.learn import LossSums, Update
 from benchmarks.parts import processes
 from benchmarks.parts.learning import full_trainer
 from benchmarks.parts.rows import Row
@@ -23,39 +22,28 @@ PERCENT, ROUNDS = 5, 400
 """Most that may go elsewhere than into simulator and updates; rounds of a whole run."""
 
 
-def watched_round(trainer: RoundTrainer, timer: Timer) -> dict[str, float]:
-    """Trains one round. Returns the seconds spent on each kind of work.
+def watched_round(trainer: RoundTrainer, timer: Timer) -> tuple[float, float]:
+    """Trains one round. Returns its seconds, and those that are neither simulator nor updates.
 
-    Playing is the simulator and the policy. Updates are what is done to a batch (loss, gradient,
-    Adam) and the targets that are computed beforehand for many of them. Bookkeeping is the rest:
-    storing and checking transitions, shuffling, batching, sums of what the losses report, metrics,
-    log files.
+    The simulator's are those of playing, with the policy's. Updates are what is done to a batch
+    (loss, gradient, Adam) and the targets that are computed beforehand for many of them. The rest
+    is storing and checking transitions, shuffling, batching, sums of what the losses report,
+    metrics, log files.
     """
     watch = Stopwatch(timer.now)
-    watch.watch(trainer.env, "rollout", "playing")
-    watch.watch(learner, "learn_epoch", "epochs")
-    watch.watch_iterator(trainer.replay, "epoch", "batches")
+    watch.watch(trainer.env, "rollout", "work")
+    watch.watch(trainer.learner, "compute_targets", "work")
+    watch.watch(Update, "__call__", "work")
     watch.watch(LossSums, "add", "sums")
-    watch.watch(trainer.replay, "extend", "storing")
-    watch.watch(trainer.learner, "compute_targets", "targets")
     try:
         total = timer.time(trainer.train_round)
     finally:
         watch.restore()
-    spent = watch.seconds
-    updates = spent["epochs"] - spent["batches"] - spent["sums"] + spent["targets"]
-    return {
-        "round": total,
-        "playing": spent["playing"],
-        "updates": updates,
-        "shuffling and batching": spent["batches"],
-        "storing": spent["storing"],
-        "bookkeeping": total - spent["playing"] - updates,
-    }
+    return total, total - watch.seconds["work"] + watch.seconds["sums"]
 
 
 def rounds(sizes: Sizes, timer: Timer) -> list[Row]:
-    """Shares of a round, and what a whole run spends outside of simulator and updates."""
+    """Shares of a round, and of a whole run, outside of simulator and updates."""
     overrides = ("agent=bbqn", "env=full", *sizes.overrides)
     with tempfile.TemporaryDirectory() as folder:
         started = timer.now()
@@ -65,21 +53,16 @@ def rounds(sizes: Sizes, timer: Timer) -> list[Row]:
         start = timer.now() - started
         found = [watched_round(trainer, timer) for _ in range(sizes.rounds)]
         save = timer.time(lambda: trainer.checkpoints.save(0, {}, name="timed"))
-    kinds = {name: median(row[name] for row in found) for name in found[0]}
-    kinds["a tenth of a checkpoint"] = save / trainer.settings.checkpoint_every
-    whole = kinds.pop("round") + kinds["a tenth of a checkpoint"]
-    overhead = kinds.pop("bookkeeping") + kinds["a tenth of a checkpoint"]
+    share = save / trainer.settings.checkpoint_every
+    whole, outside = (median(seconds) + share for seconds in zip(*found, strict=True))
     # The start is what a process does before its first round, and the first round's compilation.
     start += processes.python("-c", "import bbq_torchrl.run").wall - whole
-    of_run = (start + ROUNDS * overhead) / (start + ROUNDS * whole)
-    what, outside = "agent=bbqn env=full, a round with a full buffer", 100 * overhead / whole
+    of_run = (start + ROUNDS * outside) / (start + ROUNDS * whole)
+    what = "agent=bbqn env=full, a round with a full buffer"
     run_what = f"{ROUNDS} such rounds and the start of the process"
+    percent = 100 * outside / whole
     return [
-        Row("round", f"{what}: outside simulator and updates", "%", outside, PERCENT),
+        Row("round", f"{what}: outside simulator and updates", "%", percent, PERCENT),
         Row("round", run_what, "%", 100 * of_run, PERCENT),
-        *(
-            Row("round", f"{what}: {name}", "% of the round", 100 * seconds / whole)
-            for name, seconds in kinds.items()
-        ),
         Row("round", what, "s", whole),
     ]

@@ -22,7 +22,6 @@ class Sizes:
         learning_seeds: trainings of each agent, until it has learned.
         learning_rounds: of each of these at most.
         learning_overrides: of the configuration of these.
-        imports: whether the sub-packages' import times are measured too.
         overrides: of every configuration.
     """
 
@@ -36,7 +35,6 @@ class Sizes:
     learning_seeds: int = 5
     learning_rounds: int = 100
     learning_overrides: tuple[str, ...] = ()
-    imports: bool = True
     overrides: tuple[str, ...] = ()
 
 
@@ -58,7 +56,6 @@ TINY = Sizes(
         "protocol.eval_every_dialogues=4",
         "spike.dialogues=4",
     ),
-    imports=False,
     overrides=TINY_OVERRIDES,
 )
 """Runs every line in seconds; its figures mean nothing."""

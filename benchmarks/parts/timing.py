@@ -8,7 +8,7 @@ from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable
 
     Block = Callable[[], float]
     """Does some work once and returns the seconds that a unit of it took."""
@@ -89,28 +89,6 @@ class Stopwatch:
                 self.seconds[what] += self._now() - started
 
         setattr(owner, name, timed)
-
-    def watch_iterator(self, owner: object, name: str, what: str) -> None:
-        """The same for a function that returns an iterable: each of its steps is timed."""
-        function: Callable = getattr(owner, name)
-        self._originals.append((owner, name, function))
-
-        def timed(*args: object, **kwargs: object) -> Iterator:
-            return self._steps(function(*args, **kwargs), what)
-
-        setattr(owner, name, timed)
-
-    def _steps(self, items: Iterable, what: str) -> Iterator:
-        iterator = iter(items)
-        while True:
-            started = self._now()
-            try:
-                item = next(iterator)
-            except StopIteration:
-                return
-            finally:
-                self.seconds[what] += self._now() - started
-            yield item
 
     def restore(self) -> None:
         """Puts the functions back."""

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import csv
-import json
+import math
 from collections import defaultdict
 from functools import partial
 from pathlib import Path
 from statistics import fmean, median
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from scipy import stats
 
-from bbq_torchrl.evaluation.results import read_metrics
+from bbq_torchrl.evaluation.learning import rounds_to_reach
 from scripts.docs_blocks.markdown import table
 from scripts.docs_blocks.policies import success_rate
+from scripts.docs_blocks.results import groups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from bbq_torchrl.evaluation.groups import Group
 
 __all__ = ["learning_blocks"]
 
@@ -59,81 +62,37 @@ def _plateau() -> str:
     return table(("start, after updates", *columns), rows, numbers=len(columns))
 
 
-class _Quick(NamedTuple):
-    """One seed of the README's first command.
-
-    Attributes:
-        seed: of the run.
-        final: success rate of the final evaluation.
-        training: share of all training dialogues that succeeded.
-        reached: the round at whose end an evaluation was first at .6 or above; None: in none.
-        wall: seconds of the whole command.
-        processor: seconds of a core that it took.
-    """
-
-    seed: int
-    final: float
-    training: float
-    reached: int | None
-    wall: float
-    processor: float
-
-
-def _quick_runs() -> list[_Quick]:
-    """Returns what is kept in results/quick, in order of the seeds."""
-    found = []
-    took = {int(line["seed"]): line for line in _read("quick_seconds.csv")}
-    for file in (RESULTS / "quick").glob("*/result.json"):
-        result = json.loads(file.read_text(encoding="utf-8"))
-        [replica] = result["per_replica"]
-        metrics = read_metrics(file.parent)
-        is_there = metrics["eval_success_rate"][:, 0] >= LEVEL
-        found.append(
-            _Quick(
-                result["seed"],
-                replica["success_rate"],
-                replica["training_success"],
-                int(is_there.argmax()) + 1 if is_there.any() else None,
-                *(float(took[result["seed"]][key]) for key in ("wall", "processor")),
-            )
-        )
-    return sorted(found)
+def _runs() -> Group:
+    """Returns the seeds of the README's first command."""
+    (group,) = groups("quick")
+    return group
 
 
 def _quick() -> str:
     """Returns a line for each seed of the README's first command."""
-    found = _quick_runs()
-    if not found:
-        return "Not measured yet."
-    rows = [
-        (
-            run.seed,
-            f"{run.final:.3f}",
-            f"{run.training:.3f}",
-            "not reached" if run.reached is None else run.reached,
-            f"{run.wall:.0f}",
-            f"{run.processor:.0f}",
-        )
-        for run in found
+    group = _runs()
+    took = {int(line["seed"]): line for line in _read("quick_seconds.csv")}
+    seeds = [member.seed for member in group.members]
+    wall, processor = (
+        [float(took[seed][clock]) for seed in seeds] for clock in ("wall", "processor")
+    )
+    figures = {"final success": group.final, "cumulative training success": group.cumulative}
+    reached = rounds_to_reach(group.evaluation, LEVEL, window=1)
+    shown = ["not reached" if math.isinf(rounds) else f"{rounds:.0f}" for rounds in reached]
+    columns = [
+        ["seed", *map(str, seeds), "mean"],
+        *([name, *(f"{x:.3f}" for x in (*xs, fmean(xs)))] for name, xs in figures.items()),
+        [f"rounds to {LEVEL}", *shown, ""],
+        *(
+            [name, *(f"{x:.0f}" for x in (*xs, fmean(xs)))]
+            for name, xs in (("seconds", wall), ("of a core", processor))
+        ),
     ]
-    wall, processor = [run.wall for run in found], [run.processor for run in found]
-    mean = (
-        "mean",
-        f"{fmean(run.final for run in found):.3f}",
-        f"{fmean(run.training for run in found):.3f}",
-        "",
-        f"{fmean(wall):.0f}",
-        f"{fmean(processor):.0f}",
-    )
-    head = (
-        *("seed", "final success", "cumulative training success", f"rounds to {LEVEL}"),
-        *("seconds", "of a core"),
-    )
-    finals = [run.final for run in found]
+    head, *rows = zip(*columns, strict=True)
     return (
-        f"{table(head, [*rows, mean], numbers=6)}\n\n"
-        f"The final success of {len(found)} seeds is between {min(finals):.2f} and "
-        f"{max(finals):.2f}. Rounds to {LEVEL}: until an evaluation while training was there. "
+        f"{table(head, rows, numbers=6)}\n\n"
+        f"The final success of {len(seeds)} seeds is between {min(group.final):.2f} and "
+        f"{max(group.final):.2f}. Rounds to {LEVEL}: until an evaluation while training was there. "
         "Seconds are of the whole command, from the start of the process to its end, on a machine "
         f"of two cores beside another process (median {median(wall):.0f}), and those of a core "
         f"that it took (median {median(processor):.0f})."
@@ -142,10 +101,8 @@ def _quick() -> str:
 
 def _expect() -> str:
     """Returns what a user of the README's first command can expect."""
-    finals = [run.final for run in _quick_runs()]
+    finals = _runs().final
     rule, ceiling = (success_rate("movie", "reference", name) for name in ("rule", "clairvoyant"))
-    if not finals or rule is None or ceiling is None:
-        return "Not measured yet."
     return (
         "What to expect: nothing in the first five rounds, then success rises; "
         f"{len(finals)} fresh seeds end between {_rate(min(finals))} and {_rate(max(finals))} of "

@@ -36,7 +36,7 @@ def policies_blocks() -> dict[str, Callable[[], str]]:
 
 
 def _entries() -> list[dict[str, Any]]:
-    return json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else []
+    return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 def success_rate(corpus: str, setting: str, policy: str) -> float | None:
@@ -62,8 +62,6 @@ def _reference() -> str:
         )
         for entry in entries
     ]
-    if not rows:
-        return f"Not measured yet; `{MAKE}` does."
     head = ("domain", "policy", "dialogues", "success rate", "reward", "turns")
     commands = "\n".join(entry["command"] for entry in entries)
     return (

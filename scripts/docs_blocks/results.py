@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
+from bbq_torchrl.evaluation.csv_tables import write_replicas
 from bbq_torchrl.evaluation.figures import draw_comparison
-from bbq_torchrl.evaluation.groups import Group, Run, read_groups
+from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.pairs import pair, pairings
-from bbq_torchrl.evaluation.report import cells_of_table1, curves, draw_table1, write_replicas
+from bbq_torchrl.evaluation.report import cells_of_table1, curves, draw_table1
 from bbq_torchrl.evaluation.statistics import summarize
 from bbq_torchrl.evaluation.table1 import (
     PAPER,
@@ -36,34 +37,42 @@ from scripts.docs_blocks.policies import success_rate
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from bbq_torchrl.evaluation.runs import Run
+
 __all__ = ["EXPERIMENTS", "command", "draw_figures", "groups", "results_blocks", "table1_groups"]
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
 FIGURES = ROOT / "docs" / "figures"
 
+
+class Experiment(NamedTuple):
+    """What is kept of some agents in one setting.
+
+    Attributes:
+        title: what was trained on.
+        ended_in: corpus and setting of results/policies.json in which its training ended.
+        is_main: whether it compares BBQN with DQN.
+    """
+
+    title: str
+    ended_in: tuple[str, str] = ("movie", "reference")
+    is_main: bool = True
+
+
 EXPERIMENTS = {
-    "tcbot": "The public setting, 2,000 dialogues",
-    "quick": "The quick form, our corpus",
-    "learning_movie": "Full domain, our corpus, first defaults",
-    "learning_miulab": "Full domain, the public MiuLab corpus, first defaults",
-    "extension_movie": "Domain extension, our corpus, first defaults",
-    "no_spike_movie": "Without spiking, our corpus, first defaults",
+    "tcbot": Experiment("The public setting, 2,000 dialogues", ("miulab", "v1, no error")),
+    "quick": Experiment("The quick form, our corpus", is_main=False),
+    "learning_movie": Experiment("Full domain, our corpus, first defaults"),
+    "learning_miulab": Experiment(
+        "Full domain, the public MiuLab corpus, first defaults", ("miulab", "reference")
+    ),
+    "extension_movie": Experiment("Domain extension, our corpus, first defaults"),
+    "no_spike_movie": Experiment("Without spiking, our corpus, first defaults", is_main=False),
 }
-"""Folder in results/ -> what was trained on."""
+"""Folder in results/ -> what it is of."""
 
-PRIVILEGED = {
-    "tcbot": ("miulab", "v1, no error"),
-    "quick": ("movie", "reference"),
-    "learning_movie": ("movie", "reference"),
-    "learning_miulab": ("miulab", "reference"),
-    "extension_movie": ("movie", "reference"),
-    "no_spike_movie": ("movie", "reference"),
-}
-"""Folder in results/ -> corpus and setting of results/policies.json in which its training ended."""
-
-MAIN = ("tcbot", "learning_movie", "learning_miulab", "extension_movie")
-"""The experiments that compare BBQN with DQN."""
+MAIN = {name: of.title for name, of in EXPERIMENTS.items() if of.is_main}
 
 
 def groups(experiment: str) -> list[Group]:
@@ -104,14 +113,14 @@ def draw_figures() -> list[Path]:
     if drawn:
         drawn.append(RESULTS / "table1.csv")
         write_replicas(cells_of_table1(table1_groups()), drawn[-1])
-    for experiment, title in EXPERIMENTS.items():
+    for experiment, of in EXPERIMENTS.items():
         if kept := groups(experiment):
             drawn.append(FIGURES / f"{experiment}.png")
-            ceiling = success_rate(*PRIVILEGED[experiment], "clairvoyant")
+            ceiling = success_rate(*of.ended_in, "clairvoyant")
             draw_comparison(
                 drawn[-1],
                 [curves(group) for group in kept],
-                title=title,
+                title=of.title,
                 references={} if ceiling is None else {"clairvoyant": ceiling},
             )
     return drawn
@@ -138,8 +147,6 @@ def _table1() -> str:
 def _experiment(experiment: str) -> str:
     """Returns table, comparison, figure and commands of one experiment."""
     kept = groups(experiment)
-    if not kept:
-        return "Not measured yet."
     commands = [command(run) for group in kept for run in group.runs]
     parts = [
         success_table(kept),
@@ -156,7 +163,7 @@ def _readme() -> str:
     """Returns the final success of the main experiments' first two agents, and their difference."""
     rows = []
     labels: list[str] = []
-    for experiment in MAIN:
+    for experiment, title in MAIN.items():
         kept = groups(experiment)[:2]
         if len(kept) == 2:
             own, other = kept
@@ -164,21 +171,17 @@ def _readme() -> str:
             found = [str(summarize(group.final).t) for group in kept]
             difference = pair(own, other)
             gap = f"{difference.differences['final_success'].t:+.3f}" if difference.pairs else "–"
-            rows.append((EXPERIMENTS[experiment], *found, gap))
-    if not rows:
-        return "Not measured yet."
+            rows.append((title, *found, gap))
     return table(("trained on", *labels, "difference"), rows, numbers=3)
 
 
 def _main() -> str:
     """Returns every agent of the main experiments in one table."""
     rows = [
-        (EXPERIMENTS[experiment], *row)
-        for experiment in MAIN
+        (title, *row)
+        for experiment, title in MAIN.items()
         for row in _main_rows(groups(experiment))
     ]
-    if not rows:
-        return "Not measured yet."
     head = ("trained on", "agent", "seeds", "final success", "cumulative training success")
     return (
         f"{table(head, rows, numbers=3)}\n\n"

@@ -7,7 +7,7 @@ import json
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from scripts.docs_blocks.markdown import table
 
@@ -53,15 +53,16 @@ def table_blocks() -> dict[str, Callable[[], str]]:
     }
 
 
+def _json(name: str) -> dict[str, Any]:
+    return json.loads((RESULTS / name).read_text(encoding="utf-8"))
+
+
 def _adversary() -> str:
     """Returns what was done to runs, and what became of them."""
-    file, make = RESULTS / "adversary.json", "BBQ_RECORD=results/adversary.json"
-    if not file.is_file():
-        return f"Not measured yet; `{make} scripts/check adversary` does."
-    found = json.loads(file.read_text(encoding="utf-8"))
+    found = _json("adversary.json")
     rows = [(*name.split(": ", 1), times) for name, times in found["outcomes"].items()]
     shown = table(("tried", "what came of it", "times"), rows, numbers=1)
-    return f"{shown}\n\n```bash\n{make} {found['command']}\n```"
+    return f"{shown}\n\n```bash\nBBQ_RECORD=results/adversary.json {found['command']}\n```"
 
 
 def _deep_sea() -> str:
@@ -78,13 +79,13 @@ def _deep_sea_trials() -> str:
 
 
 def _quality() -> str:
-    measured = json.loads((RESULTS / "language.json").read_text(encoding="utf-8"))
+    measured = _json("language.json")
     rows = [(what, f"{measured[key]:.3g}", aim) for what, key, aim in QUALITY]
     return table(("", "measured", "aim"), rows)
 
 
 def _voices() -> str:
-    measured = json.loads((RESULTS / "language.json").read_text(encoding="utf-8"))
+    measured = _json("language.json")
     rows = [
         (voice, *(f"{figures[key]:.3f}" for key in ("frame", "slot_f1", "act")))
         for voice, figures in measured["voices"].items()

@@ -15,9 +15,11 @@ import train
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli.agent import make_agent
 from bbq_torchrl.cli.checks import check
-from bbq_torchrl.cli.command import REFUSED, prepare
+from bbq_torchrl.cli.command import REFUSED
 from bbq_torchrl.cli.loading import trained_policy
-from bbq_torchrl.cli.store import compose, save_config
+from bbq_torchrl.cli.preparation import prepare
+from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.extras import install_command
 
 

@@ -15,9 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from bbq_torchrl.cli.command import prepare
+from bbq_torchrl.cli.preparation import prepare
 from bbq_torchrl.cli.resume import restarted_config
-from bbq_torchrl.cli.store import compose, compose_raw, options, save_config, session
+from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.store import compose, compose_raw, options, session
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import ConfigError
 

@@ -18,7 +18,8 @@ from bbq_torchrl import evaluate, interruption
 from bbq_torchrl.cli.command import REFUSED
 from bbq_torchrl.cli.resume import is_finished, run_config
 from bbq_torchrl.cli.run_lock import LOCK, run_lock
-from bbq_torchrl.cli.store import compose, load_config, save_config
+from bbq_torchrl.cli.saved import load_config, save_config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.sweeps import table_of_runs
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run

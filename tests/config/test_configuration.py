@@ -16,18 +16,10 @@ from omegaconf import OmegaConf
 
 from bbq_torchrl.cli import store
 from bbq_torchrl.cli.command import command as main_function
-from bbq_torchrl.cli.command import prepare
+from bbq_torchrl.cli.preparation import prepare
 from bbq_torchrl.cli.resume import resumed_config
-from bbq_torchrl.cli.store import (
-    compose,
-    compose_raw,
-    conf_folder,
-    load_config,
-    options,
-    save_config,
-    session,
-    to_config,
-)
+from bbq_torchrl.cli.saved import load_config, save_config
+from bbq_torchrl.cli.store import compose, compose_raw, conf_folder, options, session, to_config
 from bbq_torchrl.options import Config, ConfigError, EvaluateConfig, explorations, schemas
 from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.values import keys_with_lists, replica_values

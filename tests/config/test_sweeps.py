@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 
-from bbq_torchrl.cli.store import compose, save_config
+from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.sweeps import table_of_runs
 
 if TYPE_CHECKING:

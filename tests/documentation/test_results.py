@@ -111,14 +111,14 @@ def test_readme_has_a_line_of_every_main_experiment_there_is(kept: Path) -> None
     text = results.results_blocks()["results.readme"]()
     assert "| trained on | BBQN-MAP | DQN | difference |" in text
     [line] = [line for line in text.splitlines() if "0.750 [" in line]
-    assert line.startswith(f"| {results.EXPERIMENTS['learning_movie']} | 0.750 [")
+    assert line.startswith(f"| {results.MAIN['learning_movie']} | 0.750 [")
     assert "| 0.500 [" in line
     assert line.endswith("+0.250 [+0.131, +0.369] |")
 
 
 def test_main_results_have_a_line_of_every_agent(kept: Path) -> None:
     text = results.results_blocks()["results.main"]()
-    setting = results.EXPERIMENTS["learning_movie"]
+    setting = results.MAIN["learning_movie"]
     assert f"| {setting} | BBQN-MAP | 5 | 0.750 [" in text
     assert f"| {setting} | BBQN-MAP minus DQN | 5 | +0.250 [" in text
 

@@ -9,8 +9,9 @@ from result_folders import make_run
 from scipy import stats
 
 from bbq_torchrl.evaluation import estimate, interquartile_mean, probability_of_improvement
-from bbq_torchrl.evaluation.groups import find_results, read_groups
+from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.report import main, references
+from bbq_torchrl.evaluation.runs import find_results
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]

@@ -14,8 +14,9 @@ import torch
 from bbq_torchrl import evaluate as command
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.play import evaluate
-from bbq_torchrl.evaluation.results import read_metrics, read_result
+from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.run import run
 from bbq_torchrl.trainers import derive_seed

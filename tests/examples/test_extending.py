@@ -30,7 +30,7 @@ from bbq_torchrl.cli.searches import compose_search
 from bbq_torchrl.cli.store import compose, explorations_table
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import report
-from bbq_torchrl.evaluation.results import read_metrics
+from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.options import ConfigError, EvaluateConfig, registry
 from bbq_torchrl.run import run

@@ -15,8 +15,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from bbq_torchrl.cli.saved import save_config
 from bbq_torchrl.cli.searches import Search, compose_search
-from bbq_torchrl.cli.store import compose, save_config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
 
 optuna = pytest.importorskip("optuna", reason="needs the extra search")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from bbq_torchrl.options.base import AgentOption, parameters
+from bbq_torchrl.options.base import AgentOption
 from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
     COUNT,
@@ -20,6 +20,7 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
+from bbq_torchrl.options.task import parameters
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options.base import Task
     from bbq_torchrl.options.root import Config
+    from bbq_torchrl.options.task import Task
 
 __all__ = ["BBQN", "EVALUATION_MODES"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from bbq_torchrl.options.base import AgentOption, parameters
+from bbq_torchrl.options.base import AgentOption
 from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
     ABOVE_ZERO_TO_ONE,
@@ -18,6 +18,7 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
+from bbq_torchrl.options.task import parameters
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options.base import Task
     from bbq_torchrl.options.root import Config
+    from bbq_torchrl.options.task import Task
 
 __all__ = ["Bootstrap"]
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options.base import Task
     from bbq_torchrl.options.root import Config
+    from bbq_torchrl.options.task import Task
 
 __all__ = ["DQN"]
 

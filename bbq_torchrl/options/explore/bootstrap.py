@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.options.base import Exploration, Task
+    from bbq_torchrl.options.base import Exploration
+    from bbq_torchrl.options.task import Task
 
 __all__ = ["BootstrapActing"]
 

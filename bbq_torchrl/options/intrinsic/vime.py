@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.options.base import IntrinsicOption, parameters
+from bbq_torchrl.options.base import IntrinsicOption
 from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
     COUNT,
@@ -19,13 +19,14 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
+from bbq_torchrl.options.task import parameters
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
     from torchrl.envs import Transform
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options.base import Task
+    from bbq_torchrl.options.task import Task
 
 __all__ = ["VIME"]
 

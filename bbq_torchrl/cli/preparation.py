@@ -1,0 +1,231 @@
+"""The command line of ``train.py``, checked before Hydra runs anything.
+
+Hydra composes, names run folders, sweeps and launches. Before it does, the command line is composed
+here (each job of a sweep too), so that a wrong key, value, combination, device or corpus is refused
+in one sentence, with exit code 2, before a folder exists. The step also reserves the run folder
+(two runs of the same second never share one) and turns ``resume=<folder>`` into the configuration
+of that folder.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra._internal.utils import get_args_parser
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+
+from bbq_torchrl import interruption, output
+from bbq_torchrl.cli.folders import (
+    SWEEP_CONFIG,
+    check_job_name,
+    job_subfolder,
+    quoted,
+    refuse_other_folder,
+    run_folder,
+    sweep_folder,
+)
+from bbq_torchrl.cli.launchers import LAUNCHER, check_launcher
+from bbq_torchrl.cli.messages import explain, too_large
+from bbq_torchrl.cli.resume import restarted_config, resumed_config
+from bbq_torchrl.cli.run_lock import run_lock
+from bbq_torchrl.cli.single_run import SingleRun, compose_single, override_hydra, without_hydra
+from bbq_torchrl.cli.store import (
+    compose_raw,
+    options,
+    register_options,
+    session,
+    to_config,
+)
+from bbq_torchrl.cli.sweeps import table_of_runs
+from bbq_torchrl.options import Config
+from bbq_torchrl.options.registry import EXPERIMENT, load_folder
+from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.run_folder import CONFIG
+from bbq_torchrl.text import sentence
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterator
+
+    from omegaconf import DictConfig
+
+    from bbq_torchrl.domains import Domain
+
+__all__ = ["FULL_ERROR", "Check", "Prepared", "Sweep", "prepare", "prepare_command"]
+
+FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
+
+Check = Callable[[Config], "Domain | None"]
+
+
+def prepare(arguments: Sequence[str], check: Check) -> list[str]:
+    """The command line for Hydra, once everything on it has been checked.
+
+    Args:
+        arguments: the command line without the program's name.
+        check: see :func:`command`.
+
+    Raises:
+        ConfigError: one sentence that says what is wrong and what is allowed.
+        ValueError or OSError: what ``check`` raises.
+    """
+    with ExitStack() as held:
+        return prepare_command(arguments, check, held).arguments
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Where a sweep's runs are, and how many (0 where only its sweeper knows)."""
+
+    folder: Path
+    jobs: int
+    launcher: str
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Within it, a signal has the jobs on this machine end their rounds first."""
+        interruption.tell(lambda: "in a sweep", self.how_to_go_on)
+        if self.launcher not in ("cores", "joblib", "basic"):
+            yield
+            return
+        with interruption.gently(_stop_workers):
+            yield
+
+    def show(self) -> None:
+        """Writes the table of its runs to stderr."""
+        output.complain(table_of_runs(self.folder, self.jobs))
+
+    def how_to_go_on(self) -> str:
+        """What is finished, and what goes on with the others."""
+        finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
+        return f"{finished}; the same command with hydra.sweep.dir={self.folder} goes on"
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A command line for Hydra; a single run or a sweep where it is one."""
+
+    arguments: list[str]
+    run: SingleRun | None = None
+    sweep: Sweep | None = None
+
+
+def _stop_workers() -> None:
+    os.environ[FULL_ERROR] = "1"  # what becomes of the jobs is not told one by one
+    for worker in multiprocessing.active_children():
+        worker.terminate()
+
+
+def prepare_command(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared:
+    """What the command line is, checked; ``held`` takes the lock of a single run."""
+    parser = get_args_parser()
+    parser.error = _refuse_flag  # type: ignore[method-assign]
+    parsed = parser.parse_args(list(arguments))
+    if parsed.config_dir is not None:
+        load_folder(Path(parsed.config_dir))
+    register_options()
+    if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
+        held.enter_context(output.collected())
+        return Prepared(list(arguments))
+    if (refusal := too_large(parsed.overrides)) is not None:
+        raise ConfigError(refusal)
+    with session() as hydra_session:
+        _refuse_unread(parsed)
+        composed = None if parsed.multirun else compose_single(hydra_session, parsed.overrides)
+        if composed is not None:
+            check_job_name(composed)
+            refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
+            folder = _resumed_folder(composed.resume)
+            if folder is not None:
+                held.enter_context(run_lock(folder))
+            config = _run_config(without_hydra(composed), parsed.overrides)
+            domain = check(config)
+            extra = run_folder(composed, folder, held)
+            override_hydra(composed, extra, hydra_session)
+            run = SingleRun(composed, config, domain, hydra_session.config_loader)
+            return Prepared([*arguments, *extra], run=run)
+        composed, jobs = _sweep(hydra_session, parsed.overrides)
+        check_job_name(composed)
+        refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
+        launcher = composed.hydra.runtime.choices[LAUNCHER]
+        check_launcher(launcher, composed.hydra.launcher)
+        configs = []
+        for overrides in jobs:
+            job = compose_raw(overrides)
+            if job.resume is not None:
+                raise ConfigError("resume cannot be combined with --multirun")
+            configs.append(to_config(job, Config))
+            check(configs[-1])
+        folder = sweep_folder(composed, parsed.overrides, len(jobs))
+        if (folder / SWEEP_CONFIG).is_file():
+            # Hydra writes into a job's folder before the job can refuse it.
+            for number, (overrides, config) in enumerate(zip(jobs, configs, strict=True)):
+                restarted_config(config, folder / job_subfolder(overrides, number))
+        sweep = Sweep(folder, len(jobs), launcher)
+    return Prepared([*arguments, f"hydra.sweep.dir={quoted(sweep.folder)}"], sweep=sweep)
+
+
+def _refuse_flag(message: str) -> NoReturn:
+    """Takes the place of argparse's own, which would print how all of Hydra's flags are used."""
+    raise ConfigError(f"{sentence(message)}; see --help")
+
+
+def _refuse_unread(parsed: Namespace) -> None:
+    for flag in ("config_path", "config_name", "experimental_rerun"):
+        if getattr(parsed, flag, None) is not None:
+            name = "--" + flag.replace("_", "-")
+            raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
+
+
+def _run_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
+    config = to_config(composed, Config)
+    return config if config.resume is None else resumed_config(config, overrides)
+
+
+def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[list[str]]]:
+    """The configuration of a sweep, and the overrides of each of its jobs.
+
+    Only Hydra's own sweeper says beforehand what its jobs are. Of another one (Optuna's, say) none
+    are returned: each job is checked when it starts.
+    """
+    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
+    try:
+        parsed = parser.parse_overrides(list(arguments))
+        of_sweeper = [
+            str(item.input_line)
+            for item in parsed
+            if not item.is_sweep_override()
+            and item.key_or_group.partition(".")[0].partition("/")[0] in ("hydra", EXPERIMENT)
+        ]
+        composed = compose_raw(of_sweeper, with_hydra=True)
+        sweeper = composed.hydra.sweeper
+        if not str(sweeper._target_).endswith(f".{BasicSweeper.__name__}"):
+            return composed, []
+        swept = [f"{key}={value}" for key, value in (sweeper.params or {}).items()]
+        parsed = parser.parse_overrides([*swept, *arguments])
+        jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
+    except HydraException as error:
+        raise ConfigError(explain(error, arguments, options)) from error
+    if not jobs:
+        raise ConfigError(
+            f"{sentence(' '.join(arguments))} is a sweep without a job: a range() is empty, or a "
+            "glob() names no option "
+            "(globs of a folder of options stand behind its name: '+experiment/agents=glob(*)')"
+        )
+    return compose_raw(jobs[0], with_hydra=True), jobs
+
+
+def _resumed_folder(resume: str | None) -> Path | None:
+    """The run folder to go on in, if it is one."""
+    if resume is None:
+        return None
+    folder = Path(resume).expanduser().resolve()
+    return folder if (folder / CONFIG).is_file() else None

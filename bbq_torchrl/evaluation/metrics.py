@@ -1,0 +1,111 @@
+"""metrics.csv of a finished run, or of one under way, as arrays."""
+
+from __future__ import annotations
+
+import csv
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bbq_torchrl.run_folder import METRICS
+from bbq_torchrl.text import shown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+__all__ = ["Metrics", "read_metrics"]
+
+_NEEDED = ("round", "replica", "dialogues", "success_rate")
+
+
+def _number(text: str, column: str) -> float:
+    """Returns a value of metrics.csv: NaN for an empty one, which no needed column may have."""
+    return math.nan if text == "" and column not in _NEEDED else float(text)
+
+
+def _last(replicas: Iterable[float]) -> int:
+    """Returns the greatest of the numbers; 0 where one is none, and so no row is in order."""
+    known = list(replicas)
+    return int(max(known, default=0)) if np.isfinite(known).all() else 0
+
+
+class Metrics:
+    """The columns of a metrics.csv.
+
+    Args:
+        columns: name to values, shape [rounds, replicas] each.
+
+    Attributes:
+        rounds: how many rounds are complete.
+        replicas: how many replicas there are.
+    """
+
+    def __init__(self, columns: dict[str, Any]) -> None:
+        self.columns = columns
+        self.rounds, self.replicas = columns["success_rate"].shape
+
+    def __getitem__(self, name: str) -> Any:
+        """A column, shape [rounds, replicas].
+
+        Raises:
+            KeyError: naming the columns that there are.
+        """
+        if name not in self.columns:
+            raise KeyError(f"metrics have no column {name!r}, only {', '.join(self.columns)}")
+        return self.columns[name]
+
+    def only(self, replicas: Sequence[int]) -> Metrics:
+        """The metrics of some of the replicas."""
+        return Metrics({name: values[:, list(replicas)] for name, values in self.columns.items()})
+
+    @property
+    def training_success(self) -> Any:
+        """Share of successful training dialogues of each replica, shape [replicas]."""
+        weights = self["dialogues"]
+        return (self["success_rate"] * weights).sum(0) / weights.sum(0)
+
+
+def read_metrics(folder: Path) -> Metrics:
+    """Reads the metrics.csv of a result folder; a last round that is not complete is left out.
+
+    What is empty, such as an evaluation in a round that had none, is NaN.
+
+    Raises:
+        ValueError: there is none, or a line is damaged; the message names file and line.
+    """
+    file = folder / METRICS
+    if not file.is_file():
+        raise ValueError(f"{folder} has no {METRICS}: it is no run folder")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file} must be UTF-8 text: {error}") from error
+    complete = text[: text.rfind("\n") + 1]
+    reader = csv.DictReader(complete.splitlines())
+    names = list(reader.fieldnames or ())
+    for needed in _NEEDED:
+        if needed not in names:
+            raise ValueError(f"{file} must have the column {needed}, got {', '.join(names)}")
+    rows: list[list[float]] = []
+    for row in reader:
+        try:
+            if None in row:
+                raise ValueError("more values than columns")
+            rows.append([_number(row[name], name) for name in names])
+        except (TypeError, ValueError) as error:
+            line = f"{file}, line {reader.line_num}"
+            raise ValueError(f"{line}, is damaged: {shown(list(row.values()))}") from error
+    replicas = 1 + _last(row[names.index("replica")] for row in rows)
+    rounds = len(rows) // replicas
+    if rounds == 0:
+        raise ValueError(f"{file} has no complete round")
+    table = np.array(rows[: rounds * replicas]).reshape(rounds, replicas, len(names))
+    columns = {name: table[..., index] for index, name in enumerate(names)}
+    in_order = (columns["replica"] == np.arange(replicas)).all() and (
+        columns["round"] == np.arange(rounds)[:, None]
+    ).all()
+    if not in_order:
+        raise ValueError(f"{file} must have a row for each round and replica, in order")
+    return Metrics(columns)

@@ -1,0 +1,73 @@
+"""What networks and exploration have to fit: features, actions, replicas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import torch
+    from torch import Tensor
+    from torchrl.data import TensorSpec
+    from torchrl.envs import EnvBase
+
+__all__ = ["Task", "action_mask_key", "parameters"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What networks and exploration have to fit.
+
+    Attributes:
+        inputs: features of an observation.
+        action_spec: of one action, categorical.
+        replicas: independent seeds trained side by side; the first dimension of all weights and
+            of every batch.
+        rounds: of the training, which schedules take a share of.
+        device: of the weights.
+        action_mask_key: where an observation says which actions are legal; None: all always are.
+        inactive_inputs: bool [inputs], features that come into use later; None: there are none.
+        inactive_actions: bool [actions], the same of actions.
+    """
+
+    inputs: int
+    action_spec: TensorSpec
+    replicas: int
+    rounds: int
+    device: torch.device | None = None
+    action_mask_key: str | None = "action_mask"
+    inactive_inputs: Tensor | None = None
+    inactive_actions: Tensor | None = None
+
+    @property
+    def actions(self) -> int:
+        """The number of actions."""
+        return int(self.action_spec.n)
+
+    def reset_inactive_(self, network: Any) -> None:
+        """Starts weights of what is not active yet as if it were added only later.
+
+        See :func:`~bbq_torchrl.networks.reset_inactive_`.
+        """
+        from bbq_torchrl.networks import reset_inactive_
+
+        if self.inactive_inputs is not None or self.inactive_actions is not None:
+            reset_inactive_(network, inputs=self.inactive_inputs, outputs=self.inactive_actions)
+
+
+def action_mask_key(env: EnvBase) -> str | None:
+    """Returns where an environment says which actions are legal; None: all of them always are."""
+    return "action_mask" if "action_mask" in list(env.observation_spec.keys()) else None
+
+
+def parameters(sizes: Sequence[int]) -> int:
+    """Returns how many weights and biases a network of these layers has.
+
+    Example:
+        >>> parameters([3, 4, 2])
+        26
+    """
+    return sum((before + 1) * after for before, after in pairwise(sizes))

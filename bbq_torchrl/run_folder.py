@@ -1,0 +1,36 @@
+"""What a run's files are called, and how a file is written at once."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["CHECKPOINTS", "CONFIG", "CURVE", "METRICS", "RESULT", "write_text"]
+
+CONFIG = "config.yaml"
+"""The composed configuration."""
+
+METRICS = "metrics.csv"
+"""A row for each round and replica."""
+
+CHECKPOINTS = "checkpoint"
+"""The folder of checkpoints."""
+
+RESULT = "result.json"
+"""The final evaluation, of as many rounds as it says."""
+
+CURVE = "curve.png"
+"""The learning curve: the last file that a run writes."""
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file so that a reader, or a crash, finds the old text or the new, never a part."""
+    temporary = path.with_name(f".{path.name}.new")
+    with temporary.open("w", encoding="utf-8", newline="") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
