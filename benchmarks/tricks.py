@@ -27,7 +27,8 @@ sys.path.insert(0, str(ROOT))  # so that `python benchmarks/tricks.py` finds its
 
 import torch  # noqa: E402
 
-from bbq_torchrl.bayes import GaussianPosterior, KLSum, NoisePool  # noqa: E402
+from bbq_torchrl.bayes import GaussianPosterior, KLSum  # noqa: E402
+from bbq_torchrl.bayes.noise_sources import NoisePool  # noqa: E402
 from bbq_torchrl.data import ReplicaReplay  # noqa: E402
 from bbq_torchrl.objectives import OneStepQLoss  # noqa: E402
 from bbq_torchrl.trainers import keep_freed_memory, learn  # noqa: E402

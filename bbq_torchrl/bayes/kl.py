@@ -21,7 +21,8 @@ def posteriors(module: nn.Module) -> list[GaussianPosterior]:
 
     Example:
         >>> from torch import nn
-        >>> from bbq_torchrl.bayes import BayesLinear, posteriors
+        >>> from bbq_torchrl.bayes import BayesLinear
+        >>> from bbq_torchrl.bayes.kl import posteriors
         >>> len(posteriors(nn.Sequential(BayesLinear(3, 4), nn.Tanh(), BayesLinear(4, 2))))
         2
     """

@@ -157,7 +157,7 @@ class BayesLayer(nn.Module):
             x: inputs, shape [*replicas, *batch, *features].
             mode: "draw" (one weight draw of each replica for the whole call),
                 "local" (a draw of its own for each row), "mean", or None for what
-                :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
+                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
             weights: weights to use instead, [*replicas, *rows, P] where rows are the first
                 dimensions of batch: each of these rows then has weights of its own.
 

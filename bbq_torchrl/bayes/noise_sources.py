@@ -52,7 +52,8 @@ class NoisePool:
 
     Example:
         >>> import torch
-        >>> from bbq_torchrl.bayes import BayesMLP, NoisePool, weight_scope
+        >>> from bbq_torchrl.bayes import BayesMLP, weight_scope
+        >>> from bbq_torchrl.bayes.noise_sources import NoisePool
         >>> net, x = BayesMLP(3, 2), torch.ones(3)
         >>> with weight_scope("draw", noise=NoisePool()):
         ...     torch.equal(net(x), net(x))
@@ -102,7 +103,8 @@ class SharedNoise:
 
     Example:
         >>> import torch
-        >>> from bbq_torchrl.bayes import BayesMLP, SharedNoise, weight_scope
+        >>> from bbq_torchrl.bayes import BayesMLP, weight_scope
+        >>> from bbq_torchrl.bayes.noise_sources import SharedNoise
         >>> net, x, noise = BayesMLP(3, 2), torch.ones(3), SharedNoise()
         >>> with weight_scope("draw", noise=noise):
         ...     first = net(x)

@@ -67,7 +67,7 @@ class MajorityVote(_OnHeads):
 
     Each head votes for its legal action of greatest value; of equally many votes the greater mean
     value over all heads decides, then the lower index (see
-    :class:`~bbq_torchrl.networks.VoteModule`). Writes the action and, as ``action_value``
+    :class:`~bbq_torchrl.networks.vote.VoteModule`). Writes the action and, as ``action_value``
     [*batch, N], the mean of the values over the heads.
 
     Args:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
 from bbq_torchrl.networks.flat_mlp import FlatMLP
-from bbq_torchrl.networks.growth import grow, reset_inactive_
+from bbq_torchrl.networks.growth import grow
 from bbq_torchrl.networks.noisy_mlp import NoisyMLP, ReplicaNoisyLinear
-from bbq_torchrl.networks.q_actor import q_actor, split_actor
-from bbq_torchrl.networks.vote import VoteModule, bootstrap_actor
+from bbq_torchrl.networks.q_actor import q_actor
+from bbq_torchrl.networks.vote import bootstrap_actor
 
 __all__ = [
     "BootstrapMLP",
     "FlatMLP",
     "NoisyMLP",
     "ReplicaNoisyLinear",
-    "VoteModule",
     "bootstrap_actor",
     "grow",
     "q_actor",
-    "reset_inactive_",
-    "split_actor",
 ]

@@ -63,7 +63,7 @@ class BootstrapMLP(nn.Module):
         heads: parameter [*replicas, K, P_head].
         prior_trunk: buffer of the trunk's shape, None without a trunk or without a prior.
         prior_heads: buffer of the heads' shape, None without a prior.
-        trunk_layout: :class:`~bbq_torchrl.bayes.FlatLayout` of the trunk, None without one.
+        trunk_layout: where the trunk's weights lie in their vector, None without a trunk.
         head_layout: of each head.
 
     Raises:

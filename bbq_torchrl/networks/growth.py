@@ -168,7 +168,7 @@ def reset_inactive_(
     Example:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesMLP, kl_divergence
-        >>> from bbq_torchrl.networks import reset_inactive_
+        >>> from bbq_torchrl.networks.growth import reset_inactive_
         >>> net = BayesMLP(3, 2, (), mean_init="kaiming", std_init=0.01)
         >>> reset_inactive_(net, inputs=torch.tensor([False, True, True]))
         >>> net(torch.tensor([[0.0, 1.0, 0.0]])) - net(torch.zeros(1, 3))

@@ -96,7 +96,7 @@ class ReplicaNoisyLinear(NoisyLinear):
             x: inputs, shape [*replicas, *batch, in].
             mode: "draw" (one noise of each replica for the whole call), "local"
                 (noise of its own for each row), "mean" (μ), or None for what
-                :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
+                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
 
         Raises:
             ValueError: for another mode, or a shape that does not fit.
@@ -195,7 +195,7 @@ class NoisyMLP(nn.Module):
             mode: "draw" (one noise of each replica for the whole call), "local"
                 (a draw of its own for each row: exact, as factorized noise needs no weights
                 for each), "mean" (μ), or None for what
-                :func:`~bbq_torchrl.bayes.resolve_weight_mode` says.
+                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
 
         Raises:
             ValueError: for another mode, or a shape that does not fit.

@@ -69,8 +69,8 @@ def split_actor(
     Args:
         actor: a ``QValueActor``, or any ``TensorDictSequential`` of modules (convolutional,
             recurrent, nested) with a ``QValueModule`` or
-            :class:`~bbq_torchrl.networks.VoteModule` among them; what comes behind that is left
-            out. The parts are the actor's own modules, not copies.
+            :class:`~bbq_torchrl.networks.vote.VoteModule` among them; what comes behind that is
+            left out. The parts are the actor's own modules, not copies.
 
     Returns:
         the network and the choice; the whole actor and None where no module of it chooses.

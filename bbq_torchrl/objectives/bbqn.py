@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.bayes import GaussianPosterior, NoiseSource
+    from bbq_torchrl.bayes import GaussianPosterior
+    from bbq_torchrl.bayes.noise_sources import NoiseSource
     from bbq_torchrl.objectives.value_function import Inputs
 
 __all__ = ["BBQNLoss", "Target", "TargetNoise"]
@@ -77,9 +78,10 @@ class BBQNLoss(NumData, OneStepQLoss):
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
         hold: whether what is much the same from batch to batch is made at the first batch after
             :meth:`begin_epoch` only, and held until the next call: the pool that the weight
-            noise of all batches is taken from (:class:`~bbq_torchrl.bayes.NoisePool`), the
-            frozen posterior's σ for an "mc" target, and the value of the closed KL, which is
-            reported in ``kl`` and in the losses until then (its gradient is every batch's own).
+            noise of all batches is taken from
+            (:class:`~bbq_torchrl.bayes.noise_sources.NoisePool`), the frozen posterior's σ for an
+            "mc" target, and the value of the closed KL, which is reported in ``kl`` and in the
+            losses until then (its gradient is every batch's own).
             That saves a quarter of an update on a CPU, and needs the call at least after each
             update of the target network. On other devices nothing is held: there it would save
             little. Defaults to False.

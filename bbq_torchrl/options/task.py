@@ -50,9 +50,9 @@ class Task:
     def reset_inactive_(self, network: Any) -> None:
         """Starts weights of what is not active yet as if it were added only later.
 
-        See :func:`~bbq_torchrl.networks.reset_inactive_`.
+        See :func:`~bbq_torchrl.networks.growth.reset_inactive_`.
         """
-        from bbq_torchrl.networks import reset_inactive_
+        from bbq_torchrl.networks.growth import reset_inactive_
 
         if self.inactive_inputs is not None or self.inactive_actions is not None:
             reset_inactive_(network, inputs=self.inactive_inputs, outputs=self.inactive_actions)

@@ -97,24 +97,22 @@ def claims_table(kept: Sequence[Group], read: Callable[[str], list[Group]]) -> s
 
 
 def _of_table1(kept: Sequence[Group]) -> list[Row]:
-    rows = []
-    for env, title in DOMAINS.items():
-        for quantity, verb in VERBS.items():
-            for item in comparisons(kept, env, quantity):
-                if item.other in RIVALS:
-                    ours, theirs = PAPER[env][FIRST], PAPER[env][item.other]
-                    paper = ours.success_rate - theirs.success_rate
-                    rows.append(
-                        Row(
-                            f"{FIRST} {verb} {item.other}",
-                            f"Table 1, {title.lower()}",
-                            0 if item.difference is None else item.difference.count,
-                            item.difference,
-                            paper if quantity == ENDS else None,
-                            verdict(item.difference, item.p_value),
-                        )
-                    )
-    return rows
+    return [
+        Row(
+            f"{FIRST} {verb} {item.other}",
+            f"Table 1, {title.lower()}",
+            0 if item.difference is None else item.difference.count,
+            item.difference,
+            PAPER[env][FIRST].success_rate - PAPER[env][item.other].success_rate
+            if quantity == ENDS
+            else None,
+            verdict(item.difference, item.p_value),
+        )
+        for env, title in DOMAINS.items()
+        for quantity, verb in VERBS.items()
+        for item in comparisons(kept, env, quantity)
+        if item.other in RIVALS
+    ]
 
 
 def _of_earlier(read: Callable[[str], list[Group]]) -> list[Row]:
@@ -127,16 +125,9 @@ def _of_earlier(read: Callable[[str], list[Group]]) -> list[Row]:
         found = pair(kept[FIRST], kept["DQN"])
         for quantity, verb in VERBS.items():
             difference = found.differences[quantity].t
-            rows.append(
-                Row(
-                    f"{FIRST} {verb} DQN",
-                    setting,
-                    found.pairs,
-                    difference,
-                    None,
-                    verdict(difference, found.p_values[quantity]),
-                )
-            )
+            judged = verdict(difference, found.p_values[quantity])
+            claim = f"{FIRST} {verb} DQN"
+            rows.append(Row(claim, setting, found.pairs, difference, None, judged))
     return rows
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import grimp
+import networkx
 
 from scripts.docs_blocks.markdown import code, table
 
@@ -65,21 +66,20 @@ def rooms() -> set[str]:
 @cache
 def arrows() -> Mapping[str, frozenset[str]]:
     """Returns which rooms each room imports, but for the imports that the contract lets pass."""
-    passed = _contracts()["importlinter:contract:layers"]["ignore_imports"].split("\n")
     graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True, cache_dir=None)
-    known = rooms()
-    found: dict[str, set[str]] = {name: set() for name in known}
-    for module in graph.modules:
-        for other in graph.find_modules_directly_imported_by(module):
-            room, imported = _room(module), _room(other)
-            is_shown = room in known and imported in known and room != imported
-            if is_shown and f"{module} -> {other}" not in passed:
-                found[room].add(imported)
-    return {name: frozenset(imported) for name, imported in found.items()}
-
-
-def _room(module: str) -> str:
-    return [*module.split("."), ""][1]
+    passed = _contracts()["importlinter:contract:layers"]["ignore_imports"].strip()
+    for importer, imported in (line.split(" -> ") for line in passed.split("\n")):
+        graph.remove_import(importer=importer, imported=imported)
+    known = {f"{PACKAGE}.{room}": room for room in rooms()}
+    for module in known:
+        graph.squash_module(module)
+    return {
+        room: frozenset(
+            known[other]
+            for other in graph.find_modules_directly_imported_by(module) & known.keys() - {module}
+        )
+        for module, room in known.items()
+    }
 
 
 @cache
@@ -121,20 +121,13 @@ def _listed(names: list[str]) -> str:
 def _shown_arrows() -> list[tuple[str, str]]:
     """Returns the arrows that go down and do not follow from two others, sorted."""
     height = {room: -row for row, layer in enumerate(layers()) for room in layer}
-    down = {
-        room: {other for other in imported if height[other] < height[room]}
-        for room, imported in arrows().items()
-    }
-
-    def below(room: str) -> set[str]:
-        return down[room].union(*(below(other) for other in down[room]))
-
-    return sorted(
+    down = networkx.DiGraph(
         (room, other)
-        for room, imported in down.items()
+        for room, imported in arrows().items()
         for other in imported
-        if not any(other in below(between) for between in imported)
+        if height[other] < height[room]
     )
+    return sorted(networkx.transitive_reduction(down).edges)
 
 
 def picture() -> str:

@@ -20,10 +20,10 @@ from bbq_torchrl.bayes import (
     BayesLinear,
     BayesMLP,
     GaussianPosterior,
-    posteriors,
     weight_scope,
 )
 from bbq_torchrl.bayes import kl_divergence as kl_of
+from bbq_torchrl.bayes.kl import posteriors
 from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss

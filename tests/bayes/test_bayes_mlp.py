@@ -10,13 +10,8 @@ from torch import nn
 from torch.func import functional_call
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl.bayes import (
-    BayesLinear,
-    BayesMLP,
-    current_scope,
-    resolve_weight_mode,
-    weight_scope,
-)
+from bbq_torchrl.bayes import BayesLinear, BayesMLP, weight_scope
+from bbq_torchrl.bayes.scope import current_scope, resolve_weight_mode
 
 REPLICAS = [(), (3,), (2, 3)]
 

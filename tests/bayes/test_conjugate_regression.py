@@ -14,7 +14,8 @@ import pytest
 import torch
 from scipy.linalg import hadamard
 
-from bbq_torchrl.bayes import BayesLinear, KLSum, NoisePool, weight_scope
+from bbq_torchrl.bayes import BayesLinear, KLSum, weight_scope
+from bbq_torchrl.bayes.noise_sources import NoisePool
 
 NOISE_STD, PRIOR_STD = 0.5, 1.0
 ROWS, FEATURES, DRAWS = 32, 3, 512

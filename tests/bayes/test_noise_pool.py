@@ -7,7 +7,8 @@ import torch
 from scipy import stats
 from torch import nn
 
-from bbq_torchrl.bayes import BayesLinear, BayesMLP, NoisePool, SharedNoise, weight_scope
+from bbq_torchrl.bayes import BayesLinear, BayesMLP, weight_scope
+from bbq_torchrl.bayes.noise_sources import NoisePool, SharedNoise
 
 # A test of chance fails by chance with this probability.
 RARE = 1e-6

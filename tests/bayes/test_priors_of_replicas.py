@@ -8,7 +8,8 @@ from torch.distributions import Normal, kl_divergence
 
 from bbq_torchrl.bayes import BayesMLP, GaussianPosterior
 from bbq_torchrl.bayes.replicas import replica_values
-from bbq_torchrl.networks import grow, reset_inactive_
+from bbq_torchrl.networks import grow
+from bbq_torchrl.networks.growth import reset_inactive_
 
 PRIORS = {
     (3,): torch.tensor([0.05, 0.3, 1.7]),

@@ -7,7 +7,8 @@ import torch
 from torch import nn
 from torch.func import functional_call
 
-from bbq_torchrl.bayes import BayesLinear, BayesMLP, SharedNoise, weight_scope
+from bbq_torchrl.bayes import BayesLinear, BayesMLP, weight_scope
+from bbq_torchrl.bayes.noise_sources import SharedNoise
 
 REPLICAS = [(), (3,), (2, 3)]
 

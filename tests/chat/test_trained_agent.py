@@ -6,7 +6,8 @@ import pytest
 import torch
 from scipy.stats import ks_2samp
 
-from bbq_torchrl.bayes import BayesMLP, posteriors
+from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.bayes.kl import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.chat import TrainedAgent
 from bbq_torchrl.chat.posterior import q_draws

@@ -19,7 +19,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule, QValueActor
 
 from bbq_torchrl.exploration import BootstrapSampling, EvaluationPolicy, Greedy, MajorityVote
-from bbq_torchrl.networks import BootstrapMLP, FlatMLP, VoteModule, bootstrap_actor, q_actor
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP, bootstrap_actor, q_actor
+from bbq_torchrl.networks.vote import VoteModule
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 HEADS = 7

@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from bbq_torchrl.networks import BootstrapMLP, reset_inactive_
+from bbq_torchrl.networks import BootstrapMLP
+from bbq_torchrl.networks.growth import reset_inactive_
 
 FEATURES, OUT, HIDDEN, HEADS = 5, 3, (7, 6), 4
 REPLICAS = [(), (1,), (3,), (2, 2)]

@@ -7,8 +7,8 @@ import torch
 
 from bbq_torchrl.bayes import BayesMLP, GaussianPosterior, kl_divergence
 from bbq_torchrl.bayes.functional import FlatLayout
-from bbq_torchrl.networks import FlatMLP, NoisyMLP, grow, reset_inactive_
-from bbq_torchrl.networks.growth import grow_flat, growth_index
+from bbq_torchrl.networks import FlatMLP, NoisyMLP, grow
+from bbq_torchrl.networks.growth import grow_flat, growth_index, reset_inactive_
 
 REPLICAS = [(), (2,)]
 INPUTS, OUTPUTS = torch.tensor([4, 0, 2]), torch.tensor([1, 3])  # where old ones go

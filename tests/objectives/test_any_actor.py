@@ -21,7 +21,8 @@ from bbq_torchrl.exploration import (
     NoisySampling,
     ThompsonSampling,
 )
-from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear, VoteModule
+from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear
+from bbq_torchrl.networks.vote import VoteModule
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
 ROWS, ACTIONS, HIDDEN = 6, 4, 8

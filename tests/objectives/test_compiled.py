@@ -6,7 +6,8 @@ import pytest
 import torch
 from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss, transitions
 
-from bbq_torchrl.bayes import BayesMLP, NoisePool, weight_scope
+from bbq_torchrl.bayes import BayesMLP, weight_scope
+from bbq_torchrl.bayes.noise_sources import NoisePool
 
 pytestmark = [
     pytest.mark.slow,

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch.distributions import Normal, kl_divergence
 from torch.func import grad, vmap
 
-from bbq_torchrl.bayes import FlatLayout
+from bbq_torchrl.bayes.functional import FlatLayout
 from bbq_torchrl.bayes.posterior import inverse_softplus
 from bbq_torchrl.vime import DynamicsModel, information_gain, mlp_information_gain
 

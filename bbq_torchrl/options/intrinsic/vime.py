@@ -60,7 +60,7 @@ class VIME(IntrinsicOption):
         """Adds the loss of the dynamics, and the transform that adds the bonus to the rewards."""
         import torch
 
-        from bbq_torchrl.networks import reset_inactive_
+        from bbq_torchrl.networks.growth import reset_inactive_
         from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss, VIMEReward
 
         dynamics = DynamicsModel(

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.bayes import replica_shape
-from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
+from bbq_torchrl.networks import FlatMLP
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,10 +44,8 @@ class EpinetMLP(nn.Module):
         >>> network(x, index).shape
         torch.Size([5, 7, 2])
         >>> [name for name, _ in network.named_parameters()]
-        ['trunk', 'head', 'epinet']
+        ['trunk.weight', 'head.weight', 'epinet.weight']
     """
-
-    prior: Tensor
 
     def __init__(
         self,
@@ -64,29 +61,22 @@ class EpinetMLP(nn.Module):
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        self.replicas = replica_shape(replicas)
+        size = {"replicas": replicas, "device": device}
         self.index_size = index_size
         self.prior_scale = prior_scale
         self.out_features = out_features
-        self.layouts = {
-            "trunk": FlatLayout((in_features, *hidden)),
-            "head": FlatLayout((hidden[-1], out_features)),
-            "epinet": FlatLayout(
-                (hidden[-1] + index_size, *epinet_hidden, index_size * out_features)
-            ),
-            "prior": FlatLayout((in_features, *prior_hidden, out_features)),
-        }
-
-        def weights(name: str, *rows: int) -> Tensor:
-            layout = self.layouts[name]
-            flat = torch.empty(*self.replicas, *rows, layout.numel, device=device)
-            init_linear_(flat, layout)
-            return flat
-
-        self.trunk = nn.Parameter(weights("trunk"))
-        self.head = nn.Parameter(weights("head"))
-        self.epinet = nn.Parameter(weights("epinet"))
-        self.register_buffer("prior", weights("prior", index_size))
+        self.trunk = FlatMLP(in_features, hidden[-1], hidden[:-1], **size)
+        self.head = FlatMLP(hidden[-1], out_features, (), **size)
+        self.epinet = FlatMLP(
+            hidden[-1] + index_size, index_size * out_features, epinet_hidden, **size
+        )
+        self.priors = nn.ModuleList(
+            FlatMLP(in_features, out_features, prior_hidden, **size) for _ in range(index_size)
+        )
+        for prior in self.priors:
+            weight = prior.weight.detach()
+            del prior.weight  # a buffer, which nothing learns
+            prior.register_buffer("weight", weight)
 
     def forward(self, x: Tensor, index: Tensor) -> Tensor:
         """Returns the values, shape [*replicas, *batch, out].
@@ -95,23 +85,20 @@ class EpinetMLP(nn.Module):
             x: inputs, shape [*replicas, *batch, in].
             index: shape [*replicas, *batch, index_size]; at 0 the values are the base network's.
         """
-        features = mlp(x, self.trunk, self.layouts["trunk"]).relu()
-        base = mlp(features, self.head, self.layouts["head"])
-        beside = mlp(
-            torch.cat([features.detach(), index], -1), self.epinet, self.layouts["epinet"]
-        ).unflatten(-1, (self.index_size, self.out_features))
+        features = self.trunk(x).relu()
+        base = self.head(features)
+        beside = self.epinet(torch.cat([features.detach(), index], -1))
+        beside = beside.unflatten(-1, (self.index_size, self.out_features))
         return base + ((beside + self.prior_scale * self._priors(x)) * index.unsqueeze(-1)).sum(-2)
 
     @torch.no_grad()
     def _priors(self, x: Tensor) -> Tensor:
         """Returns what each prior makes of the input, [*replicas, *batch, index_size, out]."""
-        dim = len(self.replicas)
-        each = x.unsqueeze(dim).expand(*x.shape[:dim], self.index_size, *x.shape[dim:])
-        return mlp(each, self.prior, self.layouts["prior"]).movedim(dim, -2)
+        return torch.stack([prior(x) for prior in self.priors], -2)
 
     @torch.no_grad()
     def reset_inactive_(self, inputs: Tensor) -> None:
         """Sets the weights of inputs that come into use later to 0, bool [in]; the priors' too."""
-        for name in ("trunk", "prior"):
-            matrix, _ = self.layouts[name].unflatten(getattr(self, name))[0]
+        for network in (self.trunk, *self.priors):
+            matrix, _ = network.layout.unflatten(network.weight)[0]
             matrix.masked_fill_(inputs.to(matrix.device).unsqueeze(-1), 0)
