@@ -14,7 +14,13 @@ from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.envs.text import text_channel
 from bbq_torchrl.simulator import MeasuredErrors
-from bbq_torchrl.simulator.measured_errors import CONTEXTS, MOST_REQUESTS, OFFER, OPENING
+from bbq_torchrl.simulator.measured_errors import (
+    CONTEXTS,
+    MOST_REQUESTS,
+    OFFER,
+    OPENING,
+    context_of,
+)
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -149,6 +155,7 @@ class _Recorder:
         heard = self._channel.transmit(said, agent, before, is_silent, draws, active)
         columns = [said.act, said.informs, said.requests, heard.act, heard.informs, heard.requests]
         questions = [OPENING] * len(said.act)
+        contexts = torch.zeros_like(said.informs)
         asked = torch.zeros_like(said.requests)
         if agent is not None:
             offers = agent.is_booking.tolist()
@@ -156,23 +163,27 @@ class _Recorder:
             questions = [
                 OFFER if offer else name for offer, name in zip(offers, named, strict=True)
             ]
-            asked = agent.requests
+            asked, contexts = agent.requests, context_of(agent)
         rows = zip(
             is_silent.tolist(),
             questions,
             asked.tolist(),
+            contexts.tolist(),
             *(c.tolist() for c in columns),
             strict=True,
         )
-        for silent, question, asked_, *turn in rows:
+        for silent, question, asked_, contexts_, *turn in rows:
             if not silent:
-                self._count(question, asked_, *turn)
+                slot = asked_.index(True) if any(asked_) else None
+                where = question if slot is None else f"request({self._slots[slot]})"
+                self._count(question, where, [CONTEXTS[place] for place in contexts_], *turn)
         return heard
 
     def _count(
         self,
         question: str,
-        asked: list[bool],
+        asks_or_question: str,
+        contexts: list[str],
         act: int,
         informs: list[int],
         requests: list[bool],
@@ -191,20 +202,18 @@ class _Recorder:
         for slot, (said, _) in values:
             if not said:
                 continue
-            context = OPENING if question == OPENING else "asked" if asked[slot] else "told"
             place = moved[1] if moved and moved[0] == slot else slot
             value = heard_informs[place]
             name = f"{slots[place]}={text(place, value)}" if value else ""
-            self._values[context][slots[slot]][text(slot, said)][name] += 1
-        where = OPENING if question == OPENING else slots[asked.index(True)] if any(asked) else ""
-        self._inserted[where]["turns"] += 1
+            self._values[contexts[slot]][slots[slot]][text(slot, said)][name] += 1
+        inserted = self._inserted[asks_or_question]
+        inserted["turns"] += 1
         for slot in [] if moved else new[:1]:
-            self._inserted[where][f"{slots[slot]}={text(slot, heard_informs[slot])}"] += 1
+            inserted[f"{slots[slot]}={text(slot, heard_informs[slot])}"] += 1
         count = min(sum(requests), MOST_REQUESTS)
         for slot, name in enumerate(slots):
-            manner = f"{'said' if requests[slot] else 'unsaid'} "
-            manner += "asked" if asked[slot] else "unasked"
-            pair = self._requests[f"{count} {manner}"][name]
+            said_ = "said" if requests[slot] else "unsaid"
+            pair = self._requests[f"{count} {said_} {contexts[slot]}"][name]
             pair[0] += heard_requests[slot]
             pair[1] += 1
 

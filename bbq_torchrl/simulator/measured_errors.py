@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["CONTEXTS", "MOST_REQUESTS", "OFFER", "OPENING", "MeasuredErrors"]
+__all__ = ["CONTEXTS", "MOST_REQUESTS", "OFFER", "OPENING", "MeasuredErrors", "context_of"]
 
 OPENING, OFFER = "opening", "offer"
 """Questions that are no act of the agent: none, and the offer of a booking."""
 
-CONTEXTS = (OPENING, "asked", "told")
-"""Where a value is said: at the opening, where the agent has asked for it, and elsewhere."""
+CONTEXTS = (OPENING, "asked", "beside", "corrected", "told")
+"""Where a slot is spoken of: at the opening; where the agent has asked for it, or for another one;
+where the agent has told it; and elsewhere."""
 
 MOST_REQUESTS = 3
 """Turns with so many requests or more count as one kind."""
@@ -42,9 +43,10 @@ class MeasuredErrors:
     - each value is kept, becomes another one, is dropped, or moves to another slot. By slot, value
       and context (:data:`CONTEXTS`); two values of the slot's mean are added to the counts, of
       which what was not kept is dropped;
-    - in some turns a value is heard that nobody said, by the slot that the agent has asked for;
-    - each slot is heard to be asked for or not. By slot, whether the user asks for it, whether the
-      agent has just done so, and how many slots the user asks for;
+    - in some turns a value is heard that nobody said, by the slot that the agent has asked for, or
+      its act where it has asked for none;
+    - each slot is heard to be asked for or not. By slot, context, whether the user asks for it, and
+      how many slots the user asks for;
     - the act is heard, by the act, the agent's act, and whether any request was heard.
 
     Args:
@@ -69,9 +71,9 @@ class MeasuredErrors:
         self._first = domain.n_values.cumsum(0) - domain.n_values
         self._slots = torch.arange(domain.n_slots)
         self._value_rows(domain, counts["values"])
-        self._insertion_rows(counts["inserted"])
-        self._request_rates(counts["requests"])
         questions = (OPENING, *domain.act, OFFER)
+        self._insertion_rows(counts["inserted"], questions)
+        self._request_rates(counts["requests"])
         rows = [
             counts["acts"].get(f"{question} {act} {heard}", {act: 1})
             for question in questions
@@ -99,12 +101,16 @@ class MeasuredErrors:
         active: torch.Tensor,
     ) -> Utterance:
         """Returns what is heard; see :class:`~bbq_torchrl.simulator.channel.Channel`."""
-        asked = torch.zeros_like(said.requests) if agent is None else agent.requests
-        informs = self._hear_values(said.informs, agent, asked, draws) * active
-        requests = self._hear_requests(said.requests, asked, draws) & active
-        question = torch.zeros_like(said.act)
+        context = torch.zeros_like(said.informs)
+        question = asks_or_question = torch.zeros_like(said.act)
         if agent is not None:
+            context = context_of(agent)
             question = torch.where(agent.is_booking, self._n_acts + 1, agent.act + 1)
+            asks_or_question = torch.where(
+                agent.is_request, agent.slot + self._n_acts + 2, question
+            )
+        informs = self._hear_values(said.informs, context, asks_or_question, draws) * active
+        requests = self._hear_requests(said.requests, context, draws) & active
         row = (question * self._n_acts + said.act) * 2 + (~requests.any(-1)).long()
         act = _drawn(self._act_below, self._act_codes, row, draws["act_error"])
         return Utterance(
@@ -116,12 +122,11 @@ class MeasuredErrors:
     def _hear_values(
         self,
         informs: torch.Tensor,
-        agent: AgentTurn | None,
-        asked: torch.Tensor,
+        context: torch.Tensor,
+        asks_or_question: torch.Tensor,
         draws: TensorDictBase,
     ) -> torch.Tensor:
         """Returns the values heard, long ``[*B, S]``."""
-        context = torch.zeros_like(informs) if agent is None else 2 - asked.long()
         row = context * self._n_rows + self._first + informs
         code = _drawn(self._value_below, self._value_codes, row, draws["slot_error"])
         place, value = code // _ABOVE_IDS, code % _ABOVE_IDS
@@ -130,20 +135,18 @@ class MeasuredErrors:
         moved = torch.zeros_like(value)
         moved = moved.scatter_reduce(-1, place, torch.where(is_own, NONE, value), "amax")
         heard = torch.where(heard == NONE, moved, heard)
-        if agent is None:
-            row = torch.zeros_like(informs[..., 0]) + self._n_slots + 1
-        else:
-            row = torch.where(agent.is_request, agent.slot, self._n_slots)
-        code = _drawn(self._insertion_below, self._insertion_codes, row, draws["insertion"])
+        below, codes = self._insertion_below, self._insertion_codes
+        code = _drawn(below, codes, asks_or_question, draws["insertion"])
         is_new = one_of(code // _ABOVE_IDS, self._n_slots) & (heard == NONE)
         return torch.where(is_new, (code % _ABOVE_IDS)[..., None], heard)
 
     def _hear_requests(
-        self, requests: torch.Tensor, asked: torch.Tensor, draws: TensorDictBase
+        self, requests: torch.Tensor, context: torch.Tensor, draws: TensorDictBase
     ) -> torch.Tensor:
         """Returns the slots heard to be asked for, bool ``[*B, S]``."""
         count = requests.sum(-1, keepdim=True).clamp(max=MOST_REQUESTS)
-        row = ((count * 2 + requests.long()) * 2 + asked.long()) * self._n_slots + self._slots
+        row = (count * 2 + requests.long()) * len(CONTEXTS) + context
+        row = row * self._n_slots + self._slots
         return draws["request_error"] < self._request_rate.take(row)
 
     # -- reading the counts ----------------------------------------------------------------------
@@ -176,10 +179,10 @@ class MeasuredErrors:
                     rows.append([(lost, 1.0)] if own == lost else list(row.items()))
         self._value_below, self._value_codes = _table(rows)
 
-    def _insertion_rows(self, counts: Mapping[str, Any]) -> None:
+    def _insertion_rows(self, counts: Mapping[str, Any], questions: tuple[str, ...]) -> None:
         rows = []
-        for asked in (*self._names, "", OPENING):
-            found = dict(counts.get(asked, {}))
+        for key in (*questions, *(f"request({slot})" for slot in self._names)):
+            found = dict(counts.get(key, {}))
             turns = float(found.pop("turns", 1))
             row = [(self._code(*heard.split("=", 1)), float(n)) for heard, n in found.items()]
             nothing = (self._n_slots * _ABOVE_IDS, turns - sum(n for _, n in row))
@@ -188,12 +191,19 @@ class MeasuredErrors:
 
     def _request_rates(self, counts: Mapping[str, Any]) -> None:
         rates = [
-            _rate(counts.get(f"{count} {said} {asked}", {}), said == "said", self._names)
+            _rate(counts.get(f"{count} {said} {context}", {}), said == "said", self._names)
             for count in range(MOST_REQUESTS + 1)
             for said in ("unsaid", "said")
-            for asked in ("unasked", "asked")
+            for context in CONTEXTS
         ]
         self._request_rate = torch.tensor(rates).flatten()
+
+
+def context_of(agent: AgentTurn) -> torch.Tensor:
+    """Returns which of :data:`CONTEXTS` each slot is in after an act, long ``[*B, S]``."""
+    told = agent.is_slot & agent.is_inform[..., None]
+    context = torch.where(told, 3, torch.where(agent.is_request[..., None], 2, 4))
+    return torch.where(agent.requests, 1, context)
 
 
 def _rate(found: Mapping[str, Sequence[int]], is_said: bool, slots: Sequence[str]) -> list[float]:

@@ -14,7 +14,7 @@ DRAWS = 20_000
 
 NOTHING = {
     "acts": {},
-    "values": {"opening": {}, "asked": {}, "told": {}},
+    "values": {"opening": {}, "asked": {}, "beside": {}, "corrected": {}, "told": {}},
     "inserted": {},
     "requests": {},
 }
@@ -27,10 +27,12 @@ SOME = {
             }
         },
         "asked": {"city": {"seattle": {"city=seattle": 1_000}}},
+        "beside": {},
+        "corrected": {},
         "told": {},
     },
     "inserted": {"opening": {"turns": 1_000, "genre=comedy": 200}},
-    "requests": {"1 said unasked": {"theater": [900, 1_000]}, "1 unsaid unasked": {"date": [1, 4]}},
+    "requests": {"1 said opening": {"theater": [900, 1_000]}, "1 unsaid opening": {"date": [1, 4]}},
 }
 
 
@@ -133,7 +135,7 @@ def test_a_turn_compiles_without_a_graph_break(movie):
     "counts",
     [
         {**NOTHING, "values": {**NOTHING["values"], "told": {"city": {"atlantis": {"": 1}}}}},
-        {**NOTHING, "inserted": {"": {"turns": 2, "planet=mars": 1}}},
+        {**NOTHING, "inserted": {"offer": {"turns": 2, "planet=mars": 1}}},
         {**NOTHING, "acts": {"opening request asking": {"sing": 1}}},
     ],
 )
