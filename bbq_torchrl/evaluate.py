@@ -38,6 +38,7 @@ dialogues, turns_per_second.
   dialogues=   how many; for each replica of a run folder
   batch=       how many run side by side
   env=, domain=  as in train.py; a run folder's own unless given
+  env.level=   text: users speak in sentences, which are understood (docs/language.md)
   mode=        mean, average, draw or thompson, for a Bayesian agent
   weights=     last, or best: each replica's at its best evaluation while training
   log=<file>   writes the first log_dialogues= dialogues as readable acts

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import threading
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import torch
@@ -15,12 +14,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from bbq_torchrl import __version__
 from bbq_torchrl.chat.posterior import path_draws, q_draws
 from bbq_torchrl.cli.loading import load_run
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.study.talk import Belief, Beliefs
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from torch import Tensor
 
     from bbq_torchrl.domains import Domain
@@ -106,7 +106,7 @@ class TrainedAgent:
                 f"replica must be between 0 and {config.replicas - 1} for {folder}, got {replica}"
             )
         self.domain: Domain = env.domain
-        self.folder = MOVIE_FOLDER if config.domain.name == "movie" else _path_of(config.domain)
+        self.folder = self.domain.folder
         self.simulator: Simulator = env.simulator
         self.active = env.active_slots
         self._mask: Tensor = env.simulator.action_mask(env.active_slots)
@@ -270,8 +270,3 @@ class _Seeded:
 def _reason(group: str, draws: Tensor) -> Reason:
     low, high = draws.quantile(torch.tensor([0.05, 0.95])).tolist()
     return Reason(group, float(draws.mean()), (low, high))
-
-
-def _path_of(option: object) -> Path | None:
-    path = getattr(option, "path", None)
-    return None if path is None else Path(path)

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl import __version__, language
 from bbq_torchrl.language import (
     Endpoint,
     EndpointGenerator,
     EndpointUnderstander,
     Generator,
     Understander,
-    as_examples,
-    load_phrases,
-    read_lines,
 )
-from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.kept import kept_understander
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from bbq_torchrl.chat.partner import Ears, Mouth
     from bbq_torchrl.domains import Domain
 
-__all__ = ["language_key", "make_ears", "make_mouth"]
+__all__ = ["make_ears", "make_mouth"]
 
 
 def make_ears(
@@ -40,8 +34,7 @@ def make_ears(
 ) -> Ears:
     """Returns who understands people.
 
-    An understander that is trained here is kept in the user's cache folder, under a name that is a
-    hash of all it was made of, and taken from there the next time.
+    Without a file it is :func:`~bbq_torchrl.language.kept.kept_understander`.
 
     Args:
         domain: what is spoken of.
@@ -58,13 +51,7 @@ def make_ears(
     if file is not None:
         own = Understander.load(file, domain, folder)
     else:
-        kept = _kept(language_key(domain, folder, labeled))
-        try:
-            own = Understander.load(kept, domain, folder)
-        except (OSError, ValueError):
-            tell("Learning the language of the domain, once; it takes about a minute ...")
-            own = _trained(domain, folder, labeled)
-            _keep(own, kept)
+        own = kept_understander(domain, folder, labeled, tell)
     return own if endpoint is None else EndpointUnderstander(endpoint, own)
 
 
@@ -78,45 +65,3 @@ def make_mouth(domain: Domain, folder: Path | None, endpoint: Endpoint | None = 
     """
     own = Generator.of(domain, folder)
     return own if endpoint is None else EndpointGenerator(endpoint, own)
-
-
-def _trained(domain: Domain, folder: Path | None, labeled: Path | None) -> Understander:
-    examples = []
-    if labeled is not None:
-        lexicon = Lexicon(domain, load_phrases(domain, folder))
-        examples = as_examples(read_lines(labeled, domain), lexicon)
-    return Understander.train(domain, folder, labeled=examples)
-
-
-def language_key(domain: Domain, folder: Path | None, labeled: Path | None = None) -> str:
-    """Returns a hash of all that an understander is made of, and that sentences are made of.
-
-    Args:
-        domain: what is spoken of.
-        folder: where its phrases are; ``None`` for the generic ones.
-        labeled: own labeled lines.
-    """
-    digest = hashlib.sha256(f"{__version__} {domain!r}".encode())
-    sources = sorted(Path(language.__file__).parent.glob("*.*"))
-    own = [] if folder is None else [folder / "language.yaml"]
-    for path in (*sources, *own, *([labeled] if labeled is not None else [])):
-        if path.is_file():
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:24]
-
-
-def _kept(key: str) -> Path:
-    """Returns where an understander is kept, whether it is there or not."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return cache / "bbq-torchrl" / f"{key}.npz"
-
-
-def _keep(own: Understander, path: Path) -> None:
-    """Keeps an understander, whole or not at all; without a cache folder it is made anew."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}")
-        own.save(part)
-        part.replace(path)
-    except OSError:
-        return

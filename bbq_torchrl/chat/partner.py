@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Answer", "Ears", "Mouth", "Partner"]
 
 _ASKS_IN_A_ROW = 2
-_FLAGS = ("pending", "open", "agent_requests")
+_FLAGS = ("heard_requests", "open_requests", "agent_requests")
 
 
 class Ears(Protocol):

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.chat.agent import TrainedAgent
-from bbq_torchrl.chat.language import language_key, make_ears, make_mouth
+from bbq_torchrl.chat.language import make_ears, make_mouth
 from bbq_torchrl.chat.partner import Partner
 from bbq_torchrl.chat.terminal import as_act
 from bbq_torchrl.language import load_phrases
+from bbq_torchrl.language.kept import language_key
 from bbq_torchrl.study import Reply, StudyError
 
 if TYPE_CHECKING:

@@ -7,32 +7,27 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.domains import DONT_CARE, NO_MATCH, NONE, fold
-from bbq_torchrl.language import ANY, Frame
+from bbq_torchrl.language.coding import Coding
+from bbq_torchrl.simulator import Utterance
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from bbq_torchrl.language import Frame
     from bbq_torchrl.simulator import Simulator
 
 __all__ = ["Tracking"]
-
-_SAID_BY_USERS = ("request", "inform", "deny", "thanks", "closing")
-"""The acts of simulated users: an agent has learned from no others."""
 
 
 class Tracking:
     """What the agent knows of one dialogue, as pure functions on a state.
 
     The state is a TensorDict of batch size ``[]`` with those keys of the
-    :class:`~bbq_torchrl.simulator.Simulator`'s that the features are made of, and ``open``, bool
-    ``[S]``: what was requested and not answered yet.
+    :class:`~bbq_torchrl.simulator.Simulator`'s that the features are made of, and
+    ``open_requests``.
 
-    A simulated user repeats in each turn what it waits to be told (``pending``), and sets its
-    questions aside while it answers the agent's. A person asks once. So requests that were heard
-    are kept until they are answered, set aside while the person answers, and shown to the agent
-    again once it has told something and the person adds nothing. Of a simulated user, who repeats,
-    the agent sees bit for bit what it sees in the simulator.
+    A simulated user repeats in each turn what it waits to be told, and sets its questions aside
+    while it answers the agent's. A person asks once: the tracker keeps requests that were heard
+    until they are answered (:meth:`~bbq_torchrl.simulator.tracker.Tracker.ask`). Of a simulated
+    user the agent sees bit for bit what it sees in the simulator.
 
     Args:
         simulator: of the domain.
@@ -57,22 +52,19 @@ class Tracking:
     def __init__(self, simulator: Simulator, active: torch.Tensor) -> None:
         self._simulator = simulator
         self._active = active
-        domain = simulator.domain
-        self._acts, self._slots = tuple(domain.act), tuple(domain.slot)
-        self._vocabulary = domain.vocabulary
-        self._ids = [{fold(text): id_ for id_, text in enumerate(t)} for t in domain.vocabulary]
+        self._coding = Coding(simulator.domain)
 
     def start(self, heard: Frame) -> TensorDict:
         """Returns the state after a person's first turn."""
-        n_slots = len(self._slots)
+        n_slots = len(self._coding.slots)
         nothing = torch.zeros(n_slots, dtype=torch.long)
         no_slot = torch.zeros(n_slots, dtype=torch.bool)
         state = TensorDict(
             {
                 "held": nothing,
                 "user_informs": nothing,
-                "pending": no_slot,
-                "open": no_slot,
+                "heard_requests": no_slot,
+                "open_requests": no_slot,
                 "heard_act": torch.tensor(self._simulator.domain.act["request"]),
                 "agent_act": torch.tensor(-1),
                 "agent_informs": nothing,
@@ -92,15 +84,13 @@ class Tracking:
         """
         tracker = self._simulator.tracker
         agent = tracker.complete(state["held"], torch.tensor(action))
-        is_refused = agent.is_booking & (agent.value == NO_MATCH)
-        ticket = torch.arange(len(self._slots)) == self._simulator.domain.ticket
-        answered = (agent.is_slot & agent.is_inform) | (ticket & is_refused)
+        asked, open_ = tracker.answer(state["heard_requests"], state["open_requests"], agent)
         return TensorDict(
             {
                 **state.to_dict(),
                 "held": tracker.hold(state["held"], agent),
-                "pending": state["pending"] & ~answered,
-                "open": state["open"] & ~answered,
+                "heard_requests": asked,
+                "open_requests": open_,
                 "agent_act": agent.act,
                 "agent_informs": agent.informs,
                 "agent_requests": agent.requests,
@@ -116,28 +106,30 @@ class Tracking:
             state: the state; left as it is.
             heard: what was understood; values that the domain does not know are left out.
         """
-        informs = self._encode(heard.informs)
-        requests = torch.tensor([slot in heard.requests for slot in self._slots])
-        act = self._act(state, heard)
-        asked = state["agent_requests"]
-        answers = bool((asked & (informs > DONT_CARE)).any())
-        is_booking = bool(state["agent_informs"][self._simulator.domain.complete] != NONE)
-        said = self._acts[int(state["agent_act"])] if int(state["agent_act"]) >= 0 else ""
-        is_new = bool(requests.any() or (informs != NONE).any())
-        if answers or (is_booking and act == "deny"):
-            pending = requests
-        elif said in ("inform", "confirm_answer") and not is_booking and not is_new:
-            pending = state["open"]
-        else:
-            pending = state["pending"] | requests
+        coding, tracker = self._coding, self._simulator.tracker
+        before = coding.acts[int(state["heard_act"])]
+        act = coding.act(heard, self.said(state), before)
+        utterance = Utterance(
+            torch.tensor(self._simulator.domain.act[act]),
+            torch.tensor(coding.ids(heard.informs)),
+            torch.tensor(coding.flags(heard.requests)),
+        )
+        asked, open_ = tracker.ask(
+            state["heard_requests"],
+            state["open_requests"],
+            state["agent_act"],
+            state["agent_informs"],
+            state["agent_requests"],
+            utterance,
+        )
         return TensorDict(
             {
                 **state.to_dict(),
-                "held": self._simulator.tracker.hear(state["held"], informs),
-                "user_informs": informs,
-                "heard_act": torch.tensor(self._simulator.domain.act[act]),
-                "pending": pending,
-                "open": state["open"] | requests,
+                "held": tracker.hear(state["held"], utterance.informs),
+                "user_informs": utterance.informs,
+                "heard_act": utterance.act,
+                "heard_requests": asked,
+                "open_requests": open_,
             },
             batch_size=[],
         )
@@ -151,39 +143,10 @@ class Tracking:
         act = int(state["agent_act"])
         if act < 0:
             return None
-        asked = state["agent_requests"].nonzero().flatten().tolist()
-        informs = self._decode(state["agent_informs"])
-        return Frame(self._acts[act], informs, tuple(self._slots[slot] for slot in asked))
+        return self._coding.frame(
+            act, state["agent_informs"].tolist(), state["agent_requests"].tolist()
+        )
 
     def held(self, state: TensorDict) -> dict[str, str]:
         """Returns the values that the tracker holds, by slot."""
-        return self._decode(state["held"])
-
-    def _act(self, state: TensorDict, heard: Frame) -> str:
-        """Returns the act of a simulated user that comes nearest."""
-        if heard.act in _SAID_BY_USERS:
-            return heard.act
-        if heard.requests:
-            return "request"
-        if heard.informs:
-            return "inform"
-        is_offered = bool(state["agent_informs"][self._simulator.domain.complete] != NONE)
-        if heard.act == "confirm_answer" and is_offered:
-            return "thanks"
-        return self._acts[int(state["heard_act"])]
-
-    def _encode(self, values: Mapping[str, str]) -> torch.Tensor:
-        ids = torch.zeros(len(self._slots), dtype=torch.long)
-        for number, slot in enumerate(self._slots):
-            value = values.get(slot)
-            if value is not None:
-                found = DONT_CARE if value == ANY else self._ids[number].get(fold(value), NONE)
-                ids[number] = found
-        return ids
-
-    def _decode(self, ids: torch.Tensor) -> dict[str, str]:
-        return {
-            slot: self._vocabulary[number][value]
-            for number, (slot, value) in enumerate(zip(self._slots, ids.tolist(), strict=True))
-            if value != NONE
-        }
+        return self._coding.values(state["held"].tolist())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -11,6 +11,7 @@ from bbq_torchrl.domains.validate import REQUIRED_ACTS, check_domain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
 __all__ = ["REQUIRED_ACTS", "Action", "Domain", "Goal", "ScriptedPolicySpec"]
 
@@ -139,6 +140,8 @@ class Domain:
         error_values: slot to the values that an error can put in its place, drawn uniformly
             (a value listed twice is drawn twice as often).
         skipped: what a loader left out of a corpus, a sentence each; for whoever reads results.
+        folder: where it was loaded from, with phrases and measured errors beside it; ``None`` for
+            a domain of no folder. Where a domain lies makes it no other one.
 
     Raises:
         DomainError: a ``ValueError``, if anything above does not hold; it has every fault, and
@@ -162,6 +165,7 @@ class Domain:
     goals: tuple[Goal, ...]
     error_values: Mapping[str, tuple[str, ...]]
     skipped: tuple[str, ...] = ()
+    folder: Path | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_domain(self)

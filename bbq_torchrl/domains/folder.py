@@ -77,7 +77,7 @@ def load_domain(path: str | Path) -> Domain:
     found: list[Fault] = []
     if specification.is_readable:
         try:
-            domain = Domain(**specification.fields, **content)
+            domain = Domain(**specification.fields, **content, folder=folder)
         except DomainError as error:
             # That a table is empty which could not be read is no fault of its own.
             unread = {(name,) for name, table in tables.items() if table.faults}

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs.schedule import ExtensionSchedule
-    from bbq_torchrl.simulator import FeatureLayout, SlotErrorMode
+    from bbq_torchrl.simulator import Channel, FeatureLayout, SlotErrorMode
 
 __all__ = ["DialogueEnv"]
 
@@ -63,6 +63,8 @@ class DialogueEnv(EnvBase):
         compile_turns: whether turns run as code that ``torch.compile`` makes of them, at the first
             turn and in up to a minute. (TorchRL's ``compile`` is another thing: the whole of
             ``step_and_maybe_reset``.)
+        channel: what lies between user and tracker, made for the domain's tensors, in the place of
+            the errors above.
 
     Raises:
         ValueError: if a setting is out of range, the schedule adds a slot that the domain lacks
@@ -94,6 +96,7 @@ class DialogueEnv(EnvBase):
         seed: int | None = None,
         device: torch.device | str = "cpu",
         compile_turns: bool = False,
+        channel: Channel | None = None,
     ) -> None:
         super().__init__(device=_present(device), batch_size=torch.Size(batch_size))
         if slot_error_prob is None:
@@ -103,9 +106,11 @@ class DialogueEnv(EnvBase):
         self.schedule = schedule
         if schedule is not None:
             schedule.never_active(domain)
+        if channel is None:
+            channel = ErrorModel(tensors, slot_error_prob, slot_error_mode, intent_error_prob)
         self.simulator = Simulator(
             tensors,
-            errors=ErrorModel(tensors, slot_error_prob, slot_error_mode, intent_error_prob),
+            errors=channel,
             rewards=Rewards(success_reward, failure_reward, turn_reward),
             max_turn=max_turn,
         ).to(self.device)
@@ -307,7 +312,9 @@ class DialogueEnv(EnvBase):
                     f"the saved dialogues have batch size {list(batch)}, "
                     f"the environment has {list(self.batch_size)}"
                 )
-            saved = TensorDict(saved, batch_size=batch).to(self.device).clone()
+            # Saved before the tracker kept requests: then they were what the user waited for.
+            heard = dict.fromkeys(("heard_requests", "open_requests"), saved["pending"])
+            saved = TensorDict(heard | saved, batch_size=batch).to(self.device).clone()
         self._dialogues = saved
         self._generator.set_state(state["generator"].cpu())
         self.set_round(state["round"])

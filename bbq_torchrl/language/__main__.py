@@ -1,4 +1,4 @@
-"""``python -m bbq_torchrl.language measure`` and ``train``."""
+"""``python -m bbq_torchrl.language measure``, ``train`` and ``count``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import torch
 
 from bbq_torchrl import output
 from bbq_torchrl.domains import load_domain
@@ -45,9 +47,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command.add_argument("--data", type=Path, default=Path("tests/data/language"))
             command.add_argument("--dialogues", type=int, default=10_000, help="for the round trip")
             command.add_argument("--out", type=Path, default=Path("results/language.json"))
+    count = commands.add_parser(
+        "count", help="count what is misheard of simulated users, for env.errors=measured"
+    )
+    count.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
+    count.add_argument("--turns", type=int, default=100_000, help="of users, at least")
+    count.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
     try:
         domain = load_domain(given.domain)
+        if given.command == "count":
+            _count(given, domain)
+            return 0
         understand, seconds = _trained(given, domain)
         file = given.file or Path(f"{domain.name}.language.npz")
         understand.save(file)
@@ -69,6 +80,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         output.complain(f"error: {sentence(error)}")
         return 2
     return 0
+
+
+def _count(given: argparse.Namespace, domain: Domain) -> None:
+    # Imported here: the language layer is below the environments, and needs no TorchRL.
+    from bbq_torchrl.envs.measured import ERRORS_FILE, count_errors, errors_text
+
+    torch.set_num_threads(1)
+    counts = count_errors(domain, given.turns, seed=given.seed)
+    file = given.domain.expanduser() / ERRORS_FILE
+    file.write_text(errors_text(counts), encoding="utf-8")
+    output.write(f"{counts['turns']} turns counted: {file}\n")
 
 
 def _trained(given: argparse.Namespace, domain: Domain) -> tuple[Understander, float]:

@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.domains import DONT_CARE, NONE, tensorize
-from bbq_torchrl.language.frames import ANY, Frame
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
     from tensordict import TensorDict
 
-    from bbq_torchrl.domains import Domain, DomainTensors
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.language.frames import Frame
 
 __all__ = ["Turns", "play"]
 
@@ -48,11 +49,11 @@ def play(domain: Domain, dialogues: int, *, seed: int = 0, kept: int = 4) -> Tur
     active = torch.ones(tensors.n_slots, dtype=torch.bool)
     generator = torch.Generator().manual_seed(seed)
     scripts = [p.steps for p in domain.policies.values() if p.kind == "script"]
-    found = Turns()
+    found, coding = Turns(), Coding(tensors)
     ends = torch.tensor([action.act in ("thanks", "closing") for action in domain.actions])
     for number in range(-(-dialogues // _BATCH)):
         state = simulator.reset(simulator.draw_reset((_BATCH,), generator), active)
-        _keep(found, domain, tensors, state, state["held"], kept)
+        _keep(found, coding, state, state["held"], kept)
         steps = scripts[number % len(scripts)] if scripts else ()
         for turn in range(simulator.max_agent_turns):
             action = torch.randint(tensors.n_actions, (_BATCH,), generator=generator)
@@ -63,7 +64,7 @@ def play(domain: Domain, dialogues: int, *, seed: int = 0, kept: int = 4) -> Tur
                 action = torch.where(follows, domain.action_index(steps[turn]), action)
             held, was_done = state["held"], state["done"]
             state = simulator.turn(state, action, simulator.draw_turn((_BATCH,), generator), active)
-            _keep(found, domain, tensors, state[~was_done], held[~was_done], kept)
+            _keep(found, coding, state[~was_done], held[~was_done], kept)
             if bool(state["done"].all()):
                 break
     return found
@@ -71,8 +72,7 @@ def play(domain: Domain, dialogues: int, *, seed: int = 0, kept: int = 4) -> Tur
 
 def _keep(
     found: Turns,
-    domain: Domain,
-    tensors: DomainTensors,
+    coding: Coding,
     state: TensorDict,
     held: torch.Tensor,
     kept: int,
@@ -100,7 +100,7 @@ def _keep(
         pattern = wanted.get(row)
         if row >= kept and (pattern is None or pattern in found.patterns):
             continue
-        turn = _decoded(domain, tensors, state[row], held[row])
+        turn = _decoded(coding, state[row], held[row])
         if pattern is not None:
             found.patterns.setdefault(pattern, turn)
         if row < kept:
@@ -108,31 +108,14 @@ def _keep(
 
 
 def _decoded(
-    domain: Domain, tensors: DomainTensors, state: TensorDict, held: torch.Tensor
+    coding: Coding, state: TensorDict, held: torch.Tensor
 ) -> tuple[Frame | None, dict[str, str], Frame]:
-    user = _frame(domain, tensors, state["user_act"], state["meant_informs"], state["pending"])
+    user = _frame(coding, state, "user_act", "meant_informs", "pending")
     agent = None
     if int(state["agent_act"]) >= 0:
-        agent = _frame(
-            domain, tensors, state["agent_act"], state["agent_informs"], state["agent_requests"]
-        )
-    return agent, _values(domain, tensors, held), user
+        agent = _frame(coding, state, "agent_act", "agent_informs", "agent_requests")
+    return agent, coding.values(held.tolist()), user
 
 
-def _frame(
-    domain: Domain,
-    tensors: DomainTensors,
-    act: torch.Tensor,
-    informs: torch.Tensor,
-    requests: torch.Tensor,
-) -> Frame:
-    asked = tuple(domain.slots[slot] for slot in requests.nonzero().flatten().tolist())
-    return Frame(domain.acts[int(act)], _values(domain, tensors, informs), asked)
-
-
-def _values(domain: Domain, tensors: DomainTensors, ids: torch.Tensor) -> dict[str, str]:
-    return {
-        domain.slots[slot]: ANY if value == DONT_CARE else tensors.vocabulary[slot][value]
-        for slot, value in enumerate(ids.tolist())
-        if value != NONE
-    }
+def _frame(coding: Coding, state: TensorDict, act: str, informs: str, requests: str) -> Frame:
+    return coding.frame(int(state[act]), state[informs].tolist(), state[requests].tolist())

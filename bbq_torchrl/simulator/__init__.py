@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.simulator.channel import Channel, Utterance
 from bbq_torchrl.simulator.error_model import ErrorModel, SlotErrorMode
 from bbq_torchrl.simulator.features import FeatureLayout
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
+from bbq_torchrl.simulator.measured_errors import MeasuredErrors
 from bbq_torchrl.simulator.simulator import Rewards, Simulator
 from bbq_torchrl.simulator.transcript import Transcript
 
 __all__ = [
+    "Channel",
     "ErrorModel",
     "FeatureLayout",
     "KnowledgeBase",
+    "MeasuredErrors",
     "Rewards",
     "Simulator",
     "SlotErrorMode",
     "Transcript",
+    "Utterance",
 ]

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Literal, get_args
 import torch
 
 from bbq_torchrl.domains.values import NONE
+from bbq_torchrl.simulator.channel import Utterance
 from bbq_torchrl.simulator.choices import index_below
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.simulator.tracker import AgentTurn
 
 __all__ = ["ErrorModel", "SlotErrorMode"]
 
@@ -23,7 +25,7 @@ _ABOVE_IDS = 1 << 32  # above every value id
 
 
 class ErrorModel:
-    """Stands for the errors of speech recognition and language understanding.
+    """The channel of dialogue acts: stands for the errors of speech and language understanding.
 
     Every slot the user informs is hit with ``slot_error_prob``, independently; requested slots are
     never hit. What a hit does depends on the mode:
@@ -36,7 +38,8 @@ class ErrorModel:
     - ``"delete"``: the slot is dropped;
     - ``"mixed"``: one of the three, a third each.
 
-    With ``intent_error_prob`` the act that is heard is any act, all alike. The agenda simulator of
+    With ``intent_error_prob`` the act that is heard is any act, all alike. The opening is heard as
+    it is. The agenda simulator of
     Li et al. (2016) is the model for all of it (where a slip makes ``"slot"`` a deletion).
 
     Args:
@@ -48,6 +51,10 @@ class ErrorModel:
     Raises:
         ValueError: if a probability or the mode is none.
     """
+
+    slot_draws: tuple[str, ...] = ("error", "error_kind", "error_slot", "error_value")
+    draws: tuple[str, ...] = ("intent", "intent_act")
+    mishears_all = False
 
     def __init__(
         self,
@@ -80,6 +87,21 @@ class ErrorModel:
             if isinstance(value, torch.Tensor):
                 setattr(moved, name, value.to(device))
         return moved
+
+    def transmit(
+        self,
+        said: Utterance,
+        agent: AgentTurn | None,
+        before: torch.Tensor,
+        is_silent: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> Utterance:
+        """Returns what is heard; see :class:`~bbq_torchrl.simulator.channel.Channel`."""
+        if agent is None:
+            return Utterance(said.act, said.informs, said.requests)
+        act = torch.where(is_silent, said.act, self.hear(said.act, draws))
+        return Utterance(act, self.distort(said.informs, draws, active), said.requests)
 
     def distort(
         self, informs: torch.Tensor, draws: TensorDictBase, active: torch.Tensor

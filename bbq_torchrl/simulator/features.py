@@ -68,7 +68,7 @@ class FeatureLayout:
             FeatureGroup(
                 "user_informed", slots, "the slots that the user informed in its last act"
             ),
-            FeatureGroup("user_requested", slots, "the slots that the user waits to be told"),
+            FeatureGroup("user_requested", slots, "the slots that the user is heard to ask for"),
             FeatureGroup("agent_act", acts, "the agent's last act, none in the first state"),
             FeatureGroup("agent_informed", slots, "the slots that the agent's last act informed"),
             FeatureGroup("agent_requested", slots, "the slot that the agent's last act requested"),
@@ -159,7 +159,7 @@ class Features:
             [
                 one_of(state["heard_act"], self._n_acts),
                 state["user_informs"] != NONE,
-                state["pending"],
+                state["heard_requests"],
                 one_of(state["agent_act"], self._n_acts),
                 state["agent_informs"] != NONE,
                 state["agent_requests"],

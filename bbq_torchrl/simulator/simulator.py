@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains.values import NO_MATCH, NONE
+from bbq_torchrl.simulator.channel import Utterance
 from bbq_torchrl.simulator.error_model import ErrorModel
 from bbq_torchrl.simulator.features import Features
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.simulator.channel import Channel
     from bbq_torchrl.simulator.features import FeatureLayout
     from bbq_torchrl.simulator.tracker import AgentTurn
     from bbq_torchrl.simulator.user import Reply
@@ -29,8 +31,6 @@ if TYPE_CHECKING:
 __all__ = ["Rewards", "Simulator"]
 
 _ACTS_PER_TURN = 2
-_SLOT_DRAWS = ("agenda", "error", "error_kind", "error_slot", "error_value")
-_SCALAR_DRAWS = ("intent", "intent_act", "offer")
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,8 @@ class Simulator:
     ``meant_informs``    long    ``*B, S``  the values the user meant to inform
     ``heard_act``        long    ``*B``    the act the tracker heard
     ``user_informs``     long    ``*B, S``  the values transmitted
+    ``heard_requests``   bool    ``*B, S``  the slots that the tracker takes to be asked for now
+    ``open_requests``    bool    ``*B, S``  those heard before that are set aside as well
     ``held``             long    ``*B, S``  the values the tracker holds
     ``agent_act``        long    ``*B``    the agent's last act, -1 before its first
     ``agent_informs``    long    ``*B, S``  the values the agent's last act informed
@@ -82,7 +84,8 @@ class Simulator:
 
     Args:
         domain: the domain's tensors.
-        errors: the error model; ``None`` for a user who is always understood.
+        errors: what lies between user and tracker, as an
+            :class:`~bbq_torchrl.simulator.ErrorModel`; ``None``: a user is always understood.
         rewards: what the agent gets for a turn.
         max_turn: acts of both sides after which a dialogue has failed, at least 2.
 
@@ -94,7 +97,7 @@ class Simulator:
         self,
         domain: DomainTensors,
         *,
-        errors: ErrorModel | None = None,
+        errors: Channel | None = None,
         rewards: Rewards | None = None,
         max_turn: int = 40,
     ) -> None:
@@ -105,9 +108,7 @@ class Simulator:
         self._has_choices = bool((domain.action_offer >= 0).any())
         self._build(domain, KnowledgeBase(domain), ErrorModel(domain) if errors is None else errors)
 
-    def _build(
-        self, domain: DomainTensors, knowledge_base: KnowledgeBase, errors: ErrorModel
-    ) -> None:
+    def _build(self, domain: DomainTensors, knowledge_base: KnowledgeBase, errors: Channel) -> None:
         self.domain = domain
         self.knowledge_base = knowledge_base
         self.errors = errors
@@ -154,9 +155,13 @@ class Simulator:
 
         Returns:
             A TensorDict ``[*B]`` of float32 in [0, 1): ``goal`` ``[*B]``, ``constraint`` and
-            ``request`` ``[*B, S]``.
+            ``request`` ``[*B, S]``; and what the channel needs, if it can mishear the opening.
         """
-        return self._draw(batch_shape, ("constraint", "request"), ("goal",), generator)
+        heard_by: tuple[tuple[str, ...], tuple[str, ...]] = (), ()
+        if self.errors.mishears_all:
+            heard_by = self.errors.slot_draws, self.errors.draws
+        per_slot, per_dialogue = ("constraint", "request", *heard_by[0]), ("goal", *heard_by[1])
+        return self._draw(batch_shape, per_slot, per_dialogue, generator)
 
     def draw_turn(
         self, batch_shape: Sequence[int], generator: torch.Generator | None = None
@@ -164,11 +169,12 @@ class Simulator:
         """Draws the uniform numbers of one turn.
 
         Returns:
-            A TensorDict ``[*B]`` of float32 in [0, 1): ``agenda``, ``error``, ``error_kind``,
-            ``error_slot`` and ``error_value`` ``[*B, S]``; ``intent``, ``intent_act`` and
-            ``offer`` ``[*B]``.
+            A TensorDict ``[*B]`` of float32 in [0, 1): ``agenda`` ``[*B, S]``, ``offer`` ``[*B]``
+            and what the channel needs, of an error model ``error``, ``error_kind``,
+            ``error_slot`` and ``error_value`` ``[*B, S]``, ``intent`` and ``intent_act`` ``[*B]``.
         """
-        return self._draw(batch_shape, _SLOT_DRAWS, _SCALAR_DRAWS, generator)
+        per_slot, per_dialogue = self.errors.slot_draws, self.errors.draws
+        return self._draw(batch_shape, ("agenda", *per_slot), (*per_dialogue, "offer"), generator)
 
     def reset(self, draws: TensorDictBase, active: torch.Tensor) -> TensorDict:
         """Starts dialogues. Returns the state after the users' first turn.
@@ -183,6 +189,8 @@ class Simulator:
         no_number = torch.zeros_like(first.constraints[..., 0])
         no = torch.zeros_like(first.requests[..., 0])
         act = no_number + self.domain.act["request"]
+        said = Utterance(act, first.informs, first.pending)
+        heard = self.errors.transmit(said, None, act, no, draws, active)
         return TensorDict(
             {
                 "goal_id": self.user.goal_of(draws),
@@ -194,9 +202,11 @@ class Simulator:
                 "constraints_met": no,
                 "user_act": act,
                 "meant_informs": first.informs,
-                "heard_act": act,
-                "user_informs": first.informs,
-                "held": first.informs,
+                "heard_act": heard.act,
+                "user_informs": heard.informs,
+                "heard_requests": heard.requests,
+                "open_requests": heard.requests,
+                "held": heard.informs,
                 "agent_act": no_number - 1,
                 "agent_informs": no_value,
                 "agent_requests": no_slot,
@@ -235,10 +245,20 @@ class Simulator:
         success = torch.where(
             was_done, state["success"], self._is_success(state, agent, reply) & ~is_over
         )
-        transmitted = self.errors.distort(reply.informs, draws, active)
-        heard = torch.where(is_done, reply.act, self.errors.hear(reply.act, draws))
+        said = Utterance(reply.act, reply.informs, reply.pending)
+        heard = self.errors.transmit(said, agent, state["heard_act"], is_done, draws, active)
         is_kept = was_done[..., None]
-        held = self.tracker.hear(self.tracker.hold(state["held"], agent), transmitted)
+        held = self.tracker.hear(self.tracker.hold(state["held"], agent), heard.informs)
+        asked = open_ = heard.requests
+        if self.errors.mishears_all:
+            asked, open_ = self.tracker.answer(
+                state["heard_requests"], state["open_requests"], agent
+            )
+            asked, open_ = self.tracker.ask(
+                asked, open_, agent.act, agent.informs, agent.requests, heard
+            )
+            asked = torch.where(is_kept, state["heard_requests"], asked)
+            open_ = torch.where(is_kept, state["open_requests"], open_)
         return TensorDict(
             {
                 "goal_id": state["goal_id"],
@@ -250,8 +270,10 @@ class Simulator:
                 "constraints_met": reply.constraints_met,
                 "user_act": reply.act,
                 "meant_informs": reply.informs,
-                "heard_act": heard,
-                "user_informs": transmitted,
+                "heard_act": heard.act,
+                "user_informs": heard.informs,
+                "heard_requests": asked,
+                "open_requests": open_,
                 "held": torch.where(is_kept, state["held"], held),
                 "agent_act": torch.where(was_done, state["agent_act"], agent.act),
                 "agent_informs": torch.where(is_kept, state["agent_informs"], agent.informs),

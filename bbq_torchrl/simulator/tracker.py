@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.simulator.channel import Utterance
     from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
 __all__ = ["AgentTurn", "Tracker"]
@@ -98,6 +99,10 @@ class Tracker:
         slot = torch.maximum(torch.maximum(request, inform), choice)
         self._slot = slot.clamp(min=0)
         self._is_slot = one_of(slot, domain.n_slots)
+        self._complete = domain.complete
+        self._acts = domain.act
+        slots = torch.arange(domain.n_slots, device=domain.records.device)
+        self._is_ticket = slots == domain.ticket
         is_booking = inform == domain.complete
         ends = (self._act == domain.act["thanks"]) | (self._act == domain.act["closing"])
         self._kinds = torch.stack(
@@ -163,3 +168,53 @@ class Tracker:
     def hear(held: torch.Tensor, informs: torch.Tensor) -> torch.Tensor:
         """Returns the values held after the user's act, long ``[*B, S]``; the latest wins."""
         return torch.where(informs != NONE, informs, held)
+
+    def answer(
+        self, asked: torch.Tensor, open_requests: torch.Tensor, agent: AgentTurn
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Returns both kinds of requests after the agent's act, without those that it answers.
+
+        Args:
+            asked: bool ``[*B, S]``, the requests before it.
+            open_requests: bool ``[*B, S]``, the same with those set aside.
+            agent: the act.
+        """
+        is_refused = agent.is_booking & (agent.value == NO_MATCH)
+        answered = agent.is_slot & agent.is_inform[..., None]
+        answered = answered | (self._is_ticket & is_refused[..., None])
+        return asked & ~answered, open_requests & ~answered
+
+    def ask(
+        self,
+        asked: torch.Tensor,
+        open_requests: torch.Tensor,
+        agent_act: torch.Tensor,
+        agent_informs: torch.Tensor,
+        agent_requests: torch.Tensor,
+        heard: Utterance,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Returns both kinds of requests after the user's act, each bool ``[*B, S]``.
+
+        A simulated user repeats in each turn what it waits to be told, and sets its questions aside
+        while it answers the agent's. People ask once, and may be misheard. So requests are kept
+        until they are answered: set aside while the user answers or denies, and taken up again
+        once the agent has told something and the user adds nothing. Of a simulated user whose
+        requests are heard as they are, both are what it waits to be told.
+
+        Args:
+            asked: bool ``[*B, S]``, of :meth:`answer`.
+            open_requests: bool ``[*B, S]``, of :meth:`answer`.
+            agent_act: long ``[*B]``, the agent's act, -1 before its first.
+            agent_informs: long ``[*B, S]``, the values that it informs.
+            agent_requests: bool ``[*B, S]``, the slot that it requests.
+            heard: what is heard of the user.
+        """
+        acts, requests = self._acts, heard.requests
+        is_booking = agent_informs[..., self._complete] != NONE
+        is_answer = (agent_requests & (heard.informs > DONT_CARE)).any(-1)
+        sets_aside = is_answer | (is_booking & (heard.act == acts["deny"]))
+        told = (agent_act == acts["inform"]) | (agent_act == acts["confirm_answer"])
+        is_empty = ~(requests | (heard.informs != NONE)).any(-1)
+        takes_up = (told & ~is_booking & is_empty)[..., None]
+        kept = torch.where(takes_up, open_requests, asked | requests)
+        return torch.where(sets_aside[..., None], requests, kept), open_requests | requests

@@ -49,6 +49,7 @@ def table_blocks() -> dict[str, Callable[[], str]]:
         "deep_sea.trials": _deep_sea_trials,
         "language.quality": _quality,
         "language.voices": _voices,
+        "language.ladder": _ladder,
         **{f"extending.{name}": partial(_extending, name) for name in EXTENDING},
     }
 
@@ -91,6 +92,25 @@ def _voices() -> str:
         for voice, figures in measured["voices"].items()
     ]
     return table(("voice", "frame", "slot F1", "act"), rows)
+
+
+def _ladder() -> str:
+    """Returns each policy's success on every rung from acts to text."""
+    entries = json.loads((RESULTS / "ladder.json").read_text(encoding="utf-8"))
+    rates: dict[str, dict[str, str]] = {}
+    for entry in entries:
+        result = entry["result"]
+        rate = f"{result['success_rate']:.3f} ± {result['standard_error']:.3f}"
+        rates.setdefault(entry["policy"], {})[entry["rung"]] = rate
+    rungs = list(dict.fromkeys(entry["rung"] for entry in entries))
+    rows = [
+        (f"`{policy}`", *(found.get(rung, "–") for rung in rungs))
+        for policy, found in rates.items()
+    ]
+    counts = sorted({entry["result"]["dialogues"] for entry in entries})
+    played = " to ".join(f"{count:,}" for count in dict.fromkeys((counts[0], counts[-1])))
+    shown = table(("policy", *rungs), rows, numbers=len(rungs))
+    return f"{shown}\n\n± one standard error; {played} dialogues each."
 
 
 def _extending(name: str) -> str:

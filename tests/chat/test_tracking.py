@@ -41,7 +41,7 @@ class Played:
             for i, v in enumerate(state["user_informs"].tolist())
             if v != NONE
         }
-        requests = tuple(slots[i] for i in state["pending"].nonzero().flatten().tolist())
+        requests = tuple(slots[i] for i in state["heard_requests"].nonzero().flatten().tolist())
         return Frame(self.domain.acts[int(state["heard_act"])], informs, requests)
 
 
@@ -83,7 +83,7 @@ def test_a_question_asked_once_is_not_lost_before_it_is_answered(movie):
     played = Played(movie, 0.0)
     for place in range(PLACES):
         for state, tracked, _ in together(played, place, repeats=False):
-            assert not (state["pending"] & ~tracked["open"]).any()
+            assert not (state["heard_requests"] & ~tracked["open_requests"]).any()
 
 
 def test_a_question_is_kept_while_the_person_answers_and_shown_again_after(movie):
@@ -93,11 +93,11 @@ def test_a_question_is_kept_while_the_person_answers_and_shown_again_after(movie
     state = tracking.start(Frame("request", {"moviename": "wonka"}, ("theater",)))
     state = tracking.act(state, movie.action_index("request(city)"))
     state = tracking.hear(state, Frame("inform", {"city": "seattle"}))
-    assert not state["pending"][theater]
-    assert state["open"][theater]
+    assert not state["heard_requests"][theater]
+    assert state["open_requests"][theater]
     state = tracking.act(state, movie.action_index("inform(date)"))
     state = tracking.hear(state, Frame("confirm_answer"))
-    assert state["pending"][theater]
+    assert state["heard_requests"][theater]
     state = tracking.act(state, movie.action_index("inform(theater)"))
-    assert not state["pending"].any()
-    assert not state["open"].any()
+    assert not state["heard_requests"].any()
+    assert not state["open_requests"].any()

@@ -99,6 +99,8 @@ class Codec:
             "meant_informs": self.values(dialogue.meant_informs),
             "heard_act": self.act(tracker.heard_act),
             "user_informs": self.values(user.informs),
+            "heard_requests": self.marks(user.pending),
+            "open_requests": self.marks(user.pending),
             "held": self.values(tracker.held),
             "agent_act": self.act(tracker.agent_act),
             "agent_informs": self.values(tracker.agent_informs),

@@ -13,6 +13,7 @@ from bbq_torchrl.options.settings import (
     NON_NEGATIVE_INTEGER,
     PROBABILITY,
     REWARD,
+    ConfigError,
     integers,
     one_of,
     option,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
+    from bbq_torchrl.options.root import Config
+    from bbq_torchrl.simulator import Channel
 
 __all__ = ["DialogueOption", "DomainExtension", "FullDomain"]
 
@@ -48,6 +51,17 @@ class DialogueOption(EnvOption):
         "value", one_of("value", "slot", "delete", "mixed"), "what an error does to a slot"
     )
     intent_error_prob: float = setting(0.0, PROBABILITY, "probability of a random user act")
+    level: str = setting(
+        "act",
+        one_of("act", "text"),
+        "what users speak: dialogue acts, or sentences that are understood, for evaluation only",
+    )
+    errors: str = setting(
+        "drawn",
+        one_of("drawn", "measured"),
+        "of dialogue acts: drawn with the probabilities above, or as counted where users spoke in "
+        "sentences",
+    )
     max_turn: int = setting(40, integers(2), "turns of a dialogue, both sides counted")
     success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")
     failure_reward: float = setting(-10.0, REWARD, "reward of a dialogue that fails")
@@ -57,6 +71,60 @@ class DialogueOption(EnvOption):
     )
 
     has_domain: ClassVar[bool] = True
+
+    def check(self, config: Config) -> None:
+        """Refuses sentences in training, and errors of two kinds."""
+        self._check_errors()
+        if self.level == "text":
+            raise ConfigError(
+                "env.level must be act in training, got 'text': sentences are too slow for it; "
+                "env.errors=measured has the errors that were counted at that level"
+            )
+
+    def _check_errors(self) -> None:
+        """Refuses keys of errors that would not be used.
+
+        Raises:
+            ConfigError: with the first of them.
+        """
+        is_text = self.level == "text"
+        if is_text and self.errors != "drawn":
+            raise ConfigError(
+                f"env.errors must be drawn with env.level=text, whose errors are those of "
+                f"sentences, got {self.errors!r}"
+            )
+        if is_text and self.compile_turns:
+            raise ConfigError("env.compile_turns must be false with env.level=text, got true")
+        if not is_text and self.errors == "drawn":
+            return
+        source = "env.level=text" if is_text else "env.errors=measured"
+        unused = {"slot_error_prob": None, "slot_error_mode": "value", "intent_error_prob": 0.0}
+        for key, allowed in unused.items():
+            if getattr(self, key) != allowed:
+                raise ConfigError(
+                    f"env.{key} must be {'null' if allowed is None else allowed} with {source}, "
+                    f"which has errors of its own, got {getattr(self, key)}"
+                )
+
+    def _channel(self, domain: Domain) -> Channel | None:
+        """Returns what lies between user and tracker; None: errors as they are drawn.
+
+        Raises:
+            ConfigError: the domain or the installation has not what it takes.
+        """
+        self._check_errors()
+        try:
+            if self.level == "text":
+                from bbq_torchrl.envs.text import text_channel
+
+                return text_channel(domain)
+            if self.errors == "measured":
+                from bbq_torchrl.envs.measured import load_errors
+
+                return load_errors(domain)
+        except ModuleNotFoundError as error:
+            raise ConfigError(f"env.level=text cannot be played: {error}") from error
+        return None
 
     def steps(self) -> int:
         """The acts of both sides are counted by ``max_turn``; the agent has one act more."""
@@ -125,6 +193,7 @@ class DialogueOption(EnvOption):
             seed=seed,
             device=device,
             compile_turns=self.compile_turns,
+            channel=self._channel(domain),
         )
 
 

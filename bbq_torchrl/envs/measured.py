@@ -1,0 +1,234 @@
+"""Errors as they happen in sentences: counted once for a domain, read where they are drawn."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.envs.dialogue import DialogueEnv
+from bbq_torchrl.envs.policies import scripted_policy
+from bbq_torchrl.envs.text import text_channel
+from bbq_torchrl.simulator import MeasuredErrors
+from bbq_torchrl.simulator.measured_errors import (
+    CONTEXTS,
+    MOST_REQUESTS,
+    OFFER,
+    OPENING,
+    context_of,
+)
+from bbq_torchrl.text import shown
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.envs.text import TextChannel
+    from bbq_torchrl.simulator import Utterance
+    from bbq_torchrl.simulator.tracker import AgentTurn
+
+__all__ = ["ERRORS_FILE", "count_errors", "errors_text", "load_errors"]
+
+ERRORS_FILE = "errors.json"
+"""The counts in a domain's folder."""
+
+_COMMAND = "python -m bbq_torchrl.language count"
+_BATCH = 500
+_RANDOM = 0.15  # share of actions at random: an agent that learns does everything
+
+
+def load_errors(domain: Domain) -> MeasuredErrors:
+    """Returns the errors that were counted for a domain.
+
+    Args:
+        domain: whose folder has :data:`ERRORS_FILE`.
+
+    Raises:
+        ValueError: there are none, or they are of another domain.
+    """
+    file = None if domain.folder is None else domain.folder / ERRORS_FILE
+    if file is None or not file.is_file():
+        place = f"the domain {domain.name}, which has none" if file is None else shown(str(file))
+        raise ValueError(
+            f"env.errors=measured needs the counts of {place}: `{_COMMAND} --domain <folder>` "
+            f"makes {ERRORS_FILE} in the folder of a domain"
+        )
+    try:
+        return MeasuredErrors(tensorize(domain), json.loads(file.read_text(encoding="utf-8")))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{file} is damaged, or counts the errors of another domain ({error!r}): make it anew "
+            f"by `{_COMMAND} --domain {file.parent}`"
+        ) from error
+
+
+def count_errors(domain: Domain, turns: int, *, seed: int = 0) -> dict[str, Any]:
+    """Returns what was heard of what users said in simulated dialogues at the level of text.
+
+    The agents are the domain's scripted policies, one after another, with a share of actions at
+    random.
+
+    Args:
+        domain: what is spoken of.
+        turns: of users; at least so many are counted.
+        seed: of everything random.
+    """
+    channel = _Recorder(text_channel(domain))
+    generator = torch.Generator().manual_seed(seed)
+    names = tuple(domain.policies) or ("random",)
+    ends = torch.tensor([action.act in ("thanks", "closing") for action in domain.actions])
+    number = 0
+    while channel.turns < turns:
+        env = DialogueEnv(domain, batch_size=(_BATCH,), channel=channel, seed=seed + number)
+        policy = scripted_policy(names[number % len(names)], env)
+        state = env.reset()
+        with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+            while not bool(state["done"].all()):
+                action = policy(state)["action"]
+                other = torch.randint(len(ends), (_BATCH,), generator=generator)
+                strays = torch.rand(_BATCH, generator=generator) < _RANDOM
+                # Few strays end a dialogue, or there would be no late turns.
+                strays &= ~ends[other] | (torch.rand(_BATCH, generator=generator) < _RANDOM)
+                state["action"] = torch.where(strays, other, action)
+                state = env.step(state)["next"]
+        number += 1
+    return {"domain": domain.name, "seed": seed, "turns": channel.turns, **channel.counts()}
+
+
+def errors_text(counts: Mapping[str, Any]) -> str:
+    """Returns the text of :data:`ERRORS_FILE`: JSON, a line for every row of the tables."""
+    return f"{_lines(counts, 0)}\n"
+
+
+def _lines(content: Any, depth: int) -> str:
+    is_row = not isinstance(content, dict) or not any(
+        isinstance(value, dict) for value in content.values()
+    )
+    if is_row:
+        return json.dumps(content, ensure_ascii=False)
+    pad = " " * (depth + 1)
+    rows = (
+        f"{pad}{json.dumps(key, ensure_ascii=False)}: {_lines(value, depth + 1)}"
+        for key, value in content.items()
+    )
+    return "{\n" + ",\n".join(rows) + "\n" + " " * depth + "}"
+
+
+class _Recorder:
+    """The channel of sentences, which counts what it transmits."""
+
+    def __init__(self, channel: TextChannel) -> None:
+        self._channel = channel
+        self.slot_draws, self.draws = channel.slot_draws, channel.draws
+        self.mishears_all = channel.mishears_all
+        self.turns = 0
+        coding = channel.coding
+        self._acts, self._slots = coding.acts, coding.slots
+        self._text = coding.text
+        self._act_counts: dict[str, Counter[str]] = defaultdict(Counter)
+        self._values: dict[str, dict[str, dict[str, Counter[str]]]] = {
+            context: defaultdict(lambda: defaultdict(Counter)) for context in CONTEXTS
+        }
+        self._inserted: dict[str, Counter[str]] = defaultdict(Counter)
+        self._requests: dict[str, dict[str, list[int]]] = defaultdict(
+            lambda: defaultdict(lambda: [0, 0])
+        )
+
+    def to(self, device: torch.device | str) -> _Recorder:
+        return self
+
+    def transmit(
+        self,
+        said: Utterance,
+        agent: AgentTurn | None,
+        before: torch.Tensor,
+        is_silent: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> Utterance:
+        heard = self._channel.transmit(said, agent, before, is_silent, draws, active)
+        columns = [said.act, said.informs, said.requests, heard.act, heard.informs, heard.requests]
+        questions = [OPENING] * len(said.act)
+        contexts = torch.zeros_like(said.informs)
+        asked = torch.zeros_like(said.requests)
+        if agent is not None:
+            offers = agent.is_booking.tolist()
+            named = [self._acts[act] for act in agent.act.tolist()]
+            questions = [
+                OFFER if offer else name for offer, name in zip(offers, named, strict=True)
+            ]
+            asked, contexts = agent.requests, context_of(agent)
+        rows = zip(
+            is_silent.tolist(),
+            questions,
+            asked.tolist(),
+            contexts.tolist(),
+            *(c.tolist() for c in columns),
+            strict=True,
+        )
+        for silent, question, asked_, contexts_, *turn in rows:
+            if not silent:
+                slot = asked_.index(True) if any(asked_) else None
+                where = question if slot is None else f"request({self._slots[slot]})"
+                self._count(question, where, [CONTEXTS[place] for place in contexts_], *turn)
+        return heard
+
+    def _count(
+        self,
+        question: str,
+        asks_or_question: str,
+        contexts: list[str],
+        act: int,
+        informs: list[int],
+        requests: list[bool],
+        heard_act: int,
+        heard_informs: list[int],
+        heard_requests: list[bool],
+    ) -> None:
+        self.turns += 1
+        acts, slots, text = self._acts, self._slots, self._text
+        manner = "asking" if any(heard_requests) else "silent"
+        self._act_counts[f"{question} {acts[act]} {manner}"][acts[heard_act]] += 1
+        values = list(enumerate(zip(informs, heard_informs, strict=True)))
+        lost = [slot for slot, (said, heard) in values if said and not heard]
+        new = [slot for slot, (said, heard) in values if heard and not said]
+        moved = (lost[0], new[0]) if len(lost) == len(new) == 1 else None
+        for slot, (said, _) in values:
+            if not said:
+                continue
+            place = moved[1] if moved and moved[0] == slot else slot
+            value = heard_informs[place]
+            name = f"{slots[place]}={text(place, value)}" if value else ""
+            self._values[contexts[slot]][slots[slot]][text(slot, said)][name] += 1
+        inserted = self._inserted[asks_or_question]
+        inserted["turns"] += 1
+        for slot in [] if moved else new[:1]:
+            inserted[f"{slots[slot]}={text(slot, heard_informs[slot])}"] += 1
+        count = min(sum(requests), MOST_REQUESTS)
+        for slot, name in enumerate(slots):
+            said_ = "said" if requests[slot] else "unsaid"
+            pair = self._requests[f"{count} {said_} {contexts[slot]}"][name]
+            pair[0] += heard_requests[slot]
+            pair[1] += 1
+
+    def counts(self) -> dict[str, Any]:
+        """Returns the counts as plain data, in an order that does not depend on chance."""
+        return {
+            "acts": _sorted(self._act_counts),
+            "values": {
+                context: {slot: _sorted(values) for slot, values in sorted(found.items())}
+                for context, found in self._values.items()
+            },
+            "inserted": _sorted(self._inserted),
+            "requests": {key: dict(found) for key, found in sorted(self._requests.items())},
+        }
+
+
+def _sorted(counts: dict[str, Counter[str]]) -> dict[str, dict[str, int]]:
+    return {key: dict(sorted(found.items())) for key, found in sorted(counts.items())}

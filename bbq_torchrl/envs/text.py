@@ -1,0 +1,150 @@
+"""Dialogues at the level of text: what users mean becomes sentences, which are understood."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.language import Frame, Generator, TextError
+from bbq_torchrl.language.coding import Coding
+from bbq_torchrl.language.kept import kept_understander
+from bbq_torchrl.simulator import Utterance
+from bbq_torchrl.simulator.choices import index_below
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.domains import Domain, DomainTensors
+    from bbq_torchrl.language import Understander
+    from bbq_torchrl.simulator.tracker import AgentTurn
+
+__all__ = ["TextChannel", "text_channel"]
+
+VARIANTS = 16
+"""How many ways there are to say an act; the words of each are chosen anew."""
+
+_REMEMBERED = 200_000
+_BEFORE = -1
+
+
+class TextChannel:
+    """The channel of sentences: what the user means is said in words, and understood from them.
+
+    The sentence is made by the domain's grammar, in words that are drawn, and understood in the
+    light of the agent's act, as in a chat. The system never asks again: a value that is unclear is
+    not heard. A value in another spelling of the domain's ("7:30pm", "7:30 pm") is the one that was
+    said: that corpora spell values in several ways is no misunderstanding. What was understood once
+    of the same act after the same act of the agent in the same words is remembered and not
+    understood again. A loop over the dialogues: for evaluation.
+
+    Args:
+        domain: the domain's tensors.
+        understand: who understands.
+        speak: who says what users mean.
+
+    Attributes:
+        coding: how frames are numbered.
+        asked: how many sentences there were.
+        understood: how many of them were not remembered.
+    """
+
+    slot_draws: tuple[str, ...] = ()
+    draws: tuple[str, ...] = ("words",)
+    mishears_all = True
+
+    def __init__(self, domain: DomainTensors, understand: Understander, speak: Generator) -> None:
+        self.asked = self.understood = 0
+        self._understand, self._speak = understand, speak
+        self._act = domain.act
+        self.coding = Coding(domain)
+        self._heard: dict[bytes, torch.Tensor] = {}
+
+    def to(self, device: torch.device | str) -> TextChannel:
+        """Returns itself: what is heard is made where the users' acts are."""
+        return self
+
+    def transmit(
+        self,
+        said: Utterance,
+        agent: AgentTurn | None,
+        before: torch.Tensor,
+        is_silent: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> Utterance:
+        """Returns what is heard; see :class:`~bbq_torchrl.simulator.channel.Channel`."""
+        n_slots, shape = said.informs.shape[-1], said.act.shape
+        parts = [said.act[..., None], said.informs, said.requests]
+        if agent is not None:
+            parts += [agent.act[..., None], agent.informs, agent.requests]
+        words = index_below(draws["words"], VARIANTS)
+        # Value ids and variants fit into 32 bits.
+        rows = torch.cat([words[..., None], *parts], -1).flatten(0, -2).int().cpu()
+        found = torch.zeros(len(rows), 1 + 2 * n_slots, dtype=torch.long)
+        for number in (~is_silent).flatten().nonzero().flatten().tolist():
+            found[number] = self._recall(rows[number], n_slots)
+        found = found.view(*shape, -1).to(said.act.device)
+        act, informs, requests = found.split([1, n_slots, n_slots], -1)
+        act = act.squeeze(-1)
+        act = torch.where(act == _BEFORE, before, act)
+        return Utterance(
+            torch.where(is_silent, said.act, act),
+            informs * active,
+            torch.where(is_silent[..., None], said.requests, requests.bool() & active),
+        )
+
+    def _recall(self, row: torch.Tensor, n_slots: int) -> torch.Tensor:
+        """Returns what is understood, long ``[1 + 2 S]``: act, informs, requests."""
+        self.asked += 1
+        key = row.numpy().tobytes()
+        heard = self._heard.get(key)
+        if heard is None:
+            self.understood += 1
+            if len(self._heard) >= _REMEMBERED:
+                self._heard.clear()
+            words, *row_ = row.tolist()
+            width = 1 + 2 * n_slots
+            frame, *question = (
+                self.coding.frame(part[0], part[1 : 1 + n_slots], part[1 + n_slots :])
+                for part in (row_[at : at + width] for at in range(0, len(row_), width))
+            )
+            heard = self._hear(frame, question[0] if question else None, words)
+            self._heard[key] = heard
+        return heard
+
+    def _hear(self, frame: Frame, question: Frame | None, words: int) -> torch.Tensor:
+        coding, key = self.coding, self._understand.lexicon.key
+        text = self._speak.user(frame, question, session=words)
+        try:
+            heard = self._understand(text, question).frame
+        except TextError:  # what cannot be read says nothing
+            heard = Frame("not_sure")
+        informs = dict(heard.informs)
+        for slot, value in frame.informs.items():
+            if slot in informs and key(slot, informs[slot]) == key(slot, value):
+                informs[slot] = value
+        act = coding.act(heard, question, "")
+        return torch.tensor(
+            [
+                self._act.get(act, _BEFORE),
+                *coding.ids(informs),
+                *coding.flags(heard.requests),
+            ]
+        )
+
+
+def text_channel(domain: Domain) -> TextChannel:
+    """Returns the channel of sentences of a domain.
+
+    Its understander is trained in about a minute where the user's cache folder has none.
+
+    Args:
+        domain: whose phrases are in its folder, or the generic ones.
+
+    Raises:
+        ModuleNotFoundError: the extra ``language`` is not installed.
+    """
+    understand = kept_understander(domain, domain.folder)
+    return TextChannel(tensorize(domain), understand, Generator.of(domain, domain.folder))

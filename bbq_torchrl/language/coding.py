@@ -1,0 +1,89 @@
+"""Frames of the language layer as ids of the simulator, and back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.domains import DONT_CARE, NONE, fold
+from bbq_torchrl.language.frames import ANY, Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bbq_torchrl.domains import DomainTensors
+
+__all__ = ["Coding"]
+
+_SAID_BY_USERS = ("request", "inform", "deny", "thanks", "closing")
+"""The acts of simulated users: an agent has learned from no others."""
+
+
+class Coding:
+    """How the acts, slots and values of a domain are numbered.
+
+    Args:
+        domain: the domain's tensors.
+
+    Example:
+        >>> from bbq_torchrl.domains import movie_domain, tensorize
+        >>> coding = Coding(tensorize(movie_domain()))
+        >>> ids = coding.ids({"city": "Reno", "date": ANY})
+        >>> coding.values(ids)
+        {'city': 'reno', 'date': 'I do not care'}
+    """
+
+    def __init__(self, domain: DomainTensors) -> None:
+        self.acts, self.slots = tuple(domain.act), tuple(domain.slot)
+        self._complete = self.slots[domain.complete]
+        self._vocabulary = domain.vocabulary
+        self._ids = [{fold(text): id_ for id_, text in enumerate(t)} for t in domain.vocabulary]
+
+    def frame(self, act: int, informs: Sequence[int], requests: Sequence[bool]) -> Frame:
+        """Returns the frame of an act, value ids ``[S]`` and requested slots ``[S]``."""
+        asked = (slot for slot, is_asked in zip(self.slots, requests, strict=True) if is_asked)
+        return Frame(self.acts[act], self.values(informs), tuple(asked))
+
+    def text(self, slot: int, value: int) -> str:
+        """Returns how the domain spells a value."""
+        return self._vocabulary[slot][value]
+
+    def values(self, ids: Sequence[int]) -> dict[str, str]:
+        """Returns slot to value of the ids ``[S]``, without those that are 0."""
+        return {
+            slot: ANY if value == DONT_CARE else self._vocabulary[number][value]
+            for number, (slot, value) in enumerate(zip(self.slots, ids, strict=True))
+            if value != NONE
+        }
+
+    def ids(self, values: Mapping[str, str]) -> list[int]:
+        """Returns the value ids ``[S]``; values that the domain does not know are left out."""
+        found = [NONE] * len(self.slots)
+        for number, slot in enumerate(self.slots):
+            value = values.get(slot)
+            if value is not None:
+                is_any = value == ANY
+                found[number] = DONT_CARE if is_any else self._ids[number].get(fold(value), NONE)
+        return found
+
+    def flags(self, requests: Sequence[str]) -> list[bool]:
+        """Returns the requested slots ``[S]``."""
+        return [slot in requests for slot in self.slots]
+
+    def act(self, heard: Frame, question: Frame | None, before: str) -> str:
+        """Returns the act of a simulated user that comes nearest to what was heard.
+
+        Args:
+            heard: what was understood of a person.
+            question: the agent's last act; ``None`` at the opening.
+            before: the act heard before, which a turn that says nothing repeats.
+        """
+        if heard.act in _SAID_BY_USERS:
+            return heard.act
+        if heard.requests:
+            return "request"
+        if heard.informs:
+            return "inform"
+        is_offered = question is not None and self._complete in question.informs
+        if heard.act == "confirm_answer" and is_offered:
+            return "thanks"
+        return before

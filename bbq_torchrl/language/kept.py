@@ -1,0 +1,93 @@
+"""An understander that is trained once for a domain, and kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.language.labeled import as_examples, read_lines
+from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.phrases import load_phrases
+from bbq_torchrl.language.understand import Understander
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bbq_torchrl.domains import Domain
+
+__all__ = ["kept_understander", "language_key"]
+
+
+def kept_understander(
+    domain: Domain,
+    folder: Path | None,
+    labeled: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Understander:
+    """Returns the understander of a domain, trained where the cache folder has none.
+
+    It is kept under a name that is a hash of all it was made of.
+
+    Args:
+        domain: what is spoken of.
+        folder: where its phrases are; ``None`` for the generic ones.
+        labeled: own labeled lines to learn from as well.
+        tell: is told when training begins, which takes half a minute.
+
+    Raises:
+        ValueError or OSError: a file that cannot be used.
+        ModuleNotFoundError: the extra ``language`` is not installed.
+    """
+    kept = _kept(language_key(domain, folder, labeled))
+    try:
+        return Understander.load(kept, domain, folder)
+    except (OSError, ValueError):
+        tell("Learning the language of the domain, once; it takes about a minute ...")
+        own = _trained(domain, folder, labeled)
+        _keep(own, kept)
+        return own
+
+
+def _trained(domain: Domain, folder: Path | None, labeled: Path | None) -> Understander:
+    examples = []
+    if labeled is not None:
+        lexicon = Lexicon(domain, load_phrases(domain, folder))
+        examples = as_examples(read_lines(labeled, domain), lexicon)
+    return Understander.train(domain, folder, labeled=examples)
+
+
+def language_key(domain: Domain, folder: Path | None, labeled: Path | None = None) -> str:
+    """Returns a hash of all that an understander is made of, and that sentences are made of.
+
+    Args:
+        domain: what is spoken of.
+        folder: where its phrases are; ``None`` for the generic ones.
+        labeled: own labeled lines.
+    """
+    digest = hashlib.sha256(f"{version('bbq-torchrl')} {domain!r}".encode())
+    sources = sorted(Path(__file__).parent.glob("*.*"))
+    own = [] if folder is None else [folder / "language.yaml"]
+    for path in (*sources, *own, *([labeled] if labeled is not None else [])):
+        if path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:24]
+
+
+def _kept(key: str) -> Path:
+    """Returns where an understander is kept, whether it is there or not."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return cache / "bbq-torchrl" / f"{key}.npz"
+
+
+def _keep(own: Understander, path: Path) -> None:
+    """Keeps an understander, whole or not at all; without a cache folder it is made anew."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}")
+        own.save(part)
+        part.replace(path)
+    except OSError:
+        return

@@ -1,0 +1,237 @@
+"""Errors as they were counted where users spoke in sentences, at the speed of tensors."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from bbq_torchrl.domains.values import NONE, fold
+from bbq_torchrl.simulator.channel import Utterance
+from bbq_torchrl.simulator.choices import one_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.simulator.tracker import AgentTurn
+
+__all__ = ["CONTEXTS", "MOST_REQUESTS", "OFFER", "OPENING", "MeasuredErrors", "context_of"]
+
+OPENING, OFFER = "opening", "offer"
+"""Questions that are no act of the agent: none, and the offer of a booking."""
+
+CONTEXTS = (OPENING, "asked", "beside", "corrected", "told")
+"""Where a slot is spoken of: at the opening; where the agent has asked for it, or for another one;
+where the agent has told it; and elsewhere."""
+
+MOST_REQUESTS = 3
+"""Turns with so many requests or more count as one kind."""
+
+_ABOVE_IDS = 1 << 32  # above every value id
+_MEAN_WEIGHT = 2.0  # how many values of the slot's mean rates stand beside those counted of a value
+
+
+class MeasuredErrors:
+    """The channel of sentences as a table of counts: what was heard of what was said.
+
+    Drawn independently in every turn, given what the user says and the agent's act before:
+
+    - each value is kept, becomes another one, is dropped, or moves to another slot. By slot, value
+      and context (:data:`CONTEXTS`); two values of the slot's mean are added to the counts, of
+      which what was not kept is dropped;
+    - in some turns a value is heard that nobody said, by the slot that the agent has asked for, or
+      its act where it has asked for none;
+    - each slot is heard to be asked for or not. By slot, context, whether the user asks for it, and
+      how many slots the user asks for;
+    - the act is heard, by the act, the agent's act, and whether any request was heard.
+
+    Args:
+        domain: the domain's tensors.
+        counts: what ``python -m bbq_torchrl.language count`` writes.
+
+    Raises:
+        KeyError, TypeError or ValueError: the counts are of another domain, or none.
+    """
+
+    slot_draws: tuple[str, ...] = ("slot_error", "request_error")
+    draws: tuple[str, ...] = ("act_error", "insertion")
+    mishears_all = True
+
+    def __init__(self, domain: DomainTensors, counts: Mapping[str, Any]) -> None:
+        self._n_acts, self._n_slots = domain.n_acts, domain.n_slots
+        self._names = tuple(domain.slot)
+        self._slot = domain.slot
+        self._ids = [
+            {fold(text): id_ for id_, text in enumerate(texts)} for texts in domain.vocabulary
+        ]
+        self._first = domain.n_values.cumsum(0) - domain.n_values
+        self._slots = torch.arange(domain.n_slots)
+        self._value_rows(domain, counts["values"])
+        questions = (OPENING, *domain.act, OFFER)
+        self._insertion_rows(counts["inserted"], questions)
+        self._request_rates(counts["requests"])
+        rows = [
+            counts["acts"].get(f"{question} {act} {heard}", {act: 1})
+            for question in questions
+            for act in domain.act
+            for heard in ("asking", "silent")
+        ]
+        codes = [[(domain.act[act], float(count)) for act, count in row.items()] for row in rows]
+        self._act_below, self._act_codes = _table(codes)
+
+    def to(self, device: torch.device | str) -> MeasuredErrors:
+        """Returns the same errors with every tensor on ``device``."""
+        moved = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, torch.Tensor):
+                setattr(moved, name, value.to(device))
+        return moved
+
+    def transmit(
+        self,
+        said: Utterance,
+        agent: AgentTurn | None,
+        before: torch.Tensor,
+        is_silent: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> Utterance:
+        """Returns what is heard; see :class:`~bbq_torchrl.simulator.channel.Channel`."""
+        context = torch.zeros_like(said.informs)
+        question = asks_or_question = torch.zeros_like(said.act)
+        if agent is not None:
+            context = context_of(agent)
+            question = torch.where(agent.is_booking, self._n_acts + 1, agent.act + 1)
+            asks_or_question = torch.where(
+                agent.is_request, agent.slot + self._n_acts + 2, question
+            )
+        informs = self._hear_values(said.informs, context, asks_or_question, draws) * active
+        requests = self._hear_requests(said.requests, context, draws) & active
+        row = (question * self._n_acts + said.act) * 2 + (~requests.any(-1)).long()
+        act = _drawn(self._act_below, self._act_codes, row, draws["act_error"])
+        return Utterance(
+            torch.where(is_silent, said.act, act),
+            torch.where(is_silent[..., None], said.informs, informs),
+            torch.where(is_silent[..., None], said.requests, requests),
+        )
+
+    def _hear_values(
+        self,
+        informs: torch.Tensor,
+        context: torch.Tensor,
+        asks_or_question: torch.Tensor,
+        draws: TensorDictBase,
+    ) -> torch.Tensor:
+        """Returns the values heard, long ``[*B, S]``."""
+        row = context * self._n_rows + self._first + informs
+        code = _drawn(self._value_below, self._value_codes, row, draws["slot_error"])
+        place, value = code // _ABOVE_IDS, code % _ABOVE_IDS
+        is_own = place == self._slots
+        heard = torch.where(is_own, value, NONE)
+        moved = torch.zeros_like(value)
+        moved = moved.scatter_reduce(-1, place, torch.where(is_own, NONE, value), "amax")
+        heard = torch.where(heard == NONE, moved, heard)
+        below, codes = self._insertion_below, self._insertion_codes
+        code = _drawn(below, codes, asks_or_question, draws["insertion"])
+        is_new = one_of(code // _ABOVE_IDS, self._n_slots) & (heard == NONE)
+        return torch.where(is_new, (code % _ABOVE_IDS)[..., None], heard)
+
+    def _hear_requests(
+        self, requests: torch.Tensor, context: torch.Tensor, draws: TensorDictBase
+    ) -> torch.Tensor:
+        """Returns the slots heard to be asked for, bool ``[*B, S]``."""
+        count = requests.sum(-1, keepdim=True).clamp(max=MOST_REQUESTS)
+        row = (count * 2 + requests.long()) * len(CONTEXTS) + context
+        row = row * self._n_slots + self._slots
+        return draws["request_error"] < self._request_rate.take(row)
+
+    # -- reading the counts ----------------------------------------------------------------------
+
+    def _code(self, slot: str, value: str) -> int:
+        """Returns a slot and a value of it as one number."""
+        number = self._slot[slot]
+        return number * _ABOVE_IDS + (self._ids[number][fold(value)] if value else NONE)
+
+    def _value_rows(self, domain: DomainTensors, counts: Mapping[str, Any]) -> None:
+        self._n_rows = int(domain.n_values.sum())
+        rows = []
+        for context in CONTEXTS:
+            for slot, ids in zip(self._names, self._ids, strict=True):
+                counted = {
+                    self._code(slot, value): {
+                        self._code(*heard.split("=", 1)) if heard else self._code(slot, ""): number
+                        for heard, number in found.items()
+                    }
+                    for value, found in counts[context].get(slot, {}).items()
+                }
+                total = sum(sum(found.values()) for found in counted.values())
+                kept = sum(found.get(own, 0) for own, found in counted.items())
+                mean = kept / total if total else 1.0
+                for value in ids:
+                    own, lost = self._code(slot, value), self._code(slot, "")
+                    row = {lost: _MEAN_WEIGHT * (1.0 - mean), own: _MEAN_WEIGHT * mean}
+                    for code, number in counted.get(own, {}).items():
+                        row[code] = row.get(code, 0.0) + number
+                    rows.append([(lost, 1.0)] if own == lost else list(row.items()))
+        self._value_below, self._value_codes = _table(rows)
+
+    def _insertion_rows(self, counts: Mapping[str, Any], questions: tuple[str, ...]) -> None:
+        rows = []
+        for key in (*questions, *(f"request({slot})" for slot in self._names)):
+            found = dict(counts.get(key, {}))
+            turns = float(found.pop("turns", 1))
+            row = [(self._code(*heard.split("=", 1)), float(n)) for heard, n in found.items()]
+            nothing = (self._n_slots * _ABOVE_IDS, turns - sum(n for _, n in row))
+            rows.append([nothing, *row])
+        self._insertion_below, self._insertion_codes = _table(rows)
+
+    def _request_rates(self, counts: Mapping[str, Any]) -> None:
+        rates = [
+            _rate(counts.get(f"{count} {said} {context}", {}), said == "said", self._names)
+            for count in range(MOST_REQUESTS + 1)
+            for said in ("unsaid", "said")
+            for context in CONTEXTS
+        ]
+        self._request_rate = torch.tensor(rates).flatten()
+
+
+def context_of(agent: AgentTurn) -> torch.Tensor:
+    """Returns which of :data:`CONTEXTS` each slot is in after an act, long ``[*B, S]``."""
+    told = agent.is_slot & agent.is_inform[..., None]
+    context = torch.where(told, 3, torch.where(agent.is_request[..., None], 2, 4))
+    return torch.where(agent.requests, 1, context)
+
+
+def _rate(found: Mapping[str, Sequence[int]], is_said: bool, slots: Sequence[str]) -> list[float]:
+    """Returns how often each slot is heard to be asked for; the mean where it never came up."""
+    heard, turns = (sum(pair[part] for pair in found.values()) for part in (0, 1))
+    mean = heard / turns if turns else float(is_said)
+    return [found[slot][0] / found[slot][1] if slot in found else mean for slot in slots]
+
+
+def _table(rows: Sequence[Sequence[tuple[int, float]]]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Returns cumulative probabilities and codes ``[rows, most]`` of weighted codes."""
+    most = max(map(len, rows))
+    weights = torch.zeros(len(rows), most, dtype=torch.float64)
+    codes = torch.zeros(len(rows), most, dtype=torch.long)
+    for number, row in enumerate(rows):
+        weights[number, : len(row)] = torch.tensor([weight for _, weight in row])
+        codes[number, : len(row)] = torch.tensor([code for code, _ in row])
+    below = weights.cumsum(-1) / weights.sum(-1, keepdim=True)
+    for number, row in enumerate(rows):
+        below[number, len(row) - 1 :] = 1.0  # no rounding leads beyond the last
+    return below.float(), codes
+
+
+def _drawn(
+    below: torch.Tensor, codes: torch.Tensor, row: torch.Tensor, uniform: torch.Tensor
+) -> torch.Tensor:
+    """Draws a code of each row's distribution. Returns long, of the shape of ``row``."""
+    most = codes.shape[-1]
+    limits = below.index_select(0, row.flatten()).view(*row.shape, most)
+    choice = (uniform[..., None] >= limits).sum(-1)
+    return codes.flatten().take(row * most + choice)

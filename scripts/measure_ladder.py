@@ -1,0 +1,71 @@
+"""Measures agents on the ladder from acts to text, and writes results/ladder.json.
+
+Every agent is played without errors, with the reference errors, with those counted in sentences,
+and in sentences: the scripted policies ``rule`` and ``careful`` and every agent that comes with the
+package. Commands and answers are kept; ``scripts/write_docs.py`` makes a table of them.
+
+    python scripts/measure_ladder.py                      everything, 10,000 dialogues each
+    python scripts/measure_ladder.py --rung text          this rung alone; what was measured stays
+    python scripts/measure_ladder.py --dialogues 2500     fewer
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from bbq_torchrl.cli.store import compose_raw, session, to_config
+from bbq_torchrl.evaluate import evaluation
+from bbq_torchrl.options import EvaluateConfig
+from bbq_torchrl.shipped import PREFIX, shipped_agents
+
+FILE = Path(__file__).resolve().parent.parent / "results" / "ladder.json"
+
+RUNGS = {
+    "no errors": "env.slot_error_prob=0",
+    "reference": "",
+    "measured": "env.errors=measured",
+    "text": "env.level=text",
+}
+"""Rung -> what the command line says of it, from the easiest on."""
+
+
+def policies() -> list[str]:
+    """Returns who is measured."""
+    return ["rule", "careful", *(f"{PREFIX}{name}" for name in shipped_agents())]
+
+
+def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
+    """Returns what a policy does on a rung, with the command."""
+    arguments = f"policy={policy} {RUNGS[rung]} dialogues={dialogues}".split()
+    with session():
+        config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
+    result = evaluation(config, arguments)
+    del result["turns_per_second"]  # of the machine, not of the agent
+    command = f"bbq evaluate {' '.join(arguments)}"
+    return {"policy": policy, "rung": rung, "command": command, "result": result}
+
+
+def main() -> None:
+    """Measures, and keeps what was measured before and is not to be measured now."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--policy", choices=policies(), help="this one alone")
+    parser.add_argument("--rung", nargs="+", choices=RUNGS, help="these rungs alone")
+    parser.add_argument("--dialogues", type=int, default=10_000, help="of each measurement")
+    given = parser.parse_args()
+    before = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else []
+    known = {(entry["policy"], entry["rung"]): entry for entry in before}
+    order = [(policy, rung) for policy in policies() for rung in RUNGS]
+    for policy, rung in order:
+        if given.policy in (None, policy) and rung in (given.rung or RUNGS):
+            known[policy, rung] = measure(policy, rung, given.dialogues)
+            sys.stdout.write(f"{policy}, {rung}: {known[policy, rung]['result']}\n")
+            entries = [known[item] for item in order if item in known]
+            FILE.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

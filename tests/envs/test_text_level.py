@@ -1,0 +1,218 @@
+"""Dialogues whose users speak in sentences, with somebody who understands by the letter."""
+
+from __future__ import annotations
+
+import json
+import re
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.envs import DialogueEnv, measured
+from bbq_torchrl.envs.text import TextChannel
+from bbq_torchrl.language import Frame
+from bbq_torchrl.options import ConfigError, EvaluateConfig
+from bbq_torchrl.simulator import MeasuredErrors
+
+PLACES = 40
+
+
+class Letters:
+    """Says frames as transcripts write them, understands them, and forgets what it is told to."""
+
+    def __init__(self, domain, forgets=()):
+        self.lexicon = SimpleNamespace(key=lambda slot, value: value.replace(" ", ""))
+        self.forgets = forgets
+        self.domain = domain
+        self.said = []
+
+    def user(self, frame, question=None, *, session=0, turn=0):
+        self.frame = frame
+        self.said.append((str(frame), str(question), session))
+        return str(frame)
+
+    def __call__(self, text, question=None):
+        assert text == str(self.frame)
+        informs = {s: v for s, v in self.frame.informs.items() if s not in self.forgets}
+        requests = tuple(s for s in self.frame.requests if s not in self.forgets)
+        return SimpleNamespace(frame=Frame(self.frame.act, informs, requests))
+
+
+def channel_of(domain, **settings):
+    letters = Letters(domain, **settings)
+    return TextChannel(tensorize(domain), letters, letters), letters
+
+
+def played(domain, channel, turns=12):
+    """Yields the state after the opening and after each turn of random actions."""
+    env = DialogueEnv(domain, batch_size=(2, PLACES), channel=channel, seed=1)
+    state = env.reset()
+    yield env.dialogues
+    generator = torch.Generator().manual_seed(2)
+    # Who is offered nothing to choose from does not care, and its tracker cannot know whether it
+    # still has questions: the one case in which both differ.
+    acts = torch.tensor([action.act != "multiple_choice" for action in domain.actions])
+    for _ in range(turns):
+        shape = state["action_mask"].shape[:2]
+        action = torch.randint(int(acts.sum()), shape, generator=generator)
+        state["action"] = acts.nonzero().flatten()[action]
+        state = env.step(state)["next"]
+        yield env.dialogues
+
+
+@pytest.mark.parametrize("name", ["movie", "restaurant"])
+def test_who_is_understood_by_the_letter_is_seen_as_at_the_level_of_acts(name, request):
+    domain = request.getfixturevalue(name)
+    channel, _ = channel_of(domain)
+    for state in played(domain, channel):
+        assert torch.equal(state["heard_act"], state["user_act"])
+        assert torch.equal(state["user_informs"], state["meant_informs"])
+        is_going = ~state["done"]
+        assert torch.equal(state["heard_requests"][is_going], state["pending"][is_going])
+    assert int(state["turn"].max()) > 10
+
+
+def test_a_sentence_is_not_understood_twice_in_one_context(movie):
+    channel, letters = channel_of(movie)
+    for _ in range(2):
+        list(played(movie, channel, turns=3))
+    assert len(letters.said) == len(set(letters.said)) == channel.understood
+    assert channel.asked > 2 * channel.understood  # the second time says what the first did
+
+
+def test_what_is_not_heard_is_not_held_but_stays_what_the_user_wants(movie):
+    channel, _ = channel_of(movie, forgets=("moviename", "theater"))
+    place = movie.slots.index("moviename")
+    for state in played(movie, channel, turns=2):
+        assert not (state["meant_informs"] != state["user_informs"])[..., :place].any()
+        assert not state["user_informs"][..., place].any()
+        assert not state["heard_requests"][~state["done"]][:, movie.slots.index("theater")].any()
+    assert state["constraints"][..., place].any()
+    assert state["pending"][..., movie.slots.index("theater")].any()
+
+
+def test_a_request_that_is_heard_once_is_kept_until_it_is_answered(movie):
+    channel, letters = channel_of(movie)
+    env = DialogueEnv(movie, batch_size=(PLACES,), channel=channel, seed=1)
+    state = env.reset()
+    asked = env.dialogues["pending"].clone()
+    letters.forgets = movie.slots  # from here on nothing is understood
+    for action in ("greeting", "inform(theater)"):
+        state["action"] = torch.full((PLACES,), movie.action_index(action))
+        state = env.step(state)["next"]
+        heard = env.dialogues["heard_requests"]
+        if action == "greeting":
+            assert torch.equal(heard, asked)
+    theater = movie.slots.index("theater")
+    assert asked[:, theater].any()
+    assert not heard[:, theater].any()
+    others = torch.arange(len(movie.slots)) != theater
+    assert torch.equal(heard[:, others], asked[:, others])
+
+
+def test_another_spelling_of_a_value_is_the_value_that_was_said(movie):
+    channel, letters = channel_of(movie)
+    texts = channel.coding
+    slot = movie.slots.index("starttime")
+    spaced = [text for text in tensorize(movie).vocabulary[slot] if " " in text]
+    pairs = [(t, t.replace(" ", "")) for t in spaced]
+    said, other = next((a, b) for a, b in pairs if texts.ids({"starttime": b})[slot])
+    letters.__class__ = type(
+        "Spells", (Letters,), {"__call__": lambda *_: SimpleNamespace(frame=other_frame)}
+    )
+    other_frame = Frame("inform", {"starttime": other})
+    heard = channel._hear(Frame("inform", {"starttime": said}), None, 0)
+    assert heard[1 + slot] == texts.ids({"starttime": said})[slot]
+    assert heard[1 + slot] != texts.ids({"starttime": other})[slot]
+
+
+def test_a_slot_that_is_not_active_is_not_heard(movie):
+    channel, _ = channel_of(movie)
+    env = DialogueEnv(movie, batch_size=(PLACES,), channel=channel, seed=1)
+    env._active[:] = False
+    env.reset()
+    assert not env.dialogues["user_informs"].any()
+    assert not env.dialogues["heard_requests"].any()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "sentence"),
+    [
+        (["env.level=text"], r"env\.level must be act in training.*env\.errors=measured"),
+        (["env.errors=measured", "env.slot_error_prob=.1"], r"env\.slot_error_prob must be null"),
+        (["env.errors=measured", "env.intent_error_prob=.1"], r"env\.intent_error_prob must be 0"),
+        (["env.errors=measured", "env.slot_error_mode=slot"], r"env\.slot_error_mode must be val"),
+        (["env.errors=counted"], r"env\.errors must be one of drawn, measured, got 'counted'"),
+    ],
+)
+def test_training_refuses_sentences_and_errors_of_two_kinds(overrides, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        compose(overrides)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "sentence"),
+    [
+        (["env.level=text", "env.errors=measured"], r"env\.errors must be drawn"),
+        (["env.level=text", "env.compile_turns=true"], r"env\.compile_turns must be false"),
+        (["env.level=text", "env.slot_error_prob=.1"], r"env\.slot_error_prob must be null"),
+    ],
+)
+def test_an_evaluation_refuses_errors_that_sentences_do_not_have(movie, overrides, sentence):
+    config = compose(["policy=rule", *overrides], EvaluateConfig)
+    with pytest.raises(ConfigError, match=sentence):
+        config.env.make(movie, (1, 2))
+
+
+def counted(domain, monkeypatch, **settings):
+    channel, _ = channel_of(domain, **settings)
+    monkeypatch.setattr(measured, "text_channel", lambda _: channel)
+    monkeypatch.setattr(measured, "_BATCH", 60)
+    text = measured.errors_text(measured.count_errors(domain, 500))
+    return json.loads(text), text
+
+
+def test_errors_are_counted_and_drawn_again(movie, monkeypatch):
+    counts, text = counted(movie, monkeypatch, forgets=("date",))
+    assert counts["turns"] >= 500
+    assert max(map(len, text.splitlines())) < 3_000
+    values = counts["values"]["asked"]
+    assert all(set(heard) == {""} for heard in values["date"].values())
+    assert all(set(heard) == {f"city={said}"} for said, heard in values["city"].items())
+    env = DialogueEnv(
+        movie, batch_size=(200,), channel=MeasuredErrors(tensorize(movie), counts), seed=0
+    )
+    env.rollout(8, break_when_any_done=False)
+    env.reset()
+    state = env.dialogues
+    date, said = movie.slots.index("date"), state["meant_informs"]
+    assert said[:, date].any()
+    assert not state["user_informs"][:, date].any()
+    others = torch.arange(len(movie.slots)) != date
+    assert torch.equal(state["user_informs"][:, others], said[:, others])
+
+
+def test_who_is_always_understood_is_counted_so(restaurant, monkeypatch):
+    counts, _ = counted(restaurant, monkeypatch)
+    channel = MeasuredErrors(tensorize(restaurant), counts)
+    for state in played(restaurant, channel):
+        assert torch.equal(state["user_informs"], state["meant_informs"])
+        is_going = ~state["done"]
+        assert torch.equal(state["heard_requests"][is_going], state["pending"][is_going])
+        assert torch.equal(state["heard_act"], state["user_act"])
+
+
+def test_a_domain_without_counts_is_told_how_to_make_them(restaurant, movie, tmp_path):
+    with pytest.raises(ValueError, match=r"language count --domain"):
+        measured.load_errors(restaurant)
+    (tmp_path / measured.ERRORS_FILE).write_text('{"values": {"opening": 3}}', encoding="utf-8")
+    moved = type(movie)(**{**vars_of(movie), "folder": tmp_path})
+    with pytest.raises(ValueError, match=re.escape(str(tmp_path))):
+        measured.load_errors(moved)
+
+
+def vars_of(domain):
+    return {name: getattr(domain, name) for name in domain.__dataclass_fields__}
