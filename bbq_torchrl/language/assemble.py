@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains import NO_MATCH, RESERVED_TEXT
 from bbq_torchrl.language.frames import ANY, Frame, Unclear
-from bbq_torchrl.language.quantities import MONTH_WORDS
+from bbq_torchrl.language.quantities import (
+    DAY_WORDS,
+    MONTH_WORDS,
+    NUMBER_WORDS,
+    ORDINAL_WORDS,
+    PART_WORDS,
+)
 from bbq_torchrl.language.tagger import spans_of
 from bbq_torchrl.language.words import compact
 
@@ -37,6 +43,7 @@ _CORRECTS = frozenset(
         "wrong",
     ]
 )
+_CONCLUDES = frozenset(("so", "let's", "lets", "makes", "otherwise", "prefer", "better", "please"))
 _NOT = frozenset(("not", "isn't", "isnt", "except", "but"))
 _ORDER = {
     "first": 0,
@@ -56,6 +63,7 @@ _ORDER = {
     "one": 0,
     "two": 1,
 }
+_QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
 _NO_MATCH = RESERVED_TEXT[NO_MATCH]
 _SHORT = 4
 _SURE = 0.95
@@ -192,13 +200,20 @@ def _values(
 ) -> tuple[dict[str, str], tuple[Unclear, ...], float]:
     """Returns slot to value, what is unclear, and the score of the worst link."""
     found: dict[str, list[tuple[str, tuple[str, ...], float, bool]]] = {}
+    first: dict[str, int] = {}
+    concluded: set[str] = set()
     for slot, start, end in spans_of(reading.tags):
         text = " ".join(words[start:end])
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
         parts = [(text, link)] if link.values else _within(slot, words[start:end], lexicon)
+        if not link.values and lexicon.kinds[slot] != "text" and not _is_quantity(words[start:end]):
+            continue  # No number, day or clock in it: a word that only stood where one could.
         before = set(words[max(0, start - 2) : start])
+        if slot in first and not _CONCLUDES.isdisjoint(words[first[slot] : start]):
+            concluded.add(slot)
+        first.setdefault(slot, end)
         found.setdefault(slot, []).extend(
             (part, link.values, link.score, bool(before & _NOT)) for part, link in parts
         )
@@ -207,10 +222,12 @@ def _values(
     unclear: list[Unclear] = []
     worst = 1.0
     for slot, links in found.items():
-        if len(links) > 1 and corrects:
-            links = [link for link in links if not link[3]] or links
-            links = links[-1:]
         known = [link for link in links if link[1]]
+        if len(known) > 1 and (corrects or slot in concluded):
+            known = ([link for link in known if not link[3]] or known)[-1:]
+        if any(link[2] == 1.0 and len(link[1]) == 1 for link in known):
+            # Beside a name in full, words that are no more than like one are none.
+            known = [link for link in known if link[2] > _FAIR]
         if not known:
             unclear.append(Unclear(slot, links[-1][0]))
             worst = min(worst, links[-1][2])
@@ -224,6 +241,11 @@ def _values(
         else:
             unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
     return informs, tuple(unclear), worst
+
+
+def _is_quantity(words: Sequence[str]) -> bool:
+    """Returns whether words have a number, a day, a month or a part of the day."""
+    return any(any(map(str.isdigit, word)) or word in _QUANTITY_WORDS for word in words)
 
 
 def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str, Link]]:
