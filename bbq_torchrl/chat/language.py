@@ -18,7 +18,9 @@ from bbq_torchrl.language import (
     load_phrases,
     read_lines,
 )
+from bbq_torchrl.language.labeled import HEARD_FILE
 from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.phrases import LANGUAGE_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,7 +100,7 @@ def language_key(domain: Domain, folder: Path | None, labeled: Path | None = Non
     """
     digest = hashlib.sha256(f"{__version__} {domain!r}".encode())
     sources = sorted(Path(language.__file__).parent.glob("*.*"))
-    own = [] if folder is None else [folder / "language.yaml"]
+    own = [] if folder is None else [folder / LANGUAGE_FILE, folder / HEARD_FILE]
     for path in (*sources, *own, *([labeled] if labeled is not None else [])):
         if path.is_file():
             digest.update(path.read_bytes())

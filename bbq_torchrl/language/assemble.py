@@ -113,8 +113,8 @@ def assemble(
     question: Frame | None,
     domain: Domain,
     lexicon: Lexicon,
-) -> tuple[Frame, tuple[Unclear, ...], float]:
-    """Returns the frame of a reading, what is unclear, and how well its worst value fits.
+) -> tuple[Frame, tuple[Unclear, ...]]:
+    """Returns the frame of a reading, and what is unclear.
 
     Args:
         words: of the sentence.
@@ -125,16 +125,16 @@ def assemble(
     """
     if question is not None and question.requests and _NO_MATCH in " ".join(words):
         # Simulated users pass on that the agent has found nothing.
-        return Frame("inform", {question.requests[0]: _NO_MATCH}), (), 1.0
+        return Frame("inform", {question.requests[0]: _NO_MATCH}), ()
     offered = chosen(words, question, lexicon)
     if offered is not None and question is not None:
-        return Frame("inform", {question.requests[0]: offered}), (), 1.0
-    informs, unclear, fit = _values(words, reading, lexicon)
+        return Frame("inform", {question.requests[0]: offered}), ()
+    informs, unclear = _values(words, reading, lexicon)
     if (short := _short_answer(words, question, lexicon)) is not None:
-        return Frame("inform", short), (), 1.0
+        return Frame("inform", short), ()
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
-        return Frame("inform", dict(checked)), (), fit
+        return Frame("inform", dict(checked)), ()
     is_open = [slot for slot in domain.slots if slot not in informs]
     chances = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
     informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
@@ -171,7 +171,7 @@ def assemble(
         act = "request"
     if act == "thanks" and told:
         act = "request" if requests else "inform"
-    return Frame(act, informs, tuple(requests)), unclear, fit
+    return Frame(act, informs, tuple(requests)), unclear
 
 
 def _short_answer(
@@ -197,8 +197,8 @@ def _is_offer(question: Frame | None, domain: Domain) -> bool:
 
 def _values(
     words: Sequence[str], reading: Reading, lexicon: Lexicon
-) -> tuple[dict[str, str], tuple[Unclear, ...], float]:
-    """Returns slot to value, what is unclear, and the score of the worst link."""
+) -> tuple[dict[str, str], tuple[Unclear, ...]]:
+    """Returns slot to value, and what is unclear."""
     found: dict[str, list[tuple[str, tuple[str, ...], float, bool]]] = {}
     first: dict[str, int] = {}
     concluded: set[str] = set()
@@ -220,7 +220,6 @@ def _values(
     corrects = bool(_CORRECTS & set(words))
     informs: dict[str, str] = {}
     unclear: list[Unclear] = []
-    worst = 1.0
     for slot, links in found.items():
         known = [link for link in links if link[1]]
         if len(known) > 1 and (corrects or slot in concluded):
@@ -230,17 +229,15 @@ def _values(
             known = [link for link in known if link[2] > _FAIR]
         if not known:
             unclear.append(Unclear(slot, links[-1][0]))
-            worst = min(worst, links[-1][2])
             continue
         keys = {lexicon.key(slot, value): value for link in known for value in link[1]}
-        worst = min(worst, min(link[2] for link in known))
         if len(keys) > 1:
             keys = _narrowed(slot, keys, known, lexicon)
         if len(keys) == 1:
             informs[slot] = known[-1][1][0] if len(known[-1][1]) == 1 else next(iter(keys.values()))
         else:
             unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
-    return informs, tuple(unclear), worst
+    return informs, tuple(unclear)
 
 
 def _is_quantity(words: Sequence[str]) -> bool:
