@@ -96,7 +96,8 @@ class Composer:
             clear = self._phrases.slots[slot].phrases["clear"]
             parts.append(self._fill(clear, turn, slot, {slot: values[slot]}))
         said = _join(parts, rng, [". "] if is_clear else _MARKS)
-        return said if is_clear or turn.is_terse else self._with_asides(said, rng)
+        # Simulated users, whose owners are given, make no remarks.
+        return said if self._owners or turn.is_terse else self._with_asides(said, rng)
 
     def _with_asides(self, said: list[Piece], rng: random.Random) -> list[Piece]:
         """Returns a sentence with remarks that mean nothing, at times, around it."""
