@@ -132,6 +132,8 @@ def assemble(
     informs, unclear = _values(words, reading, lexicon)
     if (short := _short_answer(words, question, lexicon)) is not None:
         return Frame("inform", short), ()
+    if not (informs or unclear):
+        unclear = _ties(words, question, lexicon)
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
         return Frame("inform", dict(checked)), ()
@@ -189,6 +191,19 @@ def _short_answer(
     # "The closest" is no theater, and what it is can be told without the question.
     other = lexicon.only_slot(" ".join(words))
     return None if other is None else {other: lexicon.link(other, " ".join(words)).values[0]}
+
+
+def _ties(
+    words: Sequence[str], question: Frame | None, lexicon: Lexicon
+) -> tuple[Unclear, ...]:
+    """Returns the values of the slot asked for that a short answer may mean equally well."""
+    if question is None or not question.requests or len(words) > _SHORT:
+        return ()
+    slot, text = question.requests[0], " ".join(words)
+    link = lexicon.link(slot, text) if slot in lexicon.slots else None
+    if link is None or len(link.values) < 2 or link.score < _FAIR:
+        return ()
+    return (Unclear(slot, text, link.values),)
 
 
 def _is_offer(question: Frame | None, domain: Domain) -> bool:
