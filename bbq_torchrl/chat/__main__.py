@@ -85,7 +85,7 @@ def _chat(given: argparse.Namespace) -> None:
         file=given.understander,
         labeled=given.labeled,
         endpoint=endpoint if given.nlu == "endpoint" else None,
-        tell=lambda text: screen.print(text),  # type: ignore[attr-defined]
+        tell=screen.print,
     )
     mouth = make_mouth(agent.domain, agent.folder, endpoint if given.nlg == "endpoint" else None)
     phrases = load_phrases(agent.domain, agent.folder)
