@@ -25,7 +25,7 @@ __all__ = ["AgentTalker", "make_talker"]
 
 
 class AgentTalker:
-    """The agents of a study, each of a run folder or a shipped one: text in, text out, with frames and beliefs.
+    """The agents of a study, of run folders or shipped: text in, text out, frames and beliefs.
 
     Args:
         study: whose agents; a run folder is looked for from the study file's folder on.

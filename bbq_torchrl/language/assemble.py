@@ -193,9 +193,7 @@ def _short_answer(
     return None if other is None else {other: lexicon.link(other, " ".join(words)).values[0]}
 
 
-def _ties(
-    words: Sequence[str], question: Frame | None, lexicon: Lexicon
-) -> tuple[Unclear, ...]:
+def _ties(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> tuple[Unclear, ...]:
     """Returns the values of the slot asked for that a short answer may mean equally well."""
     if question is None or not question.requests or len(words) > _SHORT:
         return ()

@@ -92,8 +92,8 @@ RELATION_WORDS = frozenset(
 _ALONE = {"alone", "myself", "single", "solo"}
 _COMPANIONS = frozenset(
     (
-        "wife husband girlfriend boyfriend partner friend brother sister mother father mom mum dad son "
-        "daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
+        "wife husband girlfriend boyfriend partner friend brother sister mother father mom dad son "
+        "mum daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
         "grandmother neighbor"
     ).split()
 )
