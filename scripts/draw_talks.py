@@ -39,11 +39,12 @@ goals: [1]
 """
 SAID = (
     "Hi, two tickets for Top Gun: Maverick please",
-    "at 6:40 pm, which day is it on?",
+    "6:40 pm",
+    "my zip code is 98101",
     "century seattle southgate 16",
-    "98101",
+    "what day is it on?",
 )
-WIDTH, HEIGHT = 720, 1000
+WIDTH, WIDE, HEIGHT = 720, 1000, 1350  # tables of the researcher are wide
 COLORS = 48
 
 
@@ -88,7 +89,8 @@ def draw_study(file: Path) -> None:
             _shoot(page, "conversation")
             page.get_by_role("button", name="End this conversation").click()
             page.get_by_label("no", exact=True).check()
-            _shoot(page, "rating")
+            _shoot(page, "rating", form=True)
+            page.set_viewport_size({"width": WIDE, "height": HEIGHT})
             page.goto(researcher)
             page.locator(f"a[href*='{researcher.rsplit('/', 1)[1]}/']").first.click()
             page.wait_for_load_state()
@@ -112,14 +114,17 @@ def _open(page: Page, link: str) -> None:
             return
 
 
-def _shoot(page: Page, name: str) -> None:
-    """Writes a small picture of what is on the page, down to the viewport's height."""
+def _shoot(page: Page, name: str, form: bool = False) -> None:
+    """Writes a small picture of a page, or of its form alone."""
     from PIL import Image
 
-    height = page.evaluate("document.documentElement.scrollHeight")
-    page.evaluate("window.scrollTo(0, 0)")
-    clip = {"x": 0, "y": 0, "width": WIDTH, "height": min(height, HEIGHT)}
-    shot = page.screenshot(clip=clip, animations="disabled", caret="hide")
+    if form:
+        shot = page.locator("form").first.screenshot(animations="disabled")
+    else:
+        size = page.viewport_size or {"width": WIDTH}
+        height = page.evaluate("document.documentElement.scrollHeight")
+        clip = {"x": 0, "y": 0, "width": size["width"], "height": min(height, HEIGHT)}
+        shot = page.screenshot(full_page=True, clip=clip, animations="disabled", caret="hide")
     image = Image.open(io.BytesIO(shot)).convert("RGB").quantize(COLORS)
     image.save(FIGURES / f"study_{name}.png", optimize=True)
 
@@ -138,7 +143,7 @@ def draw_chat(file: Path) -> None:
     torch.set_num_threads(1)
     agent = TrainedAgent(AGENT)
     screen = Console(record=True, file=io.StringIO(), width=84, force_terminal=True)
-    lines = iter([SAID[0], "/acts", "/why", *SAID[1:3]])
+    lines = iter([SAID[0], "/acts", "/why", *SAID[1:], "yes please"])
 
     def read() -> str | None:
         line = next(lines, None)
@@ -152,7 +157,9 @@ def draw_chat(file: Path) -> None:
         agent, make_ears(agent.domain, agent.folder), make_mouth(agent.domain, agent.folder)
     )
     Chat(partner, choose_goal(agent.domain, 1, 0), screen, names=names).run(read)
-    screen.save_svg(str(file), title=f"bbq chat {AGENT} --goal 1")
+    drawn = screen.export_svg(title=f"bbq chat {AGENT} --goal 1")
+    # Any font of the reader's will do, and none is loaded from another host.
+    file.write_text(re.sub(r"@font-face \{.*?\}\s*", "", drawn, flags=re.S), encoding="utf-8")
 
 
 if __name__ == "__main__":
