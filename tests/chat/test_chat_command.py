@@ -103,9 +103,9 @@ def understander(movie, tmp_path_factory):
 
 
 def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypatch, capsys):
-    # Who has learned little asks twice, then the agent acts on it.
-    sentences = ["two tickets for barbie in seattle please"] * 3
-    lines = [*UNREADABLE, *sentences, "/acts", "/why", *HOSTILE]
+    # Who has learned little asks again at times, but not for ever.
+    told = ["two tickets for barbie in seattle please", "/acts", "/why"] * 3
+    lines = [*UNREADABLE, *told, *HOSTILE]
     raw = "\n".join(lines).encode("utf-8", "surrogatepass")
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(raw), encoding="utf-8"))
     command = [str(runs / "bbqn"), "--plain", "--goal", "1", "--understander", str(understander)]
