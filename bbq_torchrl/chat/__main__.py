@@ -38,7 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
         prog="bbq chat", description="Talk with a trained agent. See docs/chat.md."
     )
-    parser.add_argument("run", type=Path, help="a run folder")
+    parser.add_argument("run", help="a run folder, or shipped:<name>")
     about = parser.add_mutually_exclusive_group()
     about.add_argument("--goal", type=int, help="number of a goal, from 1; drawn unless given")
     about.add_argument("--free", action="store_true", help="talk without a goal")
@@ -85,7 +85,7 @@ def _chat(given: argparse.Namespace) -> None:
         file=given.understander,
         labeled=given.labeled,
         endpoint=endpoint if given.nlu == "endpoint" else None,
-        tell=lambda text: screen.print(text),  # type: ignore[attr-defined]
+        tell=screen.print,
     )
     mouth = make_mouth(agent.domain, agent.folder, endpoint if given.nlg == "endpoint" else None)
     phrases = load_phrases(agent.domain, agent.folder)

@@ -74,7 +74,7 @@ class TrainedAgent:
     Its methods may be called from several threads, and draw from generators of their own seeds.
 
     Args:
-        folder: the run folder.
+        folder: the run folder, or ``shipped:<name>``.
         replica: which of the run's replicas talks.
         mode: the policy of a Bayesian agent, as in :func:`~bbq_torchrl.load_run`.
         weights: the newest, or those of the best evaluation while training.

@@ -15,6 +15,7 @@ from bbq_torchrl.chat.partner import Partner
 from bbq_torchrl.chat.terminal import as_act
 from bbq_torchrl.language import load_phrases
 from bbq_torchrl.language.kept import language_key
+from bbq_torchrl.shipped import run_folder
 from bbq_torchrl.study import Reply, StudyError
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ __all__ = ["AgentTalker", "make_talker"]
 
 
 class AgentTalker:
-    """The agents of a study, each of a run folder: text in, text out, with frames and beliefs.
+    """The agents of a study, of run folders or shipped: text in, text out, frames and beliefs.
 
     Args:
         study: whose agents; a run folder is looked for from the study file's folder on.
@@ -48,15 +49,14 @@ class AgentTalker:
         self._partners: dict[str, Partner] = {}
         faults = []
         for name, source in study.terms.agents.items():
-            folder = study.path.parent / Path(source).expanduser()
             try:
-                agent = TrainedAgent(folder)
+                agent = TrainedAgent(run_folder(source, study.path.parent))
             except (ValueError, OSError) as error:
                 faults.append(f"the agent {name} cannot be loaded: {error}")
                 continue
             if agent.domain != study.domain:
                 faults.append(
-                    f"the agent {name} of {folder} is of the domain {agent.domain.name}, which is "
+                    f"the agent {name} of {source} is of the domain {agent.domain.name}, which is "
                     f"not the study's, {study.domain.name}"
                 )
             self._partners[name] = Partner(agent, ears, mouth)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.chat.goals import REASONS, goal_lines
 from bbq_torchrl.language.extra import needed
@@ -56,7 +56,7 @@ class Chat:
         self,
         partner: Partner,
         goal: Goal | None,
-        screen: object,
+        screen: Any,
         *,
         names: Mapping[str, str],
         seed: int = 0,
@@ -88,6 +88,8 @@ class Chat:
                 continue
             ended = self._talk(text)
         success = self._outcome(ended)
+        if ended:
+            self._say("/acts and /why still tell of the last turn; /quit leaves.")
         while ended and (text := read()) is not None:
             name = text.strip()
             if not name.startswith("/") or name == "/quit":
@@ -100,7 +102,7 @@ class Chat:
         seed = (self._seed * 1_000_003 + len(self._turns)) % (1 << 31)
         answer = self._partner.reply(memory, text, seed)
         self._turns.append(_Turn(memory, answer, seed))
-        self._say(f"agent: {answer.text}")
+        self._say(f"agent: {answer.text}", style="bold")
         return answer.ended
 
     def _command(self, name: str) -> None:
@@ -191,18 +193,31 @@ class Chat:
             self._say(f"Failure: {'; '.join(REASONS[reason] for reason in verdict.reasons)}.")
         return verdict.success
 
-    def _say(self, text: str) -> None:
-        self._screen.print(  # type: ignore[attr-defined]
-            text, markup=False, highlight=False, emoji=False, soft_wrap=True
+    def _say(self, text: str, style: str | None = None) -> None:
+        # Lines are wrapped between words for people, and left whole for programs.
+        self._screen.print(
+            text,
+            style=style,
+            markup=False,
+            highlight=False,
+            emoji=False,
+            soft_wrap=not self._screen.is_terminal,
         )
 
     def _table(self, names: Sequence[str], rows: Sequence[tuple[str, ...]]) -> None:
+        widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
+        if sum(widths) + 3 * len(widths) + 1 > self._screen.width:
+            for row in rows:
+                self._say(row[0])
+                for name, cell in zip(names[1:], row[1:], strict=True):
+                    self._say(f"  {name}: {cell}")
+            return
         table = needed("rich", "rich.table", "chat").Table()
         for number, name in enumerate(names):
             table.add_column(name, justify="right" if number else "left")
         for row in rows:
             table.add_row(*row)
-        self._screen.print(table)  # type: ignore[attr-defined]
+        self._screen.print(table)
 
 
 def as_act(frame: Frame, confidence: float | None = None) -> Act:
@@ -210,7 +225,7 @@ def as_act(frame: Frame, confidence: float | None = None) -> Act:
     return Act(frame.act, dict(frame.informs), frame.requests, confidence)
 
 
-def console() -> object:
+def console() -> Any:
     """Returns a console of rich on standard output."""
     return needed("rich", "rich.console", "chat").Console()
 
@@ -219,8 +234,12 @@ def prompt() -> Callable[[], str | None]:
     """Returns what reads lines at a terminal, with history and completion of the commands."""
     toolkit = needed("prompt_toolkit", "prompt_toolkit", "chat")
     completion = needed("prompt_toolkit", "prompt_toolkit.completion", "chat")
+    shortcuts = needed("prompt_toolkit", "prompt_toolkit.shortcuts", "chat")
     session = toolkit.PromptSession(
-        completer=completion.WordCompleter(list(COMMANDS), sentence=True)
+        completer=completion.WordCompleter(list(COMMANDS), sentence=True),
+        # Tab completes as in a shell: a menu would keep empty lines below each prompt.
+        complete_style=shortcuts.CompleteStyle.READLINE_LIKE,
+        complete_while_typing=False,
     )
 
     def read() -> str | None:

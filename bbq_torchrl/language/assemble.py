@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains import NO_MATCH, RESERVED_TEXT
 from bbq_torchrl.language.frames import ANY, Frame, Unclear
-from bbq_torchrl.language.quantities import MONTH_WORDS
+from bbq_torchrl.language.quantities import (
+    DAY_WORDS,
+    MONTH_WORDS,
+    NUMBER_WORDS,
+    ORDINAL_WORDS,
+    PART_WORDS,
+)
 from bbq_torchrl.language.tagger import spans_of
 from bbq_torchrl.language.words import compact
 
@@ -37,6 +43,7 @@ _CORRECTS = frozenset(
         "wrong",
     ]
 )
+_CONCLUDES = frozenset(("so", "let's", "lets", "makes", "otherwise", "prefer", "better", "please"))
 _NOT = frozenset(("not", "isn't", "isnt", "except", "but"))
 _ORDER = {
     "first": 0,
@@ -56,6 +63,7 @@ _ORDER = {
     "one": 0,
     "two": 1,
 }
+_QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
 _NO_MATCH = RESERVED_TEXT[NO_MATCH]
 _SHORT = 4
 _SURE = 0.95
@@ -105,8 +113,8 @@ def assemble(
     question: Frame | None,
     domain: Domain,
     lexicon: Lexicon,
-) -> tuple[Frame, tuple[Unclear, ...], float]:
-    """Returns the frame of a reading, what is unclear, and how well its worst value fits.
+) -> tuple[Frame, tuple[Unclear, ...]]:
+    """Returns the frame of a reading, and what is unclear.
 
     Args:
         words: of the sentence.
@@ -117,16 +125,18 @@ def assemble(
     """
     if question is not None and question.requests and _NO_MATCH in " ".join(words):
         # Simulated users pass on that the agent has found nothing.
-        return Frame("inform", {question.requests[0]: _NO_MATCH}), (), 1.0
+        return Frame("inform", {question.requests[0]: _NO_MATCH}), ()
     offered = chosen(words, question, lexicon)
     if offered is not None and question is not None:
-        return Frame("inform", {question.requests[0]: offered}), (), 1.0
-    informs, unclear, fit = _values(words, reading, lexicon)
+        return Frame("inform", {question.requests[0]: offered}), ()
+    informs, unclear = _values(words, reading, lexicon)
     if (short := _short_answer(words, question, lexicon)) is not None:
-        return Frame("inform", short), (), 1.0
+        return Frame("inform", short), ()
+    if not (informs or unclear):
+        unclear = _ties(words, question, lexicon)
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
-        return Frame("inform", dict(checked)), (), fit
+        return Frame("inform", dict(checked)), ()
     is_open = [slot for slot in domain.slots if slot not in informs]
     chances = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
     informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
@@ -163,7 +173,7 @@ def assemble(
         act = "request"
     if act == "thanks" and told:
         act = "request" if requests else "inform"
-    return Frame(act, informs, tuple(requests)), unclear, fit
+    return Frame(act, informs, tuple(requests)), unclear
 
 
 def _short_answer(
@@ -183,47 +193,69 @@ def _short_answer(
     return None if other is None else {other: lexicon.link(other, " ".join(words)).values[0]}
 
 
+def _ties(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> tuple[Unclear, ...]:
+    """Returns the values of the slot asked for that a short answer may mean equally well."""
+    if question is None or not question.requests or len(words) > _SHORT:
+        return ()
+    slot, text = question.requests[0], " ".join(words)
+    link = lexicon.link(slot, text) if slot in lexicon.slots else None
+    if link is None or len(link.values) < 2 or link.score < _FAIR:
+        return ()
+    return (Unclear(slot, text, link.values),)
+
+
 def _is_offer(question: Frame | None, domain: Domain) -> bool:
     return question is not None and domain.complete_slot in question.informs
 
 
 def _values(
     words: Sequence[str], reading: Reading, lexicon: Lexicon
-) -> tuple[dict[str, str], tuple[Unclear, ...], float]:
-    """Returns slot to value, what is unclear, and the score of the worst link."""
+) -> tuple[dict[str, str], tuple[Unclear, ...]]:
+    """Returns slot to value, and what is unclear."""
     found: dict[str, list[tuple[str, tuple[str, ...], float, bool]]] = {}
+    first: dict[str, int] = {}
+    concluded: set[str] = set()
     for slot, start, end in spans_of(reading.tags):
         text = " ".join(words[start:end])
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
         parts = [(text, link)] if link.values else _within(slot, words[start:end], lexicon)
+        if not link.values and lexicon.kinds[slot] != "text" and not _is_quantity(words[start:end]):
+            continue  # No number, day or clock in it: a word that only stood where one could.
         before = set(words[max(0, start - 2) : start])
+        if slot in first and not _CONCLUDES.isdisjoint(words[first[slot] : start]):
+            concluded.add(slot)
+        first.setdefault(slot, end)
         found.setdefault(slot, []).extend(
             (part, link.values, link.score, bool(before & _NOT)) for part, link in parts
         )
     corrects = bool(_CORRECTS & set(words))
     informs: dict[str, str] = {}
     unclear: list[Unclear] = []
-    worst = 1.0
     for slot, links in found.items():
-        if len(links) > 1 and corrects:
-            links = [link for link in links if not link[3]] or links
-            links = links[-1:]
         known = [link for link in links if link[1]]
+        if len(known) > 1 and (corrects or slot in concluded):
+            known = ([link for link in known if not link[3]] or known)[-1:]
+        if any(link[2] == 1.0 and len(link[1]) == 1 for link in known):
+            # Beside a name in full, words that are no more than like one are none.
+            known = [link for link in known if link[2] > _FAIR]
         if not known:
             unclear.append(Unclear(slot, links[-1][0]))
-            worst = min(worst, links[-1][2])
             continue
         keys = {lexicon.key(slot, value): value for link in known for value in link[1]}
-        worst = min(worst, min(link[2] for link in known))
         if len(keys) > 1:
             keys = _narrowed(slot, keys, known, lexicon)
         if len(keys) == 1:
             informs[slot] = known[-1][1][0] if len(known[-1][1]) == 1 else next(iter(keys.values()))
         else:
             unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
-    return informs, tuple(unclear), worst
+    return informs, tuple(unclear)
+
+
+def _is_quantity(words: Sequence[str]) -> bool:
+    """Returns whether words have a number, a day, a month or a part of the day."""
+    return any(any(map(str.isdigit, word)) or word in _QUANTITY_WORDS for word in words)
 
 
 def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str, Link]]:

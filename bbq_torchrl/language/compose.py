@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 __all__ = ["Composer"]
 
 _TRIES = 8
+_ASIDES = 0.2
 _MARKS = (". ", ", ", " ", " and ", ". ", ", ")
+_AFTER_ASIDE = (", ", ". ", " so ", ", so ", " and ", "! ", " but ", ". ")
+_BEFORE_ASIDE = (", ", ". ", "! ", ", ", " because ", " since ", " as ", " and ")
 
 
 @dataclass
@@ -92,7 +95,20 @@ class Composer:
         for slot in sorted(hidden):
             clear = self._phrases.slots[slot].phrases["clear"]
             parts.append(self._fill(clear, turn, slot, {slot: values[slot]}))
-        return _join(parts, rng, [". "] if is_clear else _MARKS)
+        said = _join(parts, rng, [". "] if is_clear else _MARKS)
+        # Simulated users, whose owners are given, make no remarks.
+        return said if self._owners or turn.is_terse else self._with_asides(said, rng)
+
+    def _with_asides(self, said: list[Piece], rng: random.Random) -> list[Piece]:
+        """Returns a sentence with remarks that mean nothing, at times, around it."""
+        if rng.random() < _ASIDES:
+            said = [*self._aside(rng), Piece(rng.choice(_AFTER_ASIDE)), *said]
+        if rng.random() < _ASIDES:
+            said = [*said, Piece(rng.choice(_BEFORE_ASIDE)), *self._aside(rng)]
+        return said
+
+    def _aside(self, rng: random.Random) -> list[Piece]:
+        return expand(rng.choice(self._rules["aside"]), {}, self._rules, rng)
 
     def _parts(self, frame: Frame, turn: _Turn) -> list[list[Piece]]:
         rng, question = turn.rng, turn.question

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.lexicon import Lexicon
 
-__all__ = ["Line", "as_examples", "read_lines"]
+__all__ = ["HEARD_FILE", "Line", "as_examples", "heard_lines", "read_lines"]
+
+HEARD_FILE = "heard.txt"
 
 _LONGEST = 10
 
@@ -70,6 +72,17 @@ def read_lines(path: str | Path, domain: Domain) -> list[Line]:
     if faults:
         raise FaultsError(str(path), faults)
     return lines
+
+
+def heard_lines(domain: Domain, folder: str | Path | None) -> list[Line]:
+    """Returns the labeled lines that a domain's folder has for the confidence, often none.
+
+    Args:
+        domain: whose acts and slots the labels may name.
+        folder: where :data:`HEARD_FILE` is looked for.
+    """
+    path = None if folder is None else Path(folder).expanduser() / HEARD_FILE
+    return read_lines(path, domain) if path is not None and path.is_file() else []
 
 
 def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:

@@ -182,6 +182,7 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
     for question, text, _ in lines:
         understand(text, question)
     seconds = time.process_time() - started
+    later = score(understand, read_lines(data / "second_held_out.txt", understand.domain))
     return {
         "sentences": len(lines),
         "frame": whole.frame,
@@ -195,6 +196,13 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
         "answered": whole.answered,
         "right_of_answered": whole.right_of_answered,
         "calibration_error": whole.calibration_error,
+        "held_out_sentences": len(later.frames),
+        "held_out_frame": later.frame,
+        "held_out_slot_f1": later.slot_f1,
+        "held_out_act": later.act,
+        "held_out_answered": later.answered,
+        "held_out_right_of_answered": later.right_of_answered,
+        "held_out_calibration_error": later.calibration_error,
         "typos_cost_slot_f1": whole.slot_f1 - statistics.fmean(s.slot_f1 for s in typed),
         "lowered_cost_slot_f1": whole.slot_f1 - score(understand, lines, lowered).slot_f1,
         "other_hand_slot_f1": score(

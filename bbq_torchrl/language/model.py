@@ -40,7 +40,6 @@ class Reading:
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
         unknown: the share of the words that no training sentence has.
-        novel: the share of the features of the sentence that none has.
     """
 
     tags: list[str]
@@ -49,7 +48,6 @@ class Reading:
     requests: torch.Tensor
     dont_care: torch.Tensor
     unknown: float
-    novel: float
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,6 @@ class Model:
             _united(_of_slots(requests[0], asked), [_of_slots(row, None) for row in requests[1:]]),
             _of_slots(dont_care[0], asked),
             self.features.share_unknown(words),
-            1 - len(bags[0]) / len(set(named[0])),
         )
 
     def asked(self, question: Frame | None) -> int | None:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Sequence
 
-__all__ = ["as_second_language", "lowered", "slangy", "typo", "with_typos"]
+__all__ = ["DROPPED", "as_second_language", "lowered", "slangy", "typo", "with_typos"]
 
 _KEYS = dict(
     pair.split(":")
@@ -29,7 +29,7 @@ _SLANG = dict(
         "probably:prolly night:nite can't:cant where's:wheres let's:lets i'll:ill"
     ).split()
 )
-_DROPPED = frozenset(
+DROPPED = frozenset(
     [
         "the",
         "a",
@@ -116,7 +116,7 @@ def as_second_language(
     """Returns a sentence that lost small words, with others in their place."""
     kept = []
     for word, tag in zip(words, tags, strict=True):
-        if tag == OUTSIDE and word in _DROPPED and rng.random() < 0.3:
+        if tag == OUTSIDE and word in DROPPED and rng.random() < 0.3:
             continue
         if tag == OUTSIDE and word in _SWAPPED and rng.random() < 0.2:
             word = rng.choice(_SWAPPED[word])

@@ -93,7 +93,7 @@ _ALONE = {"alone", "myself", "single", "solo"}
 _COMPANIONS = frozenset(
     (
         "wife husband girlfriend boyfriend partner friend brother sister mother father mom dad son "
-        "daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
+        "mum daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
         "grandmother neighbor"
     ).split()
 )
@@ -191,8 +191,8 @@ def _clock(words: list[str]) -> tuple[int, int, bool] | None:
             if match[2] in ("past", "after")
             else ((hour - 1) % 12 or 12, 60 - minutes, False)
         )
-    if match := re.fullmatch(r"(half) (\w+)", joined):
-        hour = number_of(match[2])
+    if match := re.fullmatch(r"(?:half (\w+)|(\w+) and (?:a )?half)", joined):
+        hour = number_of(match[1] or match[2])
         return None if hour is None else (hour, 30, False)
     hour = number_of(words[0]) if words else None
     if hour is None or not 1 <= hour <= 23:
@@ -236,6 +236,8 @@ def read_date(text: str) -> str | None:
     part = ""
     if len(words) > 1 and words[-1] in _PART:
         part = " " + _PART[words.pop()]
+    elif len(words) == 2 and words[0] in _PART and words[1].rstrip("s") in _DAY:
+        part = " " + _PART[words.pop(0)]  # "at night of friday"
     if words in (["tonight"], ["tonite"], ["2nite"], ["2night"]):
         return "today night"
     if words == ["this"] and part:
@@ -321,6 +323,9 @@ def read_count(text: str) -> str | None:
         "for me",
         "just for me",
         "only for me",
+        "only i",
+        "just i",
+        "on my own",
         "one",
         "it's just for me",
         "it's just me",

@@ -246,6 +246,11 @@ class Surfaces:
                 "just myself",
                 "single",
                 "me alone",
+                "solo",
+                "only i",
+                "on my own",
+                "by myself",
+                "a single seat",
             ]
         if number == 2:
             options += [
@@ -259,6 +264,9 @@ class Surfaces:
                 f"with my {mate}",
                 f"a {mate} and me",
                 f"me and a {mate}",
+                f"{mate} and me",
+                f"{mate} + me",
+                f"for me and for my {mate}",
             ]
         if number > 2:
             some = rng.choice((str(number - 1), UNITS[number - 1]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,14 +11,17 @@ import numpy as np
 import torch
 
 from bbq_torchrl.language.assemble import assemble
+from bbq_torchrl.language.confidence import cues_of, fit_confidence, probability
 from bbq_torchrl.language.corpus import make_examples
 from bbq_torchrl.language.features import Features
 from bbq_torchrl.language.frames import Understood
 from bbq_torchrl.language.intents import IntentNet
+from bbq_torchrl.language.labeled import heard_lines
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.model import Model, fit
+from bbq_torchrl.language.noise import DROPPED
 from bbq_torchrl.language.phrases import load_phrases
-from bbq_torchrl.language.tagger import Tagger
+from bbq_torchrl.language.tagger import OUTSIDE, Tagger
 from bbq_torchrl.language.words import clean, tokenize
 
 if TYPE_CHECKING:
@@ -28,17 +30,15 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.corpus import Example
     from bbq_torchrl.language.frames import Frame, Unclear
-    from bbq_torchrl.language.model import Reading
     from bbq_torchrl.language.phrases import Phrases
 
 __all__ = ["Understander"]
 
-_VERSION = 2
+_VERSION = 3
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
 _PLAYED = 3  # sentences of simulated users to one of the grammar's own
-_CUES = 9
-_NONE = [0.0] * (_CUES + 1)
+_CUES = 7
 
 
 class Understander:
@@ -48,7 +48,7 @@ class Understander:
         domain: what is spoken of.
         phrases: how.
         model: the learned parts.
-        calibration: weights ``[10]`` from cues to the log-odds that a frame is right.
+        calibration: weights ``[7]`` from cues to the log-odds that a frame is right.
         threshold: the confidence below which the caller should ask again.
 
     Example:
@@ -91,7 +91,8 @@ class Understander:
 
         Args:
             domain: what is spoken of.
-            folder: where the domain's ``language.yaml`` is, if it has one.
+            folder: where the domain's ``language.yaml`` is, if it has one, and ``heard.txt``,
+                labeled lines of people that the confidence is fitted to.
             sentences: how many to learn from; the net learns from three times as many of
                 simulated users.
             seed: chooses them, and the net's first weights.
@@ -103,17 +104,23 @@ class Understander:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            own = make_examples(domain, phrases, lexicon, sentences, seed)
+            said = make_examples(domain, phrases, lexicon, sentences, seed)
             played = make_examples(
                 domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
             )
             model = fit(
-                domain, phrases, lexicon, [*own, *labeled], played, seed=seed, steps=60, epochs=14
+                domain, phrases, lexicon, [*said, *labeled], played, seed=seed, steps=60, epochs=14
             )
             others = make_examples(
                 domain, phrases, lexicon, max(sentences // 5, 200), seed + 1, noise=_CALM
             )
-            calibration = _calibrate(cls(domain, phrases, model, _NONE), others)
+            own = cls(domain, phrases, model, np.zeros(_CUES))
+            grammar = own._judged([(e.words, e.question, e.frame) for e in others])
+            heard = [
+                (tokenize(clean(text)), question, frame)
+                for question, text, frame in heard_lines(domain, folder)
+            ]
+            calibration = fit_confidence(grammar, own._judged(heard) if heard else None)
         finally:
             torch.set_num_threads(threads)
         return cls(domain, phrases, model, calibration, threshold)
@@ -130,37 +137,38 @@ class Understander:
                 is too long.
         """
         words = tokenize(clean(text))[:_MOST_WORDS]
-        reading = self._model.read(words, question)
-        frame, unclear, worst = assemble(words, reading, question, self.domain, self.lexicon)
-        cues = self._cues(words, reading, unclear, worst)
-        return Understood(frame, _sigmoid(float(cues @ self._calibration)), unclear)
+        frame, unclear, cues = self._hear(words, question)
+        return Understood(frame, probability(cues, self._calibration), unclear)
 
     def asks(self, understood: Understood) -> bool:
         """Returns whether the system should ask again rather than act on it."""
         return understood.confidence < self.threshold or bool(understood.unclear)
 
-    def _cues(
-        self, words: Sequence[str], reading: Reading, unclear: Sequence[Unclear], worst: float
-    ) -> np.ndarray:
-        """Returns what tells whether a frame is right, ``[10]``, the last one 1."""
-        acts = reading.acts.max().item()
-        requests = _doubt(reading.requests)
-        cares = _doubt(reading.dont_care)
-        tags = float(np.log(max(reading.tags_chance, 1e-6)))
-        return np.array(
-            [
-                tags,
-                acts,
-                requests,
-                cares,
-                worst - 1.0,
-                reading.unknown,
-                reading.novel,
-                bool(unclear),
-                len(words) / 20,
-                1.0,
-            ]
-        )
+    def _hear(
+        self, words: Sequence[str], question: Frame | None
+    ) -> tuple[Frame, tuple[Unclear, ...], np.ndarray]:
+        """Returns the frame of some words, what is unclear, and the cues of how sure that is."""
+        reading = self._model.read(words, question)
+        frame, unclear = assemble(words, reading, question, self.domain, self.lexicon)
+        tagged = zip(words, reading.tags, strict=True)
+        shorter = [word for word, tag in tagged if tag != OUTSIDE or word not in DROPPED]
+        is_steady = True
+        if shorter and len(shorter) < len(words):
+            again = self._model.read(shorter, question)
+            other, _ = assemble(shorter, again, question, self.domain, self.lexicon)
+            is_steady = same_frame(frame, other, self.lexicon)
+        return frame, unclear, cues_of(reading, unclear, is_steady)
+
+    def _judged(
+        self, sentences: Sequence[tuple[Sequence[str], Frame | None, Frame]]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the cues ``[N, 7]`` of sentences, and whether their frames are right ``[N]``."""
+        rows, right = [], []
+        for words, question, meant in sentences:
+            frame, _, cues = self._hear(words, question)
+            rows.append(cues)
+            right.append(same_frame(frame, meant, self.lexicon))
+        return np.array(rows), np.array(right)
 
     def save(self, path: str | Path) -> None:
         """Writes the learned parts into one file, in numpy's format without pickles."""
@@ -228,41 +236,6 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     if version != _VERSION:
         raise ValueError(f"{path} must be of version {_VERSION}, got {version!r}: train it anew")
     return about, arrays
-
-
-def _doubt(chances: torch.Tensor) -> float:
-    """Returns the log-probability that every decision of a row is right."""
-    return float(torch.maximum(chances, 1 - chances).clamp(min=1e-6).log().sum())
-
-
-def _sigmoid(logit: float) -> float:
-    return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
-
-
-def _calibrate(understander: Understander, examples: Sequence[Example]) -> np.ndarray:
-    """Returns the weights of a logistic regression from cues to whether the frame is right."""
-    rows, right = [], []
-    for example in examples:
-        reading = understander._model.read(example.words, example.question)
-        frame, unclear, worst = assemble(
-            example.words, reading, example.question, understander.domain, understander.lexicon
-        )
-        rows.append(understander._cues(example.words, reading, unclear, worst))
-        right.append(same_frame(frame, example.frame, understander.lexicon))
-    cues = torch.tensor(np.array(rows))
-    target = torch.tensor(right, dtype=torch.float64)
-    weights = torch.zeros(cues.shape[1], dtype=torch.float64, requires_grad=True)
-    optimizer = torch.optim.LBFGS([weights], max_iter=200, line_search_fn="strong_wolfe")
-
-    def loss() -> torch.Tensor:
-        optimizer.zero_grad()
-        value = torch.nn.functional.binary_cross_entropy_with_logits(cues @ weights, target)
-        value = value + 1e-3 * weights[:-1].square().sum()
-        value.backward()
-        return value
-
-    optimizer.step(loss)
-    return weights.detach().numpy()
 
 
 def same_frame(left: Frame, right: Frame, lexicon: Lexicon) -> bool:

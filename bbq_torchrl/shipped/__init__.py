@@ -25,8 +25,12 @@ def shipped_agents() -> list[str]:
     return sorted(file.parent.name for file in SHIPPED.glob("*/config.yaml"))
 
 
-def run_folder(place: Path | str) -> Path:
+def run_folder(place: Path | str, base: Path | None = None) -> Path:
     """Returns the folder that a text names: that of a shipped agent, or a run folder.
+
+    Args:
+        place: ``shipped:<name>`` or a path.
+        base: from where on a relative path leads; the working directory unless given.
 
     Raises:
         ConfigError: there is no shipped agent of that name.
@@ -37,7 +41,7 @@ def run_folder(place: Path | str) -> Path:
     """
     text = str(place)
     if not text.startswith(PREFIX):
-        return Path(place).expanduser()
+        return (base or Path()) / Path(place).expanduser()
     name, known = text.removeprefix(PREFIX), shipped_agents()
     if name not in known:
         raise ConfigError(f"{PREFIX}<name> must name one of {', '.join(known)}, got {shown(text)}")

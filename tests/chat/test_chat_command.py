@@ -103,22 +103,32 @@ def understander(movie, tmp_path_factory):
 
 
 def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypatch, capsys):
-    lines = [*UNREADABLE, "two tickets for barbie in seattle please", "/acts", "/why", *HOSTILE]
+    # Who has learned little asks again at times, but not for ever.
+    told = ["two tickets for barbie in seattle please", "/acts", "/why"] * 3
+    lines = [*UNREADABLE, *told, *HOSTILE]
     raw = "\n".join(lines).encode("utf-8", "surrogatepass")
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(raw), encoding="utf-8"))
     command = [str(runs / "bbqn"), "--plain", "--goal", "1", "--understander", str(understander)]
     assert __main__.main(command) == 0
     shown = capsys.readouterr().out
-    assert "numberofpeople=" in shown
+    assert "moviename=barbie" in shown
     assert "a sentence may have at most 1,000 characters, got 1,000,000" in shown
     assert "Failure: " in shown
     assert "P(best)" in shown
     assert len(shown) < 20_000
 
 
+def test_a_shipped_agent_talks(understander, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", io.StringIO("two for barbie\n" * 3 + "/acts\n/quit\n"))
+    command = ["shipped:bbqn_map", "--plain", "--free", "--understander", str(understander)]
+    assert __main__.main(command) == 0
+    assert "P(best)" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["shipped:nobody"], "shipped:<name> must name one of bbqn_map"),
         (["nowhere"], "nowhere is not a run folder: there is no such folder"),
         (["RUN", "--goal", "0"], "--goal must be between 1 and 200, got 0"),
         (["RUN", "--nlu", "endpoint"], "--nlu endpoint and --nlg endpoint need --url and --model"),

@@ -69,6 +69,20 @@ def test_people_talk_with_trained_agents_and_are_reported(study, tmp_path):
         Store(study.data, study.terms, changed, clock=Clock())
 
 
+def test_a_shipped_agent_talks_in_a_study(runs):
+    file = runs / "tickets.yaml"
+    text = STUDY.replace("runs/vault-bbqn", "shipped:bbqn_map").replace("runs/vault-dqn", "dqn")
+    file.write_text(text, encoding="utf-8")
+    talker = talkers.make_talker(load_study(file))
+    reply = talker.reply("secret-bbqn", None, "inform(moviename=barbie)", 0)
+    assert reply.heard.informs == {"moviename": "barbie"}
+    assert reply.beliefs is not None
+    file.write_text(text.replace("shipped:bbqn_map", "shipped:nobody"), encoding="utf-8")
+    with pytest.raises(StudyError, match="secret-bbqn cannot be loaded: shipped:<name> must name"):
+        talkers.make_talker(load_study(file))
+    file.unlink()
+
+
 def test_agents_that_cannot_talk_are_named_together(study, runs):
     (runs / "dqn").rename(runs / "moved")
     try:

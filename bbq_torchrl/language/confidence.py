@@ -1,0 +1,93 @@
+"""How sure the understanding of a sentence is: the probability that its frame is right."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.language.frames import Unclear
+    from bbq_torchrl.language.model import Reading
+
+__all__ = ["cues_of", "fit_confidence", "probability"]
+
+_PEOPLE = 30.0  # how much of the grammar's weights people's sentences must outweigh
+_GRAMMAR = 1.0
+
+
+def cues_of(reading: Reading, unclear: Sequence[Unclear], is_steady: bool) -> np.ndarray:
+    """Returns what tells whether a frame is right, ``[7]``.
+
+    The log-probability of the tags, the probability of the act, the log-probability of all
+    requests, the share of unknown words, whether something is unclear, whether the frame stays
+    the same without small words, and 1.
+
+    Args:
+        reading: what the learned parts say.
+        unclear: what the frame leaves out.
+        is_steady: whether the sentence without its small words has the same frame.
+    """
+    sure = torch.maximum(reading.requests, 1 - reading.requests).clamp(min=1e-6)
+    return np.array(
+        [
+            math.log(max(reading.tags_chance, 1e-6)),
+            reading.acts.max().item(),
+            float(sure.log().sum()),
+            reading.unknown,
+            bool(unclear),
+            is_steady,
+            1.0,
+        ]
+    )
+
+
+def probability(cues: np.ndarray, weights: np.ndarray) -> float:
+    """Returns the probability that a frame is right, of its cues ``[7]`` and weights ``[7]``."""
+    logit = float(cues @ weights)
+    return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
+
+
+def fit_confidence(
+    grammar: tuple[np.ndarray, np.ndarray], people: tuple[np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
+    """Returns the weights ``[7]`` of a logistic regression from cues to whether a frame is right.
+
+    Sentences of people are few, so they only move the weights that the grammar's sentences give.
+
+    Args:
+        grammar: cues ``[N, 7]`` of sentences of the grammar and whether each was right ``[N]``.
+        people: the same of sentences of people.
+    """
+    scale = np.maximum(grammar[0].std(0), 1e-3)
+    scale[-1] = 1.0
+    weights = _regression(grammar[0] / scale, grammar[1], np.zeros(len(scale)), _GRAMMAR)
+    if people is not None:
+        weights = _regression(people[0] / scale, people[1], weights, _PEOPLE)
+    return weights / scale
+
+
+def _regression(
+    cues: np.ndarray, right: np.ndarray, start: np.ndarray, strength: float
+) -> np.ndarray:
+    """Returns the weights ``[C]`` of greatest posterior, the prior being normal around a start."""
+    rows, target = torch.from_numpy(cues), torch.from_numpy(right.astype(np.float64))
+    prior = torch.from_numpy(start)
+    weights = prior.clone().requires_grad_()
+    optimizer = torch.optim.LBFGS([weights], max_iter=200, line_search_fn="strong_wolfe")
+
+    def loss() -> torch.Tensor:
+        optimizer.zero_grad()
+        value = torch.nn.functional.binary_cross_entropy_with_logits(
+            rows @ weights, target, reduction="sum"
+        )
+        value = value + strength / 2 * (weights - prior).square().sum()
+        value.backward()
+        return value
+
+    optimizer.step(loss)
+    return weights.detach().numpy()
