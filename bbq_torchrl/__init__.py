@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["__version__", "load_run"]
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 if sys.argv[:1] == ["-m"] and f"{__name__}." in " ".join(sys.orig_argv):
     # `python -m` is about to run one of our modules, whose packages take seconds to import: Ctrl-C
