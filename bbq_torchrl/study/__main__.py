@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import output
+from bbq_torchrl import interruption, output
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.text import sentence, shown
@@ -81,7 +81,9 @@ def _serve(given: argparse.Namespace) -> None:
     study = load_study(given.study)
     from bbq_torchrl.study.server import serve
 
-    serve(study, make(study), host=given.host, port=given.port, tell=_say)
+    talker = make(study)
+    interruption.tell(lambda: "while serving", lambda: "the same command goes on with the study")
+    serve(study, talker, host=given.host, port=given.port, tell=_say)
 
 
 def _check_installed() -> None:
