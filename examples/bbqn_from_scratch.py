@@ -82,7 +82,7 @@ class BayesLinear(nn.Module):
         if how == "draw":
             return x @ self.draw()
         # With Gaussian weights the outputs are Gaussian too. To draw those is the same, and far
-        # less than a weight matrix for each row (local reparameterisation, Kingma et al. 2015).
+        # less than a weight matrix for each row (local reparameterization, Kingma et al. 2015).
         std = (x**2 @ self.sigma**2).sqrt()
         return x @ self.mu + std * torch.randn_like(std)
 

@@ -96,7 +96,7 @@ class BayesMLP(BayesLayer):
         return mlp(x, weights, self.layout)
 
     def run_local(self, x: Tensor) -> Tensor:
-        """Returns the outputs by local reparameterisation, shape [*replicas, *batch, out]."""
+        """Returns the outputs by local reparameterization, shape [*replicas, *batch, out]."""
         return mlp_local(x, self.posterior.mu, self.posterior.sigma, self.layout)
 
     def extra_repr(self) -> str:

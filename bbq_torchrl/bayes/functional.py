@@ -210,7 +210,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
 
 
 def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tensor:
-    """Returns the outputs [*replicas, *rows, out] by local reparameterisation.
+    """Returns the outputs [*replicas, *rows, out] by local reparameterization.
 
     Each row sees Gaussian pre-activations with the mean and variance that independent Gaussian
     weights give it (Kingma, Salimans, Welling 2015): exactly a weight draw of its own for each

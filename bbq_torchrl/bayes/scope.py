@@ -154,7 +154,7 @@ class weight_scope:
     """Says which weights the layers inside of it use. What is not given is as outside of it.
 
     - ``"draw"``: one draw of all weights for the call, shared by its rows (dropout: a mask).
-    - ``"local"``: a draw of its own for each row, by local reparameterisation where that is exact
+    - ``"local"``: a draw of its own for each row, by local reparameterization where that is exact
       (Kingma, Salimans, Welling 2015).
     - ``"mean"``: the posterior mean (dropout: off).
 

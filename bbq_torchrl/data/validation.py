@@ -22,7 +22,7 @@ def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> 
 
     Every floating entry must be finite. Where the rows have an ``action_mask``, the action (an
     index, or one-hot) must be allowed by it; where they have ``("next", "action_mask")``, every row
-    that is not terminated must have some legal next action. One synchronisation with the device
+    that is not terminated must have some legal next action. One synchronization with the device
     for all checks together.
 
     Args:

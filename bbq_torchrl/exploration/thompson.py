@@ -44,7 +44,7 @@ class ThompsonSampling(TensorDictModuleBase):
 
     Independent draws for each row cost a batch of noise for every weight if they are to stay
     (B·P numbers, P ≈ 145,000 for 268-256-256-39). Per step they come from local
-    reparameterisation, which is exact for one input per draw, at a hundredth of that. A held
+    reparameterization, which is exact for one input per draw, at a hundredth of that. A held
     draw is redrawn when the batch shape changes: other rows are other episodes.
 
     Raises:

@@ -188,7 +188,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         return self.target == "map" and super().has_fixed_targets
 
     def begin_epoch(self) -> None:
-        """Has what is held made anew, where ``hold`` is set."""
+        """Discards what is held, where ``hold`` is set: the next batch computes it afresh."""
         self._forget()
 
     def _forget(self) -> None:

@@ -90,7 +90,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         """Returns the losses of a batch of transitions.
 
         Also writes the squared TD error [*replicas, *batch, 1], the mean over the heads that learn
-        from the row, into the input under the priority key, for prioritised replay.
+        from the row, into the input under the priority key, for prioritized replay.
 
         Args:
             tensordict: a batch [*replicas, *batch].

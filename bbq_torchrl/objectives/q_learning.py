@@ -203,7 +203,7 @@ class OneStepQLoss(DQNLoss):
         """Returns the losses of a batch of transitions.
 
         Also writes the squared TD error [*replicas, *batch, 1] into the input under the priority
-        key, for prioritised replay.
+        key, for prioritized replay.
 
         Args:
             tensordict: a batch [*replicas, *batch].

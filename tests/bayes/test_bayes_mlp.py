@@ -92,7 +92,7 @@ def test_replicas_draw_independently():
     assert torch.unique(net(x, "draw")[:, 0], dim=0).shape[0] == 5
 
 
-def test_local_reparameterisation_has_the_moments_of_weight_draws():
+def test_local_reparameterization_has_the_moments_of_weight_draws():
     net, x, n = trained(BayesMLP(5, 2, (16,))), torch.randn(5), 40_000
     local = net(x.expand(n, 5), "local").detach()
     drawn = net(x.expand(n, 5), weights=net.draw_weights((n,))).detach()

@@ -67,7 +67,7 @@ def test_gradcheck_with_dropout():
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)
-def test_gradcheck_of_local_reparameterisation(replicas):
+def test_gradcheck_of_local_reparameterization(replicas):
     layout = FlatLayout((3, 4, 2))
     x = torch.randn(*replicas, 2, 3, dtype=torch.double, requires_grad=True)
     mu = torch.randn(*replicas, layout.numel, dtype=torch.double, requires_grad=True)

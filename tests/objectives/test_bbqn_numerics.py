@@ -33,7 +33,7 @@ def test_loss_and_gradient_are_finite_for_any_rho(rho, target, kl):
 @pytest.mark.parametrize("inputs", ["zeros", "ones"])
 def test_a_networks_gradient_is_finite_for_any_rho(rho, mode, inputs):
     # at zeros the spread of the first layer is the bias' alone, whose square root local
-    # reparameterisation takes
+    # reparameterization takes
     net = BayesMLP(5, 3, (64, 64))
     with torch.no_grad():
         net.posterior.rho.fill_(rho)

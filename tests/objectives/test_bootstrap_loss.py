@@ -262,7 +262,7 @@ def test_states_hold_the_priors_and_loading_moves_both_copies():
     assert torch.equal(other(td)["loss"], loss(td)["loss"])
 
 
-def test_prioritised_replay_weights_count():
+def test_prioritized_replay_weights_count():
     loss, _ = heads_loss(dtype=torch.double)
     td = masked(transitions(batch=(8,), dtype=torch.double))
     td["priority_weight"] = torch.tensor([1.0, 0, 1, 0, 1, 1, 0, 1], dtype=torch.double)

@@ -57,7 +57,7 @@ def test_without_dropout_it_is_torchrls_loss(double_dqn, loss_function, batch):
 
 
 @pytest.mark.parametrize("weighted", [True, False])
-def test_prioritised_replay_weights_are_torchrls(weighted):
+def test_prioritized_replay_weights_are_torchrls(weighted):
     ours, _ = plain_loss(dtype=torch.double)
     theirs = torchrl_loss_like(ours)
     ours.use_prioritized_weights = theirs.use_prioritized_weights = weighted or "auto"

@@ -85,7 +85,7 @@ def test_only_the_scalar_loss_has_a_graph(case, replicas):
         assert out[key].requires_grad == (key == "loss")
 
 
-def test_squared_td_errors_are_written_for_prioritised_replay(case):
+def test_squared_td_errors_are_written_for_prioritized_replay(case):
     make, _, _ = case
     loss, _ = make((3,))
     td = transitions((3,))

@@ -21,7 +21,7 @@ class UpperConfidence(TensorDictModuleBase):
     """Takes the action of the highest mean + coefficient · std over draws of the weights.
 
     Explores under RANDOM and outside of any context (as TorchRL's ``EGreedyModule``), else acts on
-    the mean weights. Every row and step has draws of its own, by local reparameterisation.
+    the mean weights. Every row and step has draws of its own, by local reparameterization.
 
     Args:
         actor: a Q-value actor on a network with Bayesian layers.
