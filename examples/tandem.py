@@ -1,0 +1,117 @@
+"""Is it the dialogues, or what is learned from them? An agent that learns from another one's.
+
+    python examples/tandem.py                                     # DQN beside BBQN-MAP, 100 rounds
+    python examples/tandem.py --active dqn --passive bbqn_map --file results/tandem_dqn.csv
+
+After every round of the active agent the passive one learns from the same buffer, by its own loss,
+the same number of epochs in the same order, and never plays but in evaluations (the tandem setting
+of Ostrovski et al. 2021, "The Difficulty of Passive Learning in Deep Reinforcement Learning"). If
+BBQN's dialogues are what makes the difference, a DQN that learns from them does better than one
+that plays for itself; if not, the difference is BBQN's way of learning.
+
+The active agent does not notice: its rounds are bitwise those of an ordinary run of that seed. So
+are the users in the evaluations, and agents can be compared by pairs with any other run's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import logging
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import torch
+
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.trainers.learner import Learner
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+AGENTS = ("bbqn_map", "dqn")
+DEFAULTS = ("replicas=5", "protocol.rounds=100")
+
+Row = tuple[str, int, int, float]
+
+
+def tandem(
+    active: str, passive: str, overrides: Sequence[str], folder: Path
+) -> Iterator[list[Row]]:
+    """Trains both, and yields after each evaluation every agent's success in it.
+
+    Args:
+        active: the agent whose dialogues are learned from, one of ``AGENTS``.
+        passive: the other one, which may be the same.
+        overrides: of both configurations.
+        folder: for the two trainers' files.
+
+    Yields:
+        (role, rounds so far, replica, evaluation success) for each role and replica.
+    """
+    leader, follower = (
+        build_trainer(
+            compose([f"+experiment=[agents/{name},paper_full]", *overrides]), folder / role
+        )[0]
+        for role, name in (("active", active), ("passive", passive))
+    )
+    if follower.evaluator is None:
+        raise ValueError("protocol.eval_every must be positive: evaluations are the result")
+    leader.progress = False
+    learner = Learner(
+        follower.loss,
+        leader.replay,
+        follower.optimizer,
+        follower.target_updater,
+        leader.settings,
+        leader.learner.seed_phase,
+    )
+    leader.begin()
+    while leader.rounds_done < leader.settings.rounds:
+        rows = leader.train_round()
+        number = leader.rounds_done - 1
+        learner.learn(number)
+        success = [row["eval_success_rate"] for row in rows]
+        watched = torch.as_tensor(follower.evaluator(number)["eval_success_rate"])
+        if success[0] == success[0]:  # NaN in a round without an evaluation
+            found = {"active": success, "passive": watched.tolist()}
+            yield [
+                (role, leader.rounds_done, replica, rate)
+                for role, rates in found.items()
+                for replica, rate in enumerate(rates)
+            ]
+
+
+def main() -> None:
+    """Writes a line for each agent, evaluation and replica."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--active", choices=AGENTS, default="bbqn_map", help="plays and learns")
+    parser.add_argument("--passive", choices=AGENTS, default="dqn", help="learns only")
+    parser.add_argument("--file", type=Path, help="CSV file to write; the screen by default")
+    parser.add_argument(
+        "overrides", nargs="*", default=DEFAULTS, help=f"of both configurations; {DEFAULTS}"
+    )
+    options = parser.parse_args()
+    torch.set_num_threads(1)  # the networks are too small for more
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    with contextlib.ExitStack() as stack:
+        stream: TextIO = sys.stdout
+        if options.file is not None:
+            stream = stack.enter_context(options.file.open("w", newline="", encoding="utf-8"))
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        lines = csv.writer(stream, lineterminator="\n")
+        lines.writerow(["role", "agent", "rounds", "replica", "success_rate"])
+        agents = {"active": options.active, "passive": options.passive}
+        for rows in tandem(options.active, options.passive, options.overrides, folder):
+            lines.writerows((role, agents[role], *rest) for role, *rest in rows)
+            stream.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""The tandem example: the active agent does not notice, the passive one learns from its data."""
+
+from __future__ import annotations
+
+import csv
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.evaluation import read_metrics
+
+SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "tandem.py"
+TINY = (
+    "replicas=2",
+    "protocol.rounds=2",
+    "protocol.dialogues=6",
+    "protocol.epochs=1",
+    "protocol.eval_every=1",
+    "protocol.eval_every_dialogues=20",
+    "protocol.batch_size=256",
+    "spike.dialogues=20",
+)
+
+
+@pytest.fixture(scope="module")
+def example():
+    return runpy.run_path(str(SCRIPT))
+
+
+def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path):
+    rows = [row for part in example["tandem"]("bbqn_map", "dqn", TINY, tmp_path) for row in part]
+    config = compose(["+experiment=[agents/bbqn_map,paper_full]", *TINY])
+    alone = build_trainer(config, tmp_path / "alone")[0].train()
+    watched = read_metrics(tmp_path / "active")
+    for name in ("loss", "reward", "eval_success_rate"):
+        assert watched[name].ravel().tolist() == [row[name] for row in alone]
+    assert [row for row in rows if row[0] == "active"] == [
+        ("active", row["round"] + 1, row["replica"], row["eval_success_rate"]) for row in alone
+    ]
+
+
+def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example, tmp_path):
+    for rows in example["tandem"]("dqn", "dqn", TINY, tmp_path):
+        rates = {role: [row[3] for row in rows if row[0] == role] for role in ("active", "passive")}
+        assert rates["active"] == rates["passive"]
+
+
+def test_the_file_has_a_line_for_each_agent_evaluation_and_replica(example, tmp_path, monkeypatch):
+    file = tmp_path / "tandem.csv"
+    monkeypatch.setattr(sys, "argv", ["tandem.py", f"--file={file}", *TINY, "protocol.rounds=1"])
+    example["main"]()
+    with file.open(newline="") as stream:
+        lines = list(csv.DictReader(stream))
+    assert [(line["agent"], line["rounds"], line["replica"]) for line in lines] == [
+        (agent, "1", replica) for agent in ("bbqn_map", "dqn") for replica in ("0", "1")
+    ]
