@@ -46,10 +46,10 @@ class Bootstrap(AgentOption):
         "hidden layers that the heads share; 0: as many networks as heads",
     )
     mask_prob: float = setting(
-        0.5, ABOVE_ZERO_TO_ONE, "probability that a head learns from a transition"
+        1.0, ABOVE_ZERO_TO_ONE, "probability that a head learns from a transition"
     )
     prior_scale: float = setting(
-        0.0, NON_NEGATIVE, "scale of the randomized prior functions; 0: none"
+        3.0, NON_NEGATIVE, "scale of the randomized prior functions; 0: none"
     )
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
 
