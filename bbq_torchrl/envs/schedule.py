@@ -104,9 +104,5 @@ class ExtensionSchedule:
             self.start + index * self.every: slot for index, slot in enumerate(self._order(domain))
         }
 
-    def last_addition(self, domain: Domain, round: int) -> int:
-        """Returns the last round up to the given one that added a slot; 0 before the first."""
-        return max((start for start in self.additions(domain) if start <= round), default=0)
-
     def _order(self, domain: Domain) -> tuple[str, ...]:
         return domain.extension_order if self.slots is None else self.slots
