@@ -6,6 +6,7 @@ import argparse
 import importlib
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 TALKER = "bbq_torchrl.chat.talker:make_talker"
+USERS = "bbq_torchrl.chat.simulated_user:make_users"
 """Named, not imported: the study knows neither networks nor language."""
 
 
@@ -39,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
         prog="python -m bbq_torchrl.study", description="A human study. See docs/study.md."
     )
-    commands = parser.add_subparsers(required=True, metavar="serve | report | power")
+    commands = parser.add_subparsers(required=True, metavar="serve | simulate | report | power")
 
     serve = commands.add_parser("serve", help="serve a study to browsers")
     serve.add_argument("study", type=Path, help="the study file; its data is beside it")
@@ -52,6 +54,25 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument("--host", default="127.0.0.1", help="address to listen at")
     serve.add_argument("--port", type=_whole(1, 65_535), default=8000, help="port to listen at")
     serve.set_defaults(command=_serve)
+
+    simulate = commands.add_parser(
+        "simulate", help="play the study with simulated users, and report it as such"
+    )
+    simulate.add_argument(
+        "study", type=Path, help="the study file; all that is made has -simulated in its name"
+    )
+    simulate.add_argument("--talker", default=TALKER, help="as of serve")
+    simulate.add_argument(
+        "--users",
+        default=USERS,
+        help="module:function that makes the users of a study, see bbq_torchrl.study.simulate; "
+        "unless given, the simulator's, who speak the language of the domain",
+    )
+    simulate.add_argument(
+        "--seed", type=_whole(0, 2**32 - 1), default=0, help="of plan, users and ratings"
+    )
+    simulate.add_argument("--out", type=Path, help="folder; without it, <study>-simulated-report")
+    simulate.set_defaults(command=_simulate)
 
     report = commands.add_parser("report", help="write report, figures and data")
     report.add_argument("study", type=Path, help="the study file")
@@ -77,13 +98,27 @@ def _parser() -> argparse.ArgumentParser:
 
 def _serve(given: argparse.Namespace) -> None:
     _check_installed()
-    make = _function(given.talker)
+    make = _function("--talker", given.talker)
     study = load_study(given.study)
     from bbq_torchrl.study.server import serve
 
     talker = make(study)
     interruption.tell(lambda: "while serving", lambda: "the same command goes on with the study")
     serve(study, talker, host=given.host, port=given.port, tell=_say)
+
+
+def _simulate(given: argparse.Namespace) -> None:
+    make_talker = _function("--talker", given.talker)
+    make_users = _function("--users", given.users)
+    study = load_study(given.study)
+    from bbq_torchrl.study.simulate import simulate
+
+    # A name of its own: the study's data are for people.
+    given.study = study.path.with_name(f"{study.path.stem}-simulated{study.path.suffix}")
+    study = replace(study, path=given.study)
+    interruption.tell(lambda: "while simulating", lambda: "the same command goes on with it")
+    simulate(study, make_talker(study), make_users(study), seed=given.seed, tell=_say)
+    _report(given)
 
 
 def _check_installed() -> None:
@@ -99,13 +134,13 @@ def _check_installed() -> None:
         )
 
 
-def _function(name: str) -> Callable[..., Any]:
+def _function(option: str, name: str) -> Callable[..., Any]:
     module, _, function = name.partition(":")
     try:
         return getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         raise StudyError(
-            "--talker",
+            option,
             [f"it must be module:function that can be imported, got {shown(name)}: {error}"],
         ) from error
 

@@ -54,13 +54,15 @@ def export(folder: Path, results: Results) -> None:
             "" if item.verdict is None else int(item.verdict),
             len(item.exchanges),
             "" if item.entropy is None else item.entropy,
+            int(results.simulated),
         )
         for item in results.sessions
     ]
-    columns = (*head, *SCALES, "own_verdict", "exchanges", "entropy")
+    columns = (*head, *SCALES, "own_verdict", "exchanges", "entropy", "simulated")
     write(folder / "sessions.csv", _csv(columns, rows))
-    said = ("session", "number", "seconds", "text", "answer", "heard", "said", "entropy")
-    write(folder / "exchanges.csv", _csv(said, _exchange_rows(results)))
+    spoken = ("session", "number", "seconds", "text", "answer", "heard", "said")
+    columns = (*spoken, "entropy", "simulated")
+    write(folder / "exchanges.csv", _csv(columns, _exchange_rows(results)))
     write(folder / "sessions.jsonl", "".join(_lines(results)))
 
 
@@ -112,6 +114,7 @@ def _exchange_rows(results: Results) -> Iterable[Sequence[Any]]:
                 *(without_names(said.text), without_names(said.answer)),
                 *(without_names(str(said.heard)), str(said.said)),
                 said.beliefs["entropy"] if said.beliefs else "",
+                int(results.simulated),
             )
 
 

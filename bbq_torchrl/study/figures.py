@@ -77,7 +77,11 @@ def draw_ratings(file: Path, results: Results) -> None:
         if values:
             text = f"mean {mean(people).value:.2f}\nn = {len(values)}"
             axes.text(place, 1.02, text, ha="center", fontsize=8)
-    axes.set(ylabel="share of ratings", ylim=(0, 1.15), title=_title(results))
+    axes.set(
+        ylabel=f"share of {'simulated ' if results.simulated else ''}ratings",
+        ylim=(0, 1.15),
+        title=_title(results),
+    )
     axes.set_yticks([0, 0.2, 0.4, 0.6, 0.8, 1.0])
     figure.legend(loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     _save(figure, axes, file, agents)

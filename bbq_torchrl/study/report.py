@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.study.comparisons import compare_pairs
 from bbq_torchrl.study.export import export, write
 from bbq_torchrl.study.figures import draw_ratings, draw_success
+from bbq_torchrl.study.rating import RATING_RULE
 from bbq_torchrl.study.statistics import auroc, kappa, mean, proportion
 from bbq_torchrl.study.store import SCALES
 
@@ -40,9 +41,9 @@ def write_report(folder: Path, results: Results) -> None:
 def report_text(results: Results) -> str:
     """Returns the report as Markdown."""
     terms = results.terms
-    lines = [f"# {terms.name}", ""]
+    lines = [f"# {terms.name}{' (simulated users)' if results.simulated else ''}", ""]
     if results.simulated:
-        lines += ["**The people of this study are simulated users.**", ""]
+        lines += [f"**The people of this study are simulated users.** {RATING_RULE}", ""]
     rated = sum(session.ratings is not None for session in results.sessions)
     lines += [
         f"{results.enrolled} people enrolled of {terms.participants} wanted; "
@@ -176,7 +177,8 @@ def _agreement(results: Results) -> Iterator[str]:
         if session.verdict is not None:
             by_person.setdefault(session.person, []).append((session.verdict, session.success))
     found = kappa(list(by_person.values()))
-    yield from ("## People's own verdict and the judge's", "")
+    whose = "Simulated users'" if results.simulated else "People's"
+    yield from (f"## {whose} own verdict and the judge's", "")
     if math.isnan(found.value):
         yield from ("κ is undefined: one of the two is always the same, or nothing is rated.", "")
     else:

@@ -105,6 +105,7 @@ class Store:
         terms: the study's.
         fingerprints: each agent's, by name.
         simulated: whether the people are simulated users.
+        secret: of the plan and the links; drawn unless given.
         clock: tells the time, in seconds since 1970.
 
     Raises:
@@ -118,25 +119,30 @@ class Store:
         fingerprints: Mapping[str, str],
         *,
         simulated: bool = False,
+        secret: str | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._terms, self._clock = terms, clock
         self._database = Database(path)
         try:
             with self._database.transaction() as connection:
-                self._secret = self._begin(connection, fingerprints, simulated)
+                self._secret = self._begin(connection, fingerprints, simulated, secret)
         except BaseException:
             self.close()
             raise
 
     def _begin(
-        self, connection: sqlite3.Connection, fingerprints: Mapping[str, str], simulated: bool
+        self,
+        connection: sqlite3.Connection,
+        fingerprints: Mapping[str, str],
+        simulated: bool,
+        secret: str | None,
     ) -> str:
         """Returns the study's secret; makes the study where there is none yet."""
         path, package = str(self._database.path), bbq_torchrl.__version__
         found = connection.execute("SELECT terms, package, secret, simulated FROM study").fetchone()
         if found is None:
-            secret = secrets.token_urlsafe(32)
+            secret = secret or secrets.token_urlsafe(32)
             connection.execute(
                 "INSERT INTO study VALUES (1, ?, ?, ?, ?, ?)",
                 (self._terms.text(), package, secret, int(simulated), self._clock()),
@@ -149,6 +155,8 @@ class Store:
             faults.append(f"it was begun with bbq-torchrl {found[1]}, this is {package}")
         if bool(found[3]) != simulated:
             faults.append("it must hold either people or simulated users, not both")
+        if secret not in (None, found[2]):
+            faults.append("it was begun with another seed")
         faults += [
             f"the weights of agent {name!r} are not those the study was begun with"
             for name, fingerprint in fingerprints.items()

@@ -1,0 +1,135 @@
+"""A study with simulated users, who are enrolled, answered, judged and stored as people are."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Protocol
+
+from bbq_torchrl.study.conversations import Conversations
+from bbq_torchrl.study.rating import drawn_ratings
+from bbq_torchrl.study.store import Store
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from bbq_torchrl.study.plan import Study
+    from bbq_torchrl.study.store import Person, Session
+    from bbq_torchrl.study.talk import Frame, Talker
+
+__all__ = ["User", "simulate"]
+
+_DAY, _HOUR, _PAUSE = 86_400.0, 3_600.0, 10.0
+
+
+class User(Protocol):
+    """A simulated user in one conversation.
+
+    Attributes:
+        satisfied: whether it has got what it wanted, as far as it knows.
+    """
+
+    satisfied: bool
+
+    def say(self, said: Frame | None) -> str:
+        """Returns what it says to the agent's act; ``None`` begins the conversation."""
+
+
+class _Clock:
+    """Tells the time that it is set to, so that a study that is played again has the same times."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def simulate(
+    study: Study,
+    talker: Talker,
+    users: Callable[[int, int], User],
+    *,
+    seed: int,
+    tell: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Has simulated users take all places of a study, one after the other.
+
+    They go the way of people: consent, conversation, rating, through the same code and store. What
+    is stored already is not said again, so a simulation that was stopped goes on.
+
+    Args:
+        study: whose data is beside its file.
+        talker: the agents.
+        users: makes a user from the number of its goal, from 1, and a seed.
+        seed: of the plan, the users and their ratings.
+        tell: is told how far it is.
+
+    Raises:
+        StoreError: the study's data cannot be used, or is of people or another seed.
+        ValueError: an agent cannot be loaded.
+    """
+    prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
+    clock, secret = _Clock(), f"simulated {seed}"
+    store = Store(study.data, study.terms, prints, simulated=True, secret=secret, clock=clock)
+    try:
+        conversations = Conversations(study, store, talker)
+        wanted = study.terms.participants
+        for place in range(wanted):
+            clock.now = place * _DAY
+            token = conversations.enrol({"nonce": _nonce(seed, place), "consent": "yes"})
+            for begin, person, session in _unrated(store, token, clock.now):
+                drawn = _number(seed, place, session.position)
+                user, clock.now = users(session.goal, drawn), begin
+                messages = _converse(conversations, store, clock, person, session, user)
+                form = {"nonce": _nonce(drawn, "rating"), "session": str(session.position)}
+                conversations.rate(person, form | _form(user.satisfied, messages, drawn))
+            if (place + 1) % 10 == 0 or place + 1 == wanted:
+                tell(f"{place + 1} of {wanted} simulated users have taken part")
+    finally:
+        store.close()
+
+
+def _unrated(store: Store, token: str, start: float) -> Iterator[tuple[float, Person, Session]]:
+    """Yields when each session begins, the person as they are then, and the session."""
+    while (person := store.person(token)) is not None and (session := person.current) is not None:
+        yield start + session.position * _HOUR, person, session
+
+
+def _converse(
+    conversations: Conversations,
+    store: Store,
+    clock: _Clock,
+    person: Person,
+    session: Session,
+    user: User,
+) -> int:
+    """Has a user talk until the conversation has ended. Returns the number of its messages."""
+    said, number = None, 0
+    while True:
+        number += 1
+        clock.now += _PAUSE
+        form = {"nonce": _nonce(session.id, number), "session": str(session.position)}
+        conversations.say(person, {**form, "turn": str(number), "text": user.say(said)})
+        exchanges = store.exchanges(session.id)
+        said = exchanges[number - 1].said
+        found = store.session(session.id)
+        if number == len(exchanges) and found is not None and found.is_ended:
+            return number
+
+
+def _form(satisfied: bool, messages: int, seed: int) -> dict[str, str]:
+    """Returns ratings and own verdict as a form has them."""
+    ratings = drawn_ratings(satisfied, messages, seed)
+    scales = {name: str(rating) for name, rating in ratings.items()}
+    return {**scales, "verdict": "yes" if satisfied else "no"}
+
+
+def _nonce(*parts: object) -> str:
+    return _hash(*parts)[:32]
+
+
+def _number(*parts: object) -> int:
+    return int(_hash(*parts)[:8], 16)
+
+
+def _hash(*parts: object) -> str:
+    return hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()
