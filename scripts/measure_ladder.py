@@ -1,8 +1,8 @@
 """Measures agents on the ladder from acts to text, and writes results/ladder.json.
 
 Every agent is played without errors, with the reference errors, with those counted in sentences,
-and in sentences: the scripted policies ``rule`` and ``careful`` and every agent that comes with the
-package. Commands and answers are kept; ``scripts/write_docs.py`` makes a table of them.
+and in sentences: the scripted policies ``rule`` and ``careful`` and the agents of the full domain
+that come with the package. Commands and answers are kept; ``scripts/write_docs.py`` tabulates them.
 
     python scripts/measure_ladder.py                      everything, 10,000 dialogues each
     python scripts/measure_ladder.py --rung text          this rung alone; what was measured stays
@@ -20,9 +20,11 @@ from typing import Any
 from bbq_torchrl.cli.store import compose_raw, session, to_config
 from bbq_torchrl.evaluate import evaluation
 from bbq_torchrl.options import EvaluateConfig
-from bbq_torchrl.shipped import PREFIX, shipped_agents
 
 FILE = Path(__file__).resolve().parent.parent / "results" / "ladder.json"
+
+POLICIES = ("rule", "careful", "shipped:bbqn_map", "shipped:dqn")
+"""Who is measured."""
 
 RUNGS = {
     "no errors": "env.slot_error_prob=0",
@@ -31,11 +33,6 @@ RUNGS = {
     "text": "env.level=text",
 }
 """Rung -> what the command line says of it, from the easiest on."""
-
-
-def policies() -> list[str]:
-    """Returns who is measured."""
-    return ["rule", "careful", *(f"{PREFIX}{name}" for name in shipped_agents())]
 
 
 def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
@@ -52,13 +49,13 @@ def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
 def main() -> None:
     """Measures, and keeps what was measured before and is not to be measured now."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--policy", choices=policies(), help="this one alone")
+    parser.add_argument("--policy", choices=POLICIES, help="this one alone")
     parser.add_argument("--rung", nargs="+", choices=RUNGS, help="these rungs alone")
     parser.add_argument("--dialogues", type=int, default=10_000, help="of each measurement")
     given = parser.parse_args()
     before = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else []
     known = {(entry["policy"], entry["rung"]): entry for entry in before}
-    order = [(policy, rung) for policy in policies() for rung in RUNGS]
+    order = [(policy, rung) for policy in POLICIES for rung in RUNGS]
     for policy, rung in order:
         if given.policy in (None, policy) and rung in (given.rung or RUNGS):
             known[policy, rung] = measure(policy, rung, given.dialogues)

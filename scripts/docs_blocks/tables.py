@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import shlex
 import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
+
+from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.shipped import PREFIX, SHIPPED, shipped_agents
 from scripts.docs_blocks.markdown import table
 
 if TYPE_CHECKING:
@@ -56,6 +61,7 @@ def table_blocks() -> dict[str, Callable[[], str]]:
         "language.quality": _quality,
         "language.voices": _voices,
         "language.ladder": _ladder,
+        "shipped": _shipped,
         **{f"extending.{name}": partial(_extending, name) for name in EXTENDING},
     }
 
@@ -117,6 +123,18 @@ def _ladder() -> str:
     played = " to ".join(f"{count:,}" for count in dict.fromkeys((counts[0], counts[-1])))
     shown = table(("policy", *rungs), rows, numbers=len(rungs))
     return f"{shown}\n\n± one standard error; {played} dialogues each."
+
+
+def _shipped() -> str:
+    """Returns the agents that come with the package, what made them, and what they reach."""
+    rows = []
+    for name in shipped_agents():
+        result = read_result(SHIPPED / name)
+        given = yaml.safe_load((SHIPPED / name / "overrides.yaml").read_text(encoding="utf-8"))
+        command = f"`python train.py {shlex.join(given)}`"
+        rate = f"{result.success_rate:.3f} ± {result.standard_error:.3f}"
+        rows.append((f"`{PREFIX}{name}`", command, result.rounds, rate))
+    return table(("name", "trained by", "rounds", "success"), rows, numbers=2)
 
 
 def _extending(name: str) -> str:

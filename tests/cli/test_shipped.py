@@ -52,6 +52,32 @@ def test_a_shipped_agent_does_what_its_result_says(name):
     assert line["mode"] == result.policy
 
 
+def test_the_six_agents_of_the_papers_human_evaluation_are_shipped():
+    rounds = {
+        name: (read_result(shipped.SHIPPED / name).rounds, read_result(shipped.SHIPPED / name).env)
+        for name in shipped.shipped_agents()
+    }
+    assert rounds == {
+        f"{agent}{when}": given
+        for agent in ("bbqn_map", "dqn")
+        for when, given in {
+            "": (150, "full"),
+            "_before": (40, "domain_ext"),
+            "_after": (200, "domain_ext"),
+        }.items()
+    }
+
+
+def test_an_agent_of_before_the_extension_knows_the_essential_slots_alone():
+    def known(name):
+        env = load_run(name)[0]
+        return {env.domain.slots[slot] for slot in env.active_slots.nonzero().flatten().tolist()}
+
+    domain = load_run("shipped:dqn")[0].domain
+    assert known("shipped:dqn_before") == set(domain.essential)
+    assert known("shipped:dqn_after") == {*domain.essential, *domain.extension_order}
+
+
 def test_shipped_agents_are_small_files_without_a_path_of_a_machine():
     files = [file for file in shipped.SHIPPED.rglob("*") if file.is_file()]
     assert sum(file.stat().st_size for file in files) < 3_000_000
