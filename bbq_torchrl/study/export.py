@@ -60,9 +60,9 @@ def export(folder: Path, results: Results) -> None:
     ]
     columns = (*head, *SCALES, "own_verdict", "exchanges", "entropy", "simulated")
     write(folder / "sessions.csv", _csv(columns, rows))
-    spoken = ("session", "number", "seconds", "text", "answer", "heard", "said")
-    columns = (*spoken, "entropy", "simulated")
-    write(folder / "exchanges.csv", _csv(columns, _exchange_rows(results)))
+    said = ("session", "number", "seconds", "text", "answer", "heard", "said")
+    rows_said = _csv((*said, "entropy", "simulated"), _exchange_rows(results))
+    write(folder / "exchanges.csv", rows_said)
     write(folder / "sessions.jsonl", "".join(_lines(results)))
 
 

@@ -14,13 +14,17 @@ from bbq_torchrl.study.statistics import auroc, kappa, mean, proportion
 from bbq_torchrl.study.store import SCALES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from bbq_torchrl.study.comparisons import Comparison
-    from bbq_torchrl.study.results import Results
+    from bbq_torchrl.study.results import Result, Results
+    from bbq_torchrl.study.statistics import Interval
 
 __all__ = ["report_text", "write_report"]
+
+FIRST = 3
+"""Answers of a session whose entropy could warn in time."""
 
 
 def write_report(folder: Path, results: Results) -> None:
@@ -45,8 +49,9 @@ def report_text(results: Results) -> str:
     if results.simulated:
         lines += [f"**The people of this study are simulated users.** {RATING_RULE}", ""]
     rated = sum(session.ratings is not None for session in results.sessions)
+    who = _who(results)
     lines += [
-        f"{results.enrolled} people enrolled of {terms.participants} wanted; "
+        f"{results.enrolled} {who} enrolled of {terms.participants} wanted; "
         f"{len(results.sessions)} sessions ended, {rated} of them rated; {results.open} begun and "
         f"not ended (they are in no number below). bbq-torchrl {results.package}.",
         "",
@@ -92,7 +97,7 @@ def _agents(results: Results) -> Iterator[str]:
         "",
         "Means with 95 % intervals: Wilson's for success (sessions of one person counted by "
         "their design effect), Student's t over people for ratings from 1 to 5. Success is the "
-        "judge's, by goal card and dialogue acts; own verdict is what people said.",
+        f"judge's, by goal card and dialogue acts; own verdict is what {_who(results)} said.",
         "",
         "![Success of each agent](success.png)",
         "",
@@ -177,7 +182,7 @@ def _agreement(results: Results) -> Iterator[str]:
         if session.verdict is not None:
             by_person.setdefault(session.person, []).append((session.verdict, session.success))
     found = kappa(list(by_person.values()))
-    whose = "Simulated users'" if results.simulated else "People's"
+    whose = "The simulated users'" if results.simulated else "People's"
     yield from (f"## {whose} own verdict and the judge's", "")
     if math.isnan(found.value):
         yield from ("κ is undefined: one of the two is always the same, or nothing is rated.", "")
@@ -191,20 +196,38 @@ def _agreement(results: Results) -> Iterator[str]:
 def _uncertainty(results: Results) -> Iterator[str]:
     rows = []
     for agent in results.terms.agents:
-        sessions = [item for person in results.of(agent).values() for item in person]
-        scores = {item.id: item.entropy for item in sessions if item.entropy is not None}
-        found = auroc(scores, {item.id for item in sessions if not item.success})
-        if scores:
-            rows.append((agent, len(scores), "–" if math.isnan(found) else f"{found:.2f}"))
+        people = [
+            [item for item in sessions if item.entropy is not None]
+            for sessions in results.of(agent).values()
+        ]
+        if count := sum(map(len, people)):
+            whole = _warning(people, lambda item: item.entropy)
+            soon = _warning(people, lambda item: item.entropy_of_first(FIRST))
+            rows.append((agent, count, whole, soon, _warning(people, lambda i: len(i.exchanges))))
     if rows:
         yield from ("## Does uncertainty predict failure?", "")
-        yield from _table(("agent", "sessions", "AUROC"), rows)
+        head = ("agent", "sessions", "entropy", f"entropy of the first {FIRST} answers", "length")
+        yield from _table(head, rows)
         yield from (
             "",
-            "Area under the curve of a session's mean entropy of the best action as a sign of "
-            "failure: .5 says nothing, 1 all.",
+            "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people: "
+            ".5 says nothing, 1 all. Entropy is that of the best action, a mean over a session's "
+            "answers or over its first ones; length is the number of messages. Conversations that "
+            "fail are long: a sign that comes no sooner than length and is no better adds nothing.",
             "",
         )
+
+
+def _warning(
+    people: Sequence[Sequence[Result]], sign: Callable[[Result], float | None]
+) -> Interval:
+    """Returns how well a sign tells sessions that fail, where there is one."""
+    return auroc(
+        [
+            [(value, not item.success) for item in sessions if (value := sign(item)) is not None]
+            for sessions in people
+        ]
+    )
 
 
 def _flags(results: Results) -> Iterator[str]:
@@ -215,6 +238,10 @@ def _flags(results: Results) -> Iterator[str]:
         return
     yield from _table(("person", "flags"), [(who, "; ".join(what)) for who, what in flags.items()])
     yield from ("", "All of them are in every number above unless it says otherwise.", "")
+
+
+def _who(results: Results) -> str:
+    return "simulated users" if results.simulated else "people"
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:

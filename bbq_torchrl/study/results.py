@@ -63,7 +63,11 @@ class Result:
     @property
     def entropy(self) -> float | None:
         """Mean over turns of the entropy of the best action; ``None`` without a posterior."""
-        found = [item.beliefs["entropy"] for item in self.exchanges if item.beliefs]
+        return self.entropy_of_first(len(self.exchanges))
+
+    def entropy_of_first(self, number: int) -> float | None:
+        """Returns the mean entropy over the first exchanges; ``None`` without a posterior."""
+        found = [item.beliefs["entropy"] for item in self.exchanges[:number] if item.beliefs]
         return fmean(found) if found else None
 
 

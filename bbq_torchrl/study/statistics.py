@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Sequence
     from fractions import Fraction
 
 __all__ = [
@@ -212,18 +212,31 @@ def _kappa(tables: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(found), found, np.nan)
 
 
-def auroc(scores: Mapping[int, float], failed: Collection[int]) -> float:
+def auroc(by_person: Sequence[Sequence[tuple[float, bool]]], seed: int = 0) -> Interval:
     """Returns the probability that a failure scores higher than a success, ties counting half.
 
     Args:
-        scores: of sessions.
-        failed: which of them failed.
+        by_person: each person's sessions, with score and whether they failed.
+        seed: of the bootstrap.
 
     Returns:
-        NaN where there are no failures or no successes.
+        With its bootstrap interval over people; NaN where there are no failures or no successes.
     """
-    high = [score for session, score in scores.items() if session in failed]
-    low = [score for session, score in scores.items() if session not in failed]
+    people = len(by_person)
+    rows = [(*pair, who) for who, pairs in enumerate(by_person) for pair in pairs]
+    high = [(score, who) for score, has_failed, who in rows if has_failed]
+    low = [(score, who) for score, has_failed, who in rows if not has_failed]
     if not high or not low:
-        return math.nan
-    return float(stats.mannwhitneyu(high, low).statistic) / (len(high) * len(low))
+        return Interval(math.nan, math.nan, math.nan, len(rows))
+    above = np.subtract.outer([score for score, _ in high], [score for score, _ in low])
+    wins = (np.sign(above) + 1) / 2
+    value = float(wins.mean())
+    if people < 2:
+        return Interval(value, math.nan, math.nan, len(rows))
+    # How often the bootstrap draws each person: a draw counts each pair of sessions so often.
+    drawn = np.random.default_rng(seed).multinomial(people, [1 / people] * people, _BOOTSTRAPS)
+    of_high, of_low = (drawn[:, [who for _, who in side]] for side in (high, low))
+    with np.errstate(invalid="ignore"):
+        found = ((of_high @ wins) * of_low).sum(1) / (of_high.sum(1) * of_low.sum(1))
+    lower, upper = np.nanpercentile(found, [2.5, 97.5])
+    return Interval(value, float(lower), float(upper), len(rows))

@@ -12,6 +12,7 @@ from scripts.docs_blocks.policies import policies_blocks
 from scripts.docs_blocks.results import draw_figures as draw_learning_curves
 from scripts.docs_blocks.results import results_blocks
 from scripts.docs_blocks.speed import draw_growth, speed_blocks
+from scripts.docs_blocks.study import copy_figures, study_blocks
 from scripts.docs_blocks.tables import table_blocks
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ BLOCKS = (
     policies_blocks,
     results_blocks,
     speed_blocks,
+    study_blocks,
     table_blocks,
 )
 """Functions that return blocks by name; what is added here is known to every page."""
@@ -33,5 +35,5 @@ __all__ = ["BLOCKS", "draw_figures"]
 
 
 def draw_figures() -> list[Path]:
-    """Draws every figure that is made from results; returns the files."""
-    return [*draw_learning_curves(), *draw_growth(), *draw_house()]
+    """Draws, or copies, every figure that is made from results; returns the files."""
+    return [*draw_learning_curves(), *draw_growth(), *draw_house(), *copy_figures()]

@@ -82,6 +82,25 @@ def test_a_simulated_study_says_so_wherever_it_is_shown(fill, tmp_path):
     assert all(json.loads(line)["simulated"] for line in lines)
 
 
+def test_a_warning_is_told_from_what_comes_with_length(fill):
+    results = fill([(5, 1), (4, 2), (1, 5), (2, 5)])
+
+    def longer(session):
+        """One that fails goes on in doubt; at first it looks like the others."""
+        last = session.exchanges[-1]
+        more = replace(last, beliefs={**last.beliefs, "entropy": 2.0})
+        return (
+            session if session.success else replace(session, exchanges=(*session.exchanges, more))
+        )
+
+    sessions = tuple(map(longer, results.sessions))
+    text = report_text(replace(results, sessions=sessions))
+    assert "| entropy of the first 3 answers | length |" in text
+    one, half = "1.00 [1.00, 1.00]", "0.50 [0.50, 0.50]"
+    for agent in results.terms.agents:
+        assert f"| {agent} | 4 | {one} | {half} | {one} |" in text
+
+
 def test_flagged_people_are_shown_and_counted(fill):
     results = fill([(5, 1), (4, 4), (3, 3)], pause=1.0)
     text = report_text(results)

@@ -129,9 +129,25 @@ def test_kappa_is_the_textbooks():
 
 
 def test_auroc_counts_the_pairs_in_order():
-    scores = {1: 0.1, 2: 0.4, 3: 0.35, 4: 0.8}
-    assert auroc(scores, {3, 4}) == 0.75
-    assert math.isnan(auroc(scores, set()))
+    sessions = [(0.1, False), (0.4, False), (0.35, True), (0.8, True)]
+    assert auroc([[session] for session in sessions]).value == 0.75
+    assert auroc([sessions]).value == 0.75
+    assert math.isnan(auroc([sessions]).low)
+    assert auroc([[(0.5, True)], [(0.5, False)]]).value == 0.5
+    assert math.isnan(auroc([[(0.1, False)]]).value)
+
+
+def test_the_interval_of_auroc_is_of_people():
+    rng = np.random.default_rng(0)
+    failed = rng.random(400) < 0.4
+    sessions = list(zip((rng.normal(size=400) + failed).tolist(), failed.tolist(), strict=True))
+    strangers = auroc([[session] for session in sessions])
+    assert strangers.low < stats.norm.cdf(1 / math.sqrt(2)) < strangers.high
+    # The standard error of Hanley and McNeil (1982) is .025 here.
+    assert strangers.high - strangers.low == pytest.approx(2 * 1.96 * 0.025, rel=0.15)
+    # Who has each session four times says no more than who has it once.
+    again = auroc([[session] * 4 for session in sessions])
+    assert again.high - again.low == pytest.approx(strangers.high - strangers.low, rel=0.1)
 
 
 def exact_power(better, worse, people):
