@@ -26,11 +26,6 @@ _BLOCK = re.compile(r"(<!-- begin: (?P<name>[\w.-]+) -->\n).*?(<!-- end: (?P=nam
 Block = Callable[[], str]
 
 
-def blocks() -> dict[str, Block]:
-    """Returns every block that a page may hold, by name."""
-    return {name: block for group in BLOCKS for name, block in group().items()}
-
-
 def pages() -> list[Path]:
     """Returns the pages that may hold blocks."""
     return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -70,7 +65,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="change nothing, fail if out of date")
     check = parser.parse_args().check
-    changes = outdated(blocks())
+    changes = outdated(BLOCKS)
     for page, text in changes.items():
         name = page.relative_to(ROOT)
         if check:

@@ -17,7 +17,7 @@ from bbq_torchrl.evaluation.csv_tables import write_replicas, write_tables
 from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison, draw_panels
 from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
-from bbq_torchrl.evaluation.pairs import Pairing, pairings
+from bbq_torchrl.evaluation.pairs import pairings
 from bbq_torchrl.evaluation.runs import find_results
 from bbq_torchrl.evaluation.table1 import (
     PAPER,
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "cells_of_table1",
+    "comparison_tables",
     "curves",
     "draw_table1",
     "main",
@@ -164,24 +165,27 @@ def write_report(groups: Sequence[Group], folder: Path) -> str:
             references=references(drawn),
         )
     pictures = [f"![Training success by round]({figure.name})" for figure in figures]
-    compared = pairings(groups)
-    text = _markdown(groups, compared)
+    text = _markdown(groups)
     (folder / "report.md").write_text("\n".join([text, *pictures, ""]), encoding="utf-8")
-    write_tables(groups, compared, folder)
+    write_tables(groups, pairings(groups), folder)
     return text
 
 
-def _markdown(groups: Sequence[Group], compared: Sequence[Pairing]) -> str:
-    parts = [
-        f"# {setting_of(groups)}",
-        success_table(groups),
-        NOTE.strip(),
-        improvement_table(groups),
-        *([pairs_table(compared), PAIRS_NOTE.strip()] if compared else []),
-        learning_table(groups),
-        LEARNING_NOTE.strip(),
+def comparison_tables(groups: Sequence[Group]) -> list[tuple[str, str]]:
+    """Returns the tables of a comparison as Markdown, each with the note that explains it."""
+    tables = [
+        (success_table(groups), NOTE),
+        (improvement_table(groups), ""),
+        (pairs_table(pairings(groups)), PAIRS_NOTE),
+        (learning_table(groups), LEARNING_NOTE),
     ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return [(table, note.strip()) for table, note in tables if table]
+
+
+def _markdown(groups: Sequence[Group]) -> str:
+    parts = [f"# {setting_of(groups)}"]
+    parts += [part for pair in comparison_tables(groups) for part in pair if part]
+    return "\n\n".join(parts) + "\n"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -216,7 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif given.out is not None:
             text = write_report(groups, given.out)
         else:
-            text = _markdown(groups, pairings(groups))
+            text = _markdown(groups)
     except (ValueError, OSError) as error:
         output.complain(f"error: {sentence(error)}")
         return 2

@@ -5,57 +5,50 @@ from __future__ import annotations
 import inspect
 from collections import Counter
 from dataclasses import Field, fields
-from functools import cache, partial
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from bbq_torchrl.cli.searches import SEARCH, SearchConfig
 from bbq_torchrl.cli.store import compose_raw, options, session
-from bbq_torchrl.options import (
-    CalibrateConfig,
-    Config,
-    EvaluateConfig,
-    explorations,
-    schemas,
-)
+from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, explorations, schemas
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.values import keys_with_lists
-from scripts.docs_blocks.markdown import code, table
+from scripts.docs_blocks.common import block, code, table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-__all__ = ["config_blocks"]
-
-_HEAD = ("key", "default", "must be", "meaning")
+    from collections.abc import Iterable, Mapping
 
 
-def config_blocks() -> dict[str, Callable[[], str]]:
-    """Returns a block for every group, for both roots, and for what can be paired."""
-    blocks: dict[str, Callable[[], str]] = {
-        "config.root": partial(_root, Config, "config", ["agent=bbqn"]),
-        "config.evaluate": partial(_root, EvaluateConfig, "evaluate", []),
-        "config.calibrate": partial(_root, CalibrateConfig, "calibrate", []),
-        "config.search": _search,
-        "config.pairs": _pairs,
-        "config.groups": _groups,
-        "config.lists": _lists,
-    }
-    return blocks | {f"config.{group}": partial(_group, group) for group in schemas()}
-
-
-def _root(schema: type, name: str, overrides: list[str]) -> str:
+@block("config.root", Config, "config", "agent=bbqn")
+@block("config.evaluate", EvaluateConfig, "evaluate")
+@block("config.calibrate", CalibrateConfig, "calibrate")
+def _root(schema: type, name: str, *overrides: str) -> str:
     with session():
         composed = compose_raw(overrides, name)
-    leaves = [item for item in fields(schema) if item.name not in schemas()]
-    return table(_HEAD, _rows(leaves, composed))
+    keys = [item for item in fields(schema) if item.name not in schemas()]
+    return _table(keys, {"default": composed})
 
 
+@block("config.search")
 def _search() -> str:
     defaults = OmegaConf.structured(SearchConfig)
-    rows = _rows(fields(SearchConfig), defaults)
-    return table(_HEAD, [(code(f"{SEARCH}.{key.strip('`')}"), *rest) for key, *rest in rows])
+    return _table(fields(SearchConfig), {"default": defaults}, f"{SEARCH}.")
+
+
+def _group(group: str) -> str:
+    """Returns what each option is, and one table of all keys with each option's default."""
+    nodes = {name: _composed()[group, name] for name in options(group)}
+    types = {name: OmegaConf.get_type(node) for name, node in nodes.items()}
+    summaries = [f"- `{group}={name}`: {_summary(schema)}" for name, schema in types.items()]
+    keys = [item for schema in types.values() for item in fields(schema) if item.name != "name"]
+    shown = _table(keys, {code(name): node for name, node in nodes.items()}, f"{group}.")
+    return "\n".join(summaries) + (f"\n\n{shown}" if keys else "")
+
+
+for _name in schemas():
+    block(f"config.{_name}", _name)(_group)
 
 
 @cache
@@ -71,34 +64,30 @@ def _composed() -> dict[tuple[str, str], DictConfig]:
     return found
 
 
-def _group(group: str) -> str:
-    """Returns what each option is, and one table of all keys with each option's default."""
-    names = options(group)
-    nodes = [_composed()[group, name] for name in names]
-    schemas = [OmegaConf.get_type(node) for node in nodes]
-    summaries = [
-        f"- `{group}={name}`: {_summary(schema)}"
-        for name, schema in zip(names, schemas, strict=True)
-    ]
-    keys = [item for schema in schemas for item in fields(schema) if item.name != "name"]
-    rows = []
-    for name in dict.fromkeys(item.name for item in keys):
-        same = [item.metadata for item in keys if item.name == name]
-        defaults = [_default(node, name) if name in node else "–" for node in nodes]
-        allowed = " / ".join(dict.fromkeys(entry["allowed"].text for entry in same))
-        meaning = " / ".join(dict.fromkeys(entry["meaning"] for entry in same))
-        rows.append((code(f"{group}.{name}"), *defaults, allowed, meaning))
-    head = ("key", *(code(name) for name in names), "must be", "meaning")
-    return "\n".join(summaries) + ("\n\n" + table(head, rows) if rows else "")
+def _summary(schema: type) -> str:
+    return (inspect.getdoc(schema) or "").partition("\n\n")[0].replace("\n", " ")
 
 
-def _rows(items: Iterable[Field[Any]], node: DictConfig) -> Iterable[tuple[str, ...]]:
+def _table(items: Iterable[Field[Any]], columns: Mapping[str, DictConfig], prefix: str = "") -> str:
+    """Returns a row for each key, with its default in each column's configuration."""
+    keys: dict[str, list[Any]] = {}
     for item in items:
-        allowed, meaning = item.metadata["allowed"].text, item.metadata["meaning"]
-        yield code(item.name), _default(node, item.name), allowed, meaning
+        keys.setdefault(item.name, []).append(item.metadata)
+    rows = [
+        (
+            code(f"{prefix}{key}"),
+            *(_default(node, key) for node in columns.values()),
+            " / ".join(dict.fromkeys(entry["allowed"].text for entry in same)),
+            " / ".join(dict.fromkeys(entry["meaning"] for entry in same)),
+        )
+        for key, same in keys.items()
+    ]
+    return table(("key", *columns, "must be", "meaning"), rows)
 
 
 def _default(node: DictConfig, key: str) -> str:
+    if key not in node.keys():  # noqa: SIM118 - a default that must be given is a key, too
+        return "–"
     if OmegaConf.is_missing(node, key):
         return "none: must be given"
     value = node._get_node(key)._value() if OmegaConf.is_interpolation(node, key) else node[key]
@@ -107,35 +96,27 @@ def _default(node: DictConfig, key: str) -> str:
     return code(str(value).lower() if isinstance(value, bool) else value)
 
 
-def _summary(schema: type) -> str:
-    return (inspect.getdoc(schema) or "").split("\n\n", maxsplit=1)[0].replace("\n", " ")
-
-
+@block("config.pairs")
 def _pairs() -> str:
-    strategies = sorted({name for names in explorations().values() for name in names})
     rows = [
-        (
-            code(name),
-            *(
-                "default" if name == names[0] else "yes" if name in names else "refused"
-                for names in explorations().values()
-            ),
-        )
-        for name in strategies
+        (code(agent), code(names[0]), ", ".join(map(code, names[1:])))
+        for agent, names in explorations().items()
     ]
-    return table(("explore", *(code(f"agent={agent}") for agent in explorations())), rows)
+    return table(("agent", "explores by", "or by"), rows)
 
 
+@block("config.lists")
 def _lists() -> str:
     rows = []
     for key, names in keys_with_lists(schemas()).items():
         group, _, name = key.partition(".")
-        items = [item for item in fields(schemas()[group][names[0]]) if item.name == name]
-        options_with_it = ", ".join(code(f"{group}={option}") for option in names)
-        rows.append((code(key), options_with_it, items[0].metadata["meaning"]))
+        (item,) = (item for item in fields(schemas()[group][names[0]]) if item.name == name)
+        of = ", ".join(code(f"{group}={option}") for option in names)
+        rows.append((code(key), of, item.metadata["meaning"]))
     return table(("key", "of", "meaning"), rows)
 
 
+@block("config.groups")
 def _groups() -> str:
     with session():
         chosen = compose_raw([], with_hydra=True).hydra.runtime.choices

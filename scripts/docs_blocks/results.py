@@ -5,84 +5,66 @@
 
 from __future__ import annotations
 
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import yaml
 
 from bbq_torchrl.evaluation.csv_tables import write_replicas
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.groups import Group, read_groups
-from bbq_torchrl.evaluation.pairs import pair, pairings
-from bbq_torchrl.evaluation.report import cells_of_table1, curves, draw_table1
+from bbq_torchrl.evaluation.pairs import pair
+from bbq_torchrl.evaluation.report import (
+    cells_of_table1,
+    comparison_tables,
+    curves,
+    draw_table1,
+    table1_text,
+)
 from bbq_torchrl.evaluation.statistics import summarize
-from bbq_torchrl.evaluation.table1 import (
-    PAPER,
-    comparisons_table,
-    find_cells,
-    missing_cells,
-    table1,
-)
-from bbq_torchrl.evaluation.tables import (
-    improvement_table,
-    learning_table,
-    pairs_table,
-    success_table,
-)
-from scripts.docs_blocks.claims import DOMAINS, claims_table
-from scripts.docs_blocks.markdown import table
-from scripts.docs_blocks.policies import success_rate
+from bbq_torchrl.evaluation.table1 import PAPER, find_cells
+from scripts.docs_blocks import common
+from scripts.docs_blocks.common import block, table
+from scripts.docs_blocks.tables import success_rate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterable
+    from pathlib import Path
 
     from bbq_torchrl.evaluation.runs import Run
 
-__all__ = ["EXPERIMENTS", "command", "draw_figures", "groups", "results_blocks", "table1_groups"]
+__all__ = ["DOMAINS", "EXPERIMENTS", "command", "draw_figures", "groups", "table1_groups"]
 
-ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "results"
-FIGURES = ROOT / "docs" / "figures"
-
-
-class Experiment(NamedTuple):
-    """What is kept of some agents in one setting.
-
-    Attributes:
-        title: what was trained on.
-        ended_in: corpus and setting of results/policies.json in which its training ended.
-        is_main: whether it compares BBQN with DQN.
-    """
-
-    title: str
-    ended_in: tuple[str, str] = ("movie", "reference")
-    is_main: bool = True
+DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
+"""Environment -> what it is called."""
 
 
 EXPERIMENTS = {
-    "tcbot": Experiment("The public setting, 2,000 dialogues", ("miulab", "v1, no error")),
-    "quick": Experiment("The quick form, our corpus", is_main=False),
-    "learning_movie": Experiment("Full domain, our corpus, first defaults", is_main=False),
-    "learning_miulab": Experiment(
-        "Full domain, the public MiuLab corpus, first defaults", ("miulab", "reference")
+    "tcbot": ("The public setting, 2,000 dialogues", "miulab", "v1, no error"),
+    "quick": ("The quick form, our corpus", "movie", "reference"),
+    "learning_movie": ("Full domain, our corpus, first defaults", "movie", "reference"),
+    "learning_miulab": (
+        "Full domain, the public MiuLab corpus, first defaults",
+        "miulab",
+        "reference",
     ),
-    "extension_movie": Experiment("Domain extension, our corpus, first defaults", is_main=False),
-    "no_spike_movie": Experiment("Without spiking, our corpus, first defaults", is_main=False),
+    "extension_movie": ("Domain extension, our corpus, first defaults", "movie", "reference"),
+    "no_spike_movie": ("Without spiking, our corpus, first defaults", "movie", "reference"),
 }
-"""Folder in results/ -> what it is of."""
+"""Folder in results/ -> what was trained on; corpus and setting of results/policies.json."""
 
-MAIN = {name: of.title for name, of in EXPERIMENTS.items() if of.is_main}
+MAIN = ("tcbot", "learning_miulab")
+"""Those that compare BBQN with DQN beside Table 1."""
 
 
 def groups(experiment: str) -> list[Group]:
-    """Returns what is kept of an experiment, in order of the folders' names."""
-    return read_groups(sorted(file.parent for file in (RESULTS / experiment).glob("*/result.json")))
+    """Returns what is kept of an experiment: ``results/<experiment>/**/result.json``."""
+    files = (common.RESULTS / experiment).rglob("result.json")
+    return read_groups(sorted(file.parent for file in files))
 
 
 def table1_groups() -> list[Group]:
     """Returns what is kept of Table 1: ``results/table1/<domain>/<agent>/seed<n>``."""
-    return read_groups(sorted(file.parent for file in (RESULTS / "table1").rglob("result.json")))
+    return groups("table1")
 
 
 def command(run: Run) -> str:
@@ -92,124 +74,72 @@ def command(run: Run) -> str:
     return " ".join(["python train.py", *quoted])
 
 
-def results_blocks() -> dict[str, Callable[[], str]]:
-    """Returns a block for every experiment, and three of the main ones."""
-    blocks: dict[str, Callable[[], str]] = {
-        "results.readme": _readme,
-        "results.main": _main,
-        "results.claims": lambda: claims_table(table1_groups(), groups),
-        "results.table1": _table1,
-    }
-    return blocks | {f"results.{name}": partial(_experiment, name) for name in EXPERIMENTS}
+def _commands(kept: Iterable[Group]) -> str:
+    return "\n".join(["```bash", *(command(run) for group in kept for run in group.runs), "```"])
 
 
 def draw_figures() -> list[Path]:
     """Draws the learning curves of every experiment, and writes table1.csv; returns the files."""
-    FIGURES.mkdir(exist_ok=True)
-    drawn = []
-    for env in PAPER:
-        if draw_table1(table1_groups(), env, FIGURES / f"table1_{env}.png"):
-            drawn.append(FIGURES / f"table1_{env}.png")
+    common.FIGURES.mkdir(exist_ok=True)
+    of_table1 = table1_groups()
+    figures = {env: common.FIGURES / f"table1_{env}.png" for env in PAPER}
+    drawn = [file for env, file in figures.items() if draw_table1(of_table1, env, file)]
     if drawn:
-        drawn.append(RESULTS / "table1.csv")
-        write_replicas(cells_of_table1(table1_groups()), drawn[-1])
-    for experiment, of in EXPERIMENTS.items():
-        if kept := groups(experiment):
-            drawn.append(FIGURES / f"{experiment}.png")
-            ceiling = success_rate(*of.ended_in, "clairvoyant")
-            draw_comparison(
-                drawn[-1],
-                [curves(group) for group in kept],
-                title=of.title,
-                references={} if ceiling is None else {"clairvoyant": ceiling},
-            )
+        drawn.append(common.RESULTS / "table1.csv")
+        write_replicas(cells_of_table1(of_table1), drawn[-1])
+    for name, (title, *ended_in) in EXPERIMENTS.items():
+        if kept := groups(name):
+            drawn.append(common.FIGURES / f"{name}.png")
+            ceiling = success_rate(*ended_in, "clairvoyant")
+            references = {} if ceiling is None else {"clairvoyant": ceiling}
+            shown = [curves(group) for group in kept]
+            draw_comparison(drawn[-1], shown, title=title, references=references)
     return drawn
 
 
+@block("results.table1")
 def _table1() -> str:
-    """Returns Table 1 with what is missing, its figures, and the commands of what was run."""
+    """Returns the report on Table 1, its figures, and the commands of what was run."""
     kept = table1_groups()
     if not kept:
         return "No cell has been run with the present defaults yet."
-    missing = missing_cells(kept)
-    parts = [f"Not run yet: {'; '.join(missing)}."] if missing else []
+    text = table1_text(kept).partition("\n\n")[2].strip()  # its first line is the page's heading
     for env, title in DOMAINS.items():
-        parts += [f"### {title}", table1(kept, env)]
-        if find_cells(kept, env):
-            parts.append(comparisons_table(kept, env))
-            parts.append(f"![{title}: learning curves](figures/table1_{env}.png)")
-    commands = [command(run) for group in kept for run in group.runs]
-    if commands:
-        parts.append("```bash\n" + "\n".join(commands) + "\n```")
-    return "\n\n".join(parts)
-
-
-def _experiment(experiment: str) -> str:
-    """Returns table, comparison, figure and commands of one experiment."""
-    kept = groups(experiment)
-    commands = [command(run) for group in kept for run in group.runs]
-    parts = [
-        success_table(kept),
-        improvement_table(kept),
-        pairs_table(pairings(kept)),
-        learning_table(kept),
-        f"![Training success by round](figures/{experiment}.png)",
-        "```bash\n" + "\n".join(commands) + "\n```",
+        text = text.replace(f"## env={env}\n", f"### {title}\n")
+    figures = [
+        f"![{title}: learning curves](figures/table1_{env}.png)"
+        for env, title in DOMAINS.items()
+        if find_cells(kept, env)
     ]
-    return "\n\n".join(part for part in parts if part)
+    return "\n\n".join([text, *figures, _commands(kept)])
 
 
+def _experiment(name: str) -> str:
+    """Returns the report's tables, figure and commands of one experiment."""
+    kept = groups(name)
+    figure = f"![Training success by round](figures/{name}.png)"
+    tables = (table for table, _ in comparison_tables(kept))
+    return "\n\n".join([*tables, figure, _commands(kept)])
+
+
+for _name in EXPERIMENTS:
+    block(f"results.{_name}", _name)(_experiment)
+
+
+@block("results.readme")
 def _readme() -> str:
     """Returns the final success of BBQN-MAP and DQN wherever both were trained, by pairs."""
-    cells = {env: find_cells(table1_groups(), env) for env in PAPER}
+    cells = {title: find_cells(table1_groups(), env) for env, title in DOMAINS.items()}
     compared = [
-        (f"{DOMAINS[env]}, our corpus", [found["BBQN-MAP"], found["DQN"]])
-        for env, found in cells.items()
+        (f"{title}, our corpus", [found["BBQN-MAP"], found["DQN"]])
+        for title, found in cells.items()
         if {"BBQN-MAP", "DQN"} <= found.keys()
     ]
-    main = [(title, groups(experiment)[:2]) for experiment, title in MAIN.items()]
-    compared += [(title, kept) for title, kept in main if kept]
+    compared += [(EXPERIMENTS[name][0], kept[:2]) for name in MAIN if (kept := groups(name))]
     rows = []
     for title, (own, other) in compared:
-        found = [str(summarize(group.final).t) for group in (own, other)]
-        ends, learns = (
-            f"{pair(own, other).differences[name].t:+.3f}"
-            for name in ("final_success", "training_success")
-        )
-        rows.append((title, *found, ends, learns))
+        found = pair(own, other).differences
+        ends, learns = (f"{found[of].t:+.3f}" for of in ("final_success", "training_success"))
+        rows.append((title, summarize(own.final).t, summarize(other.final).t, ends, learns))
     head = ("trained on", "BBQN-MAP", "DQN", "difference", "of all training")
     return table(head, rows, numbers=4)
-
-
-def _main() -> str:
-    """Returns every agent of the main experiments in one table."""
-    rows = [
-        (title, *row)
-        for experiment, title in MAIN.items()
-        for row in _main_rows(groups(experiment))
-    ]
-    head = ("trained on", "agent", "seeds", "final success", "cumulative training success")
-    return (
-        f"{table(head, rows, numbers=3)}\n\n"
-        "(Mean over seeds with its 95 % t interval; differences are by pairs. Final success: "
-        "10,000 dialogues of each seed, 2,000 in the public setting. First defaults: BBQN from the "
-        "paper's start, DQN with dropout .5.)"
-    )
-
-
-def _main_rows(kept: list[Group]) -> list[tuple[object, ...]]:
-    """Returns a row for each agent, and the first one's difference to each of the others."""
-    rows: list[tuple[object, ...]] = [
-        (
-            group.label,
-            len(group.final),
-            summarize(group.final).t,
-            summarize(group.cumulative).t,
-        )
-        for group in kept
-    ]
-    for item in (pair(kept[0], other) for other in kept[1:]):
-        if item.pairs:
-            found = (item.differences[name].t for name in ("final_success", "training_success"))
-            rows.append((item.label, item.pairs, *(f"{difference:+.3f}" for difference in found)))
-    return rows

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 from collections import defaultdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bbq_torchrl.evaluation.figures import COLORS
-from benchmarks.parts.rows import Row, as_table, number, read
-from scripts.docs_blocks.markdown import table
+from benchmarks.parts.rows import as_table, number, read
+from scripts.docs_blocks.common import FIGURES, RESULTS, block, read_csv, table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
+    from pathlib import Path
 
-__all__ = ["draw_growth", "slope", "speed_blocks"]
+__all__ = ["draw_growth", "slope"]
 
-ROOT = Path(__file__).resolve().parents[2]
-SPEED, GROWTH = ROOT / "results" / "speed.csv", ROOT / "results" / "growth.csv"
-FIGURE = ROOT / "docs" / "figures" / "growth.png"
 UPDATES = {
     "bare dqn": "bare DQN update",
     **{
@@ -41,34 +37,29 @@ SIZES = {
 """What grows -> what its size counts."""
 
 
-def speed_blocks() -> dict[str, Callable[[], str]]:
-    """Returns the blocks of the page on performance."""
-    return {"speed": _costs, "speed.floor": _floor}
-
-
-def _measured() -> tuple[str, list[Row]]:
-    versions = read(SPEED)
-    return list(versions.items())[-1]
-
-
+@block("speed")
 def _costs() -> str:
     """Returns what is to be reached beside what the last version took."""
-    version, rows = _measured()
-    wanted = [row for row in rows if row.target is not None]
-    return f"{as_table(wanted)}\n\n(version {version})"
+    *_, (version, rows) = read(RESULTS / "speed.csv").items()
+    return f"{as_table([row for row in rows if row.target is not None])}\n\n(version {version})"
 
 
+@block("speed.floor")
 def _floor() -> str:
     """Returns the least time beside the one measured."""
-    figures = {(row.what, row.unit): row.measured for row in _measured()[1]}
+    *_, rows = read(RESULTS / "speed.csv").values()
+    figures = {(row.what, row.unit): row.measured for row in rows}
     pairs = [
-        (f"update of {agent}", 1e3 * figures[f"least time of an update of {agent}", "ms"], what)
+        (
+            f"update of {agent}",
+            1e3 * figures[f"least time of an update of {agent}", "ms"],
+            1e3 * figures[what, "ms"],
+        )
         for agent, what in UPDATES.items()
     ]
-    rows = [(what, least, 1e3 * figures[row, "ms"]) for what, least, row in pairs]
     turns = figures["simulator, 1,000 dialogues in parallel", "turns/s"]
-    rows.append(("turn of a dialogue", figures["least time of a valid turn", "µs"], 1e6 / turns))
-    lines = [(what, number(a), number(b), f"{b / a:.2g}") for what, a, b in rows]
+    pairs.append(("turn of a dialogue", figures["least time of a valid turn", "µs"], 1e6 / turns))
+    lines = [(what, number(a), number(b), f"{b / a:.2g}") for what, a, b in pairs]
     return table(("what", "least µs", "measured µs", "times the least"), lines, numbers=3)
 
 
@@ -82,14 +73,14 @@ def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
     return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
-def draw_growth() -> list[Path]:
+def draw_growth() -> Path:
     """Draws time and memory against every size. Returns the file."""
     from matplotlib.figure import Figure
 
     cells: dict[str, list[tuple[float, ...]]] = defaultdict(list)
-    with GROWTH.open(newline="", encoding="utf-8") as file:
-        for what, *cell in list(csv.reader(file))[1:]:
-            cells[what].append(tuple(map(float, cell)))
+    for line in read_csv("growth.csv"):
+        what, *cell = line.values()
+        cells[what].append(tuple(map(float, cell)))
     figure = Figure(figsize=(2.6 * len(cells), 5.2), layout="constrained")
     axes = figure.subplots(2, len(cells), squeeze=False)
     for column, (what, found) in enumerate(cells.items()):
@@ -107,5 +98,5 @@ def draw_growth() -> list[Path]:
             ax.tick_params(labelsize=7)
             ax.grid(alpha=0.3)
     figure.suptitle("Time and memory by size (dotted: linear)")
-    figure.savefig(FIGURE, dpi=110)
-    return [FIGURE]
+    figure.savefig(file := FIGURES / "growth.png", dpi=110)
+    return file

@@ -6,20 +6,14 @@ import re
 import shutil
 from typing import TYPE_CHECKING
 
-from scripts.docs_blocks.tables import RESULTS, ROOT
+from scripts.docs_blocks.common import FIGURES, RESULTS, block
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["copy_figures", "study_blocks"]
+__all__ = ["copy_figures"]
 
-REPORT, FIGURES = RESULTS / "study", ROOT / "docs" / "figures"
-
-
-def study_blocks() -> dict[str, Callable[[], str]]:
-    """Returns the blocks."""
-    return {"study.simulated": _simulated}
+REPORT = RESULTS / "study"
 
 
 def copy_figures() -> list[Path]:
@@ -31,6 +25,7 @@ def copy_figures() -> list[Path]:
     return made
 
 
+@block("study.simulated")
 def _simulated() -> str:
     """Returns the report as it is, a level deeper."""
     text = (REPORT / "report.md").read_text(encoding="utf-8")
