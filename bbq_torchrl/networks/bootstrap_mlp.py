@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
+from bbq_torchrl.bayes.noise import is_transformed
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, check_weight_mode
 
@@ -28,6 +29,20 @@ class _ShareAmongHeads(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         return grad.mean(ctx.dim), None, None
+
+
+class _ShareUnderTransforms(_ShareAmongHeads):
+    """The same in the form that torch.func asks for, in which each call takes longer."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(hidden: Tensor, dim: int, heads: int) -> Tensor:  # type: ignore[override]
+        return _for_each_head(hidden, dim, heads)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, int, int], output: Tensor) -> None:
+        ctx.dim = inputs[1]
 
 
 def _for_each_head(x: Tensor, dim: int, heads: int) -> Tensor:
@@ -187,7 +202,8 @@ class BootstrapMLP(nn.Module):
             shared = _for_each_head(x, dim, self.num_heads)
         else:
             hidden = mlp(x, trunk, self.trunk_layout).relu()
-            shared = _ShareAmongHeads.apply(hidden, dim, self.num_heads)
+            share = _ShareUnderTransforms if is_transformed() else _ShareAmongHeads
+            shared = share.apply(hidden, dim, self.num_heads)
         return mlp(shared, heads, self.head_layout)
 
     def extra_repr(self) -> str:

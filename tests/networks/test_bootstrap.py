@@ -8,6 +8,7 @@ from copy import deepcopy
 import pytest
 import torch
 from torch import nn
+from torch.func import functional_call, grad, stack_module_state, vmap
 
 from bbq_torchrl.networks import BootstrapMLP
 from bbq_torchrl.networks.growth import reset_inactive_
@@ -246,3 +247,19 @@ def test_sizes_and_shapes_that_do_not_fit_are_refused():
                 net(torch.randn(shape, dtype=torch.double))
     with pytest.raises(ValueError, match="mode must be one of"):
         make()(torch.randn(FEATURES, dtype=torch.double), "mode")
+
+
+@pytest.mark.parametrize("replicas", [(), (2,)])
+def test_gradients_and_loops_by_torch_func_are_autograds(replicas):
+    nets = [make(replicas, trunk_layers=1, prior_scale=0.5) for _ in range(3)]
+    x = torch.randn(*replicas, 8, FEATURES, dtype=torch.double)
+
+    def value(parameters, buffers):
+        return functional_call(nets[0], (parameters, buffers), (x,)).square().sum()
+
+    params, buffers = stack_module_state(nets)
+    found = vmap(grad(value))(params, buffers)
+    for number, net in enumerate(nets):
+        net(x).square().sum().backward()
+        for name, parameter in net.named_parameters():
+            torch.testing.assert_close(found[name][number], parameter.grad)
