@@ -1,8 +1,41 @@
-"""Makes the examples importable: each is a folder of scripts that find one another."""
+"""Makes the examples importable: scripts that find one another, and a package with options."""
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
+import pytest
+from extended import PACKAGE
+
+from bbq_torchrl.cli import store
+from bbq_torchrl.options import registry
+
 sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "deep_sea"))
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """The package as pip would have installed it: on the path, with its entry points."""
+    site = tmp_path_factory.mktemp("site")
+    points = re.findall(
+        r'^\w+ = "bbq_extending\.\w+"', (PACKAGE / "pyproject.toml").read_text(), re.M
+    )
+    metadata = site / "bbq_extending-0.1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: bbq-extending\nVersion: 0.1.0\n"
+    )
+    lines = ["[bbq_torchrl.options]", *(point.replace('"', "") for point in points)]
+    (metadata / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    known = {group: dict(options) for group, options in registry.schemas().items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "_OPTIONS", known)
+        patch.setattr(registry, "_loaded", set())
+        patch.setattr(store, "_registered", set(store._registered))
+        for folder in (site, PACKAGE):
+            patch.syspath_prepend(folder)
+        yield
+    for name in [name for name in sys.modules if name.startswith("bbq_extending")]:
+        del sys.modules[name]  # its options register where it is imported

@@ -67,6 +67,8 @@ ERROR_VALUES = {
 
 ALMOST_ONE = 1 - 2**-24
 
+GOAL = {"moviename": "deadpool", "city": "seattle", "numberofpeople": "2"}
+
 
 def small_domain(*goals: Goal) -> Domain:
     """Returns the small cinema with these goals."""

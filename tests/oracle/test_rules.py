@@ -1,13 +1,11 @@
-"""The oracle against dialogues worked out by hand from the rules, one rule a test."""
+"""The oracle's user against dialogues worked out by hand from the rules, one rule a test."""
 
 from __future__ import annotations
 
 import pytest
 
 from .draws import choose_index, choose_slot
-from .small import SLOTS, say, start
-
-GOAL = {"moviename": "deadpool", "city": "seattle", "numberofpeople": "2"}
+from .small import GOAL, say, start
 
 
 def test_a_choice_among_slots_falls_on_the_largest_number_and_on_the_first_of_equals():
@@ -303,136 +301,3 @@ def test_a_wrong_value_in_history_fails_unless_the_agent_asks_again():
     )
     say(dialogue, "request(city)", "inform(taskcomplete)", "thanks")
     assert dialogue.success
-
-
-def test_value_errors_draw_from_the_slots_list_and_spare_slots_without_one():
-    setting = {"slot_error_prob": 1.0, "slot_error_mode": "value"}
-    dialogue = start(GOAL | {"date": "today"}, ("theater",), **setting)
-    assert dialogue.tracker.held["moviename"] == "deadpool"  # no error in the first turn
-    say(dialogue, "request(theater)", error=0.0, error_value={"date": 0.99, "city": 0.5})
-    assert dialogue.user.informs == {"city": "boston", "date": "friday", "numberofpeople": "2"}
-    assert dialogue.tracker.user_requests == {"theater"}
-
-
-def test_slot_errors_go_to_another_active_slot_with_values_and_later_slots_win():
-    setting = {"slot_error_prob": 0.5, "slot_error_mode": "slot"}
-    goal = GOAL | {"date": "today"}
-    dialogue = start(goal, ("theater",), first={"constraint": "moviename"}, **setting)
-    # city -> date = today or so, date -> city = boston: each takes the other's place.
-    say(
-        dialogue,
-        "request(theater)",
-        error={"city": 0.0, "date": 0.4},
-        error_slot={"city": 0.99, "date": 0.99},
-        error_value={"city": 0.34, "date": 0.99},
-    )
-    assert dialogue.user.informs == {"date": "tomorrow", "city": "boston", "numberofpeople": "2"}
-    setting["active"] = {"city", "date", "ticket", "taskcomplete", "theater"}
-    dialogue = start(goal, ("theater",), first={"constraint": "date"}, **setting)
-    say(dialogue, "request(theater)", error={"city": 0.0})  # the only other active list is date's
-    assert dialogue.user.informs == {"date": "today"}
-    setting["active"] = {"city", "ticket", "taskcomplete", "theater"}
-    dialogue = start(goal, ("theater",), first={"constraint": "city"}, **setting)
-    say(dialogue, "request(city)", error={"city": 0.0})  # no other list: deleted
-    assert dialogue.user.informs == {}
-
-
-def test_an_original_that_was_not_hit_gives_way_to_a_replacement():
-    setting = {"slot_error_prob": 0.5, "slot_error_mode": "slot"}
-    dialogue = start(GOAL | {"date": "today"}, ("theater",), **setting)
-    say(
-        dialogue,
-        "request(theater)",
-        error={"city": 0.0},
-        error_slot={"city": 0.99},
-        error_value={"city": 0.99},
-    )
-    assert dialogue.user.informs == {"date": "friday", "numberofpeople": "2"}
-
-
-@pytest.mark.parametrize(
-    ("kind", "informs"),
-    [(0.33, {"city": "boston"}), (0.34, {"moviename": "zootopia"}), (0.67, {})],
-)
-def test_mixed_errors_are_one_third_each(kind, informs):
-    setting = {"slot_error_prob": 1.0, "slot_error_mode": "mixed"}
-    dialogue = start(GOAL, (), **setting)
-    say(dialogue, "request(city)", error=0.0, error_kind=kind, error_value=0.9)
-    assert dialogue.user.informs == informs
-
-
-def test_an_intent_error_changes_what_is_heard_and_not_what_the_user_repeats():
-    dialogue = start(GOAL, ("theater",), intent_error_prob=0.5)
-    say(dialogue, "request(date)", intent=0.49, intent_act=0.999)
-    assert (dialogue.user.act, dialogue.tracker.heard_act) == ("inform", "deny")
-    say(dialogue, "greeting")
-    assert dialogue.tracker.heard_act == "inform"
-
-
-def test_the_agent_informs_the_most_frequent_value_of_the_matching_rows():
-    dialogue = start({"moviename": "deadpool"}, ("theater",))
-    tracker = dialogue.tracker
-    say(dialogue, "inform(city)")
-    assert tracker.agent_informs == {"city": "seattle"}
-    say(dialogue, "inform(city)")  # the slot's own value is held and takes part in the match
-    assert tracker.agent_informs == {"city": "seattle"}
-    say(dialogue, "inform(genre)")  # no Deadpool row has a genre
-    assert tracker.agent_informs == {"genre": "no match"} == {"genre": tracker.held["genre"]}
-    say(dialogue, "inform(theater)")  # "no match" is held and matches nothing
-    assert tracker.agent_informs == {"theater": "no match"}
-    say(dialogue, "inform(ticket)")
-    assert tracker.agent_informs == {"ticket": "no match"}
-
-
-def test_equally_frequent_values_are_told_apart_by_their_order():
-    goal = {"moviename": "deadpool", "date": "today"}
-    tracker = (dialogue := start(goal, ("theater",), first={"constraint": "date"})).tracker
-    say(dialogue, "inform(theater)")  # Roxy, Odeon and Lux once each; Roxy is named first
-    assert tracker.agent_informs == {"theater": "roxy"}
-
-
-def test_do_not_care_matches_rows_that_lack_the_slot():
-    tracker = (dialogue := start({"moviename": "deadpool"}, ("theater",))).tracker
-    say(dialogue, "request(genre)")
-    assert tracker.held["genre"] == "i do not care"
-    assert len(tracker.shelf.matching(tracker.held)) == 4
-    assert len(tracker.shelf.matching({"genre": "comedy"})) == 1
-    assert len(tracker.shelf.matching({"genre": "no match"})) == 0
-    assert len(tracker.shelf.matching({"numberofpeople": "2", "ticket": "no match"})) == 5
-
-
-def test_the_features_of_a_state_by_hand():
-    dialogue = start(GOAL, ("theater",), first={"constraint": "city"})
-    say(dialogue, "request(numberofpeople)", "inform(date)")
-    assert dialogue.tracker.agent_informs == {"date": "today"}
-    # Rows: moviename, city, date, theater, genre, numberofpeople, ticket, taskcomplete.
-    counts = [4, 3, 3, 2, 2, 0, 2, 2, 2]
-    assert dialogue.features() == [
-        *[1, 0, 0, 0, 0, 0, 0, 0, 0],  # the user's act: request
-        *[0, 0, 0, 0, 0, 0, 0, 0],  # what the user informs
-        *[0, 0, 0, 1, 0, 0, 0, 0],  # what the user requests: the theater again
-        *[0, 1, 0, 0, 0, 0, 0, 0, 0],  # the agent's act: inform
-        *[0, 0, 1, 0, 0, 0, 0, 0],  # what the agent informs
-        *[0, 0, 0, 0, 0, 0, 0, 0],  # what the agent requests
-        *[1, 1, 1, 0, 0, 1, 0, 0],  # filled
-        *[0.5, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0],  # five acts so far
-        *(float(count > 0) for count in counts),
-        *(count / 100 for count in counts),
-    ]
-    assert len(dialogue.features()) == 2 * 9 + 7 * len(SLOTS) + 3 + 10
-
-
-def test_a_slot_that_is_not_active_is_seen_nowhere():
-    active = {"moviename", "city", "numberofpeople", "ticket", "taskcomplete"}
-    goal = GOAL | {"date": "today"}
-    dialogue = start(goal, ("theater",), first={"constraint": "date"}, active=active)
-    user = dialogue.user
-    assert user.constraints == GOAL
-    assert user.requests == {"ticket"}
-    assert user.pending == {"ticket"}
-    counts = dialogue.features()[-9:]
-    assert [round(100 * count) for count in counts] == [4, 4, 0, 0, 0, 4, 4, 4, 4]
-    names = [str(dialogue.world.domain.actions[i]) for i in dialogue.world.legal_actions()]
-    assert "request(city)" in names
-    assert "greeting" in names
-    assert not [name for name in names if "date" in name or "theater" in name or "genre" in name]

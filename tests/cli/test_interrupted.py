@@ -1,0 +1,129 @@
+"""Signals, killed runs and extensions: what was saved goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+
+import pytest
+from trusted import TINY, resumed, rows, state_of
+
+from bbq_torchrl import interruption
+from bbq_torchrl.cli.saved import load_config
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.sweeps import table_of_runs
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.run import run
+
+pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+class Killed(BaseException):
+    """What ends a process."""
+
+
+def killed_in(round_number):
+    """A callback by which a run ends in a round as a killed one does: nothing more is written."""
+
+    def callback(trainer, rows):
+        if trainer.rounds_done == round_number + 1:
+            raise Killed
+
+    return callback
+
+
+def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):
+    folder = copy(kept)
+    longer = compose([*TINY, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
+    run(longer, tmp_path / "uninterrupted")
+
+    config = load_config(folder / "config.yaml")
+    config.protocol.rounds, config.resume = 6, str(folder)
+    with pytest.raises(Killed):
+        run(config, folder, [killed_in(4)])
+    assert json.loads((folder / "result.json").read_text())["rounds"] == 3
+    (folder / ".hydra").mkdir()
+    assert table_of_runs(folder.parent, 0).startswith("0 of 1 runs")
+
+    result = resumed(folder)
+
+    assert result.rounds == 6
+    assert rows(folder) == rows(tmp_path / "uninterrupted")
+
+
+def test_a_run_killed_before_its_curve_is_drawn_is_finished_by_resume(copy, finished):
+    folder = copy(finished)
+    (folder / "curve.png").unlink()
+    result = (folder / "result.json").read_bytes()
+
+    resumed(folder)
+
+    assert (folder / "curve.png").is_file()
+    assert (folder / "result.json").read_bytes() == result
+    with pytest.raises(ConfigError, match="is finished"):
+        resumed(folder)
+
+
+@pytest.fixture
+def listening():
+    """Has signals end a run in good order, in this process, and then as before."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in numbers}
+    interruption.listen()
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    interruption._State.received = None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept, number):
+    folder = tmp_path / "run"
+    interruption.tell(how_to_go_on=lambda: "so it goes on")
+
+    def signalled(trainer, rows):
+        os.kill(os.getpid(), number)
+
+    with pytest.raises(interruption.Interrupted) as end:
+        run(compose([*TINY, "protocol.keep_checkpoints=last"]), folder, [signalled])
+
+    assert end.value.exit_code == 128 + number
+    assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it goes on"
+    newest = max((folder / "checkpoint").iterdir()).name
+    assert newest == "round-000001.torchrl"
+    interruption._State.received = None
+    resumed(folder)
+    assert rows(folder) == rows(kept)
+
+
+def test_who_handles_a_signal_already_goes_on_handling_it():
+    before = signal.signal(signal.SIGTERM, own := lambda number, frame: None)
+    before_int = signal.getsignal(signal.SIGINT)
+    try:
+        interruption.listen()
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGINT, before_int)
+
+
+def test_every_checkpoint_is_kept_on_request(tmp_path):
+    run(compose([*TINY, "protocol.keep_checkpoints=all", "protocol.checkpoint_every=1"]), tmp_path)
+    assert len(list((tmp_path / "checkpoint").glob("round-*"))) == 4
+
+
+def test_a_disk_without_room_is_an_error_before_the_first_byte(kept, monkeypatch):
+    """A memory map on a full disk is no error, it kills: so room is taken first."""
+    from bbq_torchrl.trainers import CheckpointFolder
+
+    def full(descriptor, offset, length):
+        assert length >= 1 << 20
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    folder = CheckpointFolder(kept / "checkpoint")
+    before = state_of(kept)
+    with pytest.raises(OSError, match="No space left on device"):
+        folder.save(9, {})
+    assert state_of(kept) == before

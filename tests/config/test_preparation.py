@@ -1,0 +1,137 @@
+"""What happens to a command line before Hydra runs it: sweeps are checked, folders are chosen."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from composing import own_conf
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+
+from bbq_torchrl.cli.command import command as main_function
+from bbq_torchrl.cli.preparation import prepare
+from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.options import ConfigError
+
+
+def test_a_sweep_may_be_over_lists(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    checked = []
+    prepare(["--multirun", "replicas=2", "agent.lr=[.1,.2],[.3,.4]"], checked.append)
+    assert [config.agent.lr for config in checked] == [[0.1, 0.2], [0.3, 0.4]]
+
+
+def test_every_job_of_a_sweep_is_checked_before_the_first_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match="agent=dqn cannot be combined"):
+        prepare(["--multirun", "agent=bbqn,dqn", "explore=thompson"], lambda config: None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_jobs_of_a_sweep_that_an_experiment_asks_for_are_checked(tmp_path, monkeypatch):
+    conf = own_conf(tmp_path, monkeypatch)
+    (conf / "experiment" / "sweep.yaml").write_text(
+        "# @package _global_\n"
+        "hydra:\n  mode: MULTIRUN\n  sweeper:\n    params:\n      agent.lr: .1,.2,-1\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(
+        ConfigError, match=r"agent\.lr must be a number from 1e-30 to 1e30 .*, got -1"
+    ):
+        prepare(["+experiment=sweep"], lambda config: None)
+    checked = []
+    prepare(["+experiment=sweep", "agent.lr=.3,.4"], checked.append)
+    assert [config.agent.lr for config in checked] == [0.3, 0.4]
+
+
+def test_jobs_that_only_another_sweeper_knows_are_left_to_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    other = ["--multirun", "hydra.sweeper._target_=some.OtherSweeper", "agent.lr=interval(.1,.2)"]
+    assert prepare(other, fail)[:-1] == other
+    with pytest.raises(ConfigError, match="BasicSweeper does not support"):
+        prepare(["--multirun", "agent.lr=interval(.1,.2)"], fail)
+
+
+def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatch):
+    composed, checked, ran = [], [], []
+    compose_once = ConfigLoaderImpl.load_configuration
+
+    def counted(self, *args, **kwargs):
+        composed.append(compose_once(self, *args, **kwargs))
+        return composed[-1]
+
+    def check(config):
+        checked.append((config, object()))  # the second stands for the domain
+        return checked[-1][1]
+
+    def task(config, folder, domain):
+        ran.append((config, domain))
+        assert folder == tmp_path / "it"
+        return 0.0
+
+    monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
+    monkeypatch.setattr(sys, "argv", ["train.py", "agent=dqn", f"hydra.run.dir={tmp_path / 'it'}"])
+    main_function(check, tuple)(task)()
+    assert len(composed) == len(checked) == len(ran) == 1
+    assert all(one is other for one, other in zip(ran[0], checked[0], strict=True))
+    assert "agent=dqn" in (tmp_path / "it" / ".hydra" / "overrides.yaml").read_text()
+
+
+@pytest.mark.parametrize("command", [["agent=dqn"], ["--multirun", "agent=bbqn,dqn"]])
+def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    prepared = [prepare(command, lambda config: None)[-1] for _ in range(3)]
+    assert len(set(prepared)) == 3
+
+
+@pytest.mark.parametrize(
+    "command", [["--help"], ["--cfg", "job", "agent=dqn"], ["--info"], ["--hydra-help"]]
+)
+def test_what_only_shows_something_is_left_to_hydra(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    assert prepare(command, fail) == command
+    assert not list(tmp_path.iterdir())
+
+
+def fail(config):
+    raise ValueError("nothing was to be checked")
+
+
+def test_a_run_that_fails_its_check_leaves_no_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="nothing was to be checked"):
+        prepare(["agent=dqn"], fail)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["--config-name", "other"], "--config-name is not supported: choose by <group>=<option>"),
+        (["--config-path", "."], "--config-path is not supported"),
+        (["--multirun", "seed=1,2", "resume=somewhere"], "cannot be combined with --multirun"),
+        (["--multirun", "seed=range(0"], "cannot be read: write key=value"),
+    ],
+)
+def test_what_hydra_would_misread_is_refused(command, message):
+    with pytest.raises(ConfigError, match=message):
+        prepare(command, lambda config: None)
+
+
+def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_path):
+    folder = tmp_path / "it's a run"
+    folder.mkdir()
+    save_config(compose(["agent=dqn"]), folder / "config.yaml")
+    checked = []
+    # Quoted as the shell hands it over to Hydra's grammar.
+    quoted = str(folder).replace("'", "\\'")
+    prepared = prepare([f"resume='{quoted}'"], checked.append)
+    assert checked[0].agent.name == "dqn"
+    assert prepared[1:] == [f"hydra.run.dir='{quoted}'", "hydra.output_subdir=null"]
+
+
+def test_a_run_folder_is_not_used_twice(tmp_path):
+    save_config(compose(), tmp_path / "config.yaml")
+    with pytest.raises(ConfigError, match="already holds a run"):
+        prepare([f"hydra.run.dir={tmp_path}"], lambda config: None)

@@ -1,0 +1,207 @@
+"""The parts of the example package: what its strategy, agents, reward and environment do."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+
+import pytest
+import torch
+from extended import SHRUNKEN
+from tensordict import TensorDict
+from torch import nn
+from torchrl.data import Categorical
+from torchrl.envs.utils import ExplorationType, check_env_specs, set_exploration_type
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.bayes import BayesMLP, weight_scope
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.networks import q_actor
+
+pytestmark = pytest.mark.usefixtures("installed", "without_curves")
+
+
+@pytest.mark.parametrize(
+    "part",
+    ["ucb_policy", "langevin_adam", "epinet_mlp", "index_sampling", "visit_reward", "chain_env"],
+)
+def test_the_example_in_a_docstring_is_true(part):
+    module = importlib.import_module(f"bbq_extending.{part}")
+    torch.manual_seed(0)
+    result = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
+    assert result.attempted > 2
+    assert result.failed == 0
+
+
+def test_the_chain_keeps_torchrls_conventions():
+    from bbq_extending.chain_env import ChainEnv
+
+    env = ChainEnv(4, batch_size=(2, 3))
+    check_env_specs(env)
+    left = env.rollout(13, lambda td: td.set("action", torch.zeros(2, 3, dtype=torch.int64)))
+    assert left["next", "reward"].sum(-2).flatten().tolist() == pytest.approx([0.013] * 6)
+    assert not left["next", "success"].any()
+    assert left["next", "done"].squeeze(-1).sum(-1).tolist() == [[1] * 3] * 2
+
+
+def test_the_upper_bound_is_the_mean_without_a_coefficient_and_prefers_spread_with_one():
+    from bbq_extending.ucb_policy import UpperConfidence
+
+    torch.manual_seed(0)
+    network = BayesMLP(2, 2, (), mean_init="zero")
+    with torch.no_grad():  # of two actions of mean 0, the second one's weights are uncertain
+        _, layer = network.layout, network.posterior
+        ((weight, bias),) = network.layout.unflatten(layer.rho)
+        weight.fill_(-20), bias.fill_(-20)
+        weight[:, 1] = 1.0
+    actor = q_actor(network, Categorical(2), action_mask_key=None)
+    rows = TensorDict(observation=torch.ones(50, 2), batch_size=[50])
+    policy = UpperConfidence(actor, coefficient=5.0, draws=30)
+    assert (policy(rows.clone())["action"] == 1).all()
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        greedy = policy(rows.clone())["action_value"]
+    with weight_scope("mean"):
+        assert torch.equal(greedy, actor(rows.clone())["action_value"])
+
+
+def test_langevin_steps_are_those_of_the_paper():
+    from bbq_extending.langevin_adam import LangevinAdam
+
+    lr, bias = torch.tensor([0.1, 0.01]), 2.0
+    weight = nn.Parameter(torch.tensor([[1.0, -2.0], [0.5, 3.0]]))
+    expected, mean, square = weight.detach().clone(), torch.zeros(2, 2), torch.zeros(2, 2)
+    optimizer = LangevinAdam([weight], 2, noisy=[], lr=lr, bias=bias)
+    for _ in range(3):
+        optimizer.zero_grad()
+        (weight**2).sum().backward()
+        optimizer.step()
+        gradient = 2 * expected
+        mean, square = 0.9 * mean + 0.1 * gradient, 0.99 * square + 0.01 * gradient**2
+        expected -= lr[:, None] * (gradient + bias * mean / (square + 1e-8).sqrt())
+    assert torch.allclose(weight, expected)
+
+
+def test_langevin_noise_has_the_temperature_and_leaves_inactive_replicas_alone():
+    from bbq_extending.langevin_adam import LangevinAdam
+
+    def after(active, seed=0):
+        torch.manual_seed(seed)
+        weight = nn.Parameter(torch.zeros(3, 20_000))
+        beta = torch.tensor([1e2, 1e2, 1e4])
+        optimizer = LangevinAdam([weight], 3, lr=0.5, inverse_temperature=beta)
+        for _ in range(2):
+            weight.grad = torch.zeros_like(weight)
+            optimizer.step(active)
+        return weight.detach()
+
+    everyone, some = after(None), after((True, False, True))
+    # two steps of variance 2 · lr / beta
+    assert everyone.std(1).tolist() == pytest.approx([0.02**0.5, 0.02**0.5, 0.0002**0.5], rel=0.03)
+    assert not some[1].any()
+    assert torch.equal(some[[0, 2]], everyone[[0, 2]])
+
+
+def test_langevin_noise_is_for_the_agent_and_not_for_the_model_of_an_intrinsic_reward(tmp_path):
+    trainer, agent = build_trainer(
+        compose(["agent=langevin", *SHRUNKEN, "intrinsic=vime"]), tmp_path
+    )
+    optimizer = trainer.optimizer
+    pairs = zip(optimizer.parameters, optimizer.is_noisy, strict=True)
+    noisy = {id(parameter) for parameter, is_noisy in pairs if is_noisy}
+    assert noisy == {id(parameter) for parameter in agent.actor.parameters()}
+    assert len(optimizer.parameters) > len(noisy)
+
+
+def _index_actor(network):
+    from bbq_extending.index_sampling import INDEX
+
+    return q_actor(network, Categorical(2), in_keys=("observation", INDEX), action_mask_key=None)
+
+
+def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone():
+    from bbq_extending.epinet_mlp import EpinetMLP
+
+    network = EpinetMLP(3, 2, (8,), index_size=4, prior_scale=2.0, replicas=(2,))
+    x, index = torch.randn(2, 5, 3), torch.randn(2, 5, 4)
+    base = network(x, torch.zeros(2, 5, 4))
+    (network(x, index) - base).square().sum().backward()
+    assert network.epinet.weight.grad.any()
+    assert not network.trunk.weight.grad.any()
+    assert not network.head.weight.grad.any()
+    with torch.no_grad():  # what is left without the part that learns: the priors, linear in z
+        _, (weight, bias) = network.epinet.layout.unflatten(network.epinet.weight)
+        weight.zero_(), bias.zero_()
+        once, twice = (network(x, factor * index) - base for factor in (1, 2))
+    assert torch.allclose(twice, 2 * once, atol=1e-5)
+    assert once.abs().max() > 0.1
+    network.reset_inactive_(torch.tensor([False, True, False]))
+    more = x + torch.tensor([0.0, 7.0, 0.0])
+    assert torch.equal(network(more, index), network(x, index))
+
+
+def test_an_index_is_kept_until_the_episode_ends_and_is_none_without_exploration():
+    from bbq_extending.epinet_mlp import EpinetMLP
+    from bbq_extending.index_sampling import IndexSampling
+
+    network = EpinetMLP(3, 2, (8,), index_size=4, replicas=(2,))
+    policy = IndexSampling(_index_actor(network), 4)
+    rows = TensorDict(
+        observation=torch.ones(2, 3, 3),
+        is_init=torch.zeros(2, 3, 1, dtype=torch.bool),
+        batch_size=[2, 3],
+    )
+    first = policy(rows.clone())["action_value"]
+    assert first.flatten(0, 1).unique(dim=0).shape[0] == 6
+    rows["is_init"][0, 1] = True
+    second = policy(rows.clone())
+    assert (first == second["action_value"]).all(-1).tolist() == [[True, False, True], [True] * 3]
+    assert "index" not in second
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        greedy = policy(rows.clone())["action_value"]
+    assert torch.equal(greedy, network(torch.ones(2, 3, 3), torch.zeros(2, 3, 4)))
+
+
+def test_an_index_is_the_same_in_a_value_and_its_target():
+    from bbq_extending.epinet_mlp import EpinetMLP
+    from bbq_extending.index_sampling import IndexLoss
+
+    network = EpinetMLP(3, 2, (8,), index_size=4, replicas=(2,))
+    loss = IndexLoss(_index_actor(network), 4, gamma=0.5)
+    HardUpdate(loss, value_network_update_interval=0)
+    batch = TensorDict(
+        {
+            "observation": torch.randn(2, 6, 3),
+            "action": torch.randint(2, (2, 6)),
+            "next": {
+                "observation": torch.randn(2, 6, 3),
+                "reward": torch.randn(2, 6, 1),
+                "terminated": torch.rand(2, 6, 1) < 0.5,
+            },
+        },
+        [2, 6],
+    )
+    assert not loss.has_fixed_targets
+    found = loss(batch)["loss_value"]
+    index = batch["index"]
+    assert index.flatten(0, 1).unique(dim=0).shape[0] == 12
+    value = network(batch["observation"], index).gather(-1, batch["action"].unsqueeze(-1))
+    following = network(batch["next", "observation"], index).amax(-1, keepdim=True)
+    target = batch["next", "reward"] + 0.5 * following * ~batch["next", "terminated"]
+    assert torch.allclose(found, (value - target).square().mean((1, 2)))
+
+
+def test_a_state_is_worth_less_each_time_that_it_is_stored():
+    from bbq_extending.visit_reward import VisitReward
+
+    transform = VisitReward(3, replicas=2, eta=torch.tensor([1.0, 0.5]))
+    state = torch.eye(3).expand(2, 3, 3)
+    rows = TensorDict({"next": {"observation": state, "reward": torch.ones(2, 3, 1)}}, [2, 3])
+    rows["valid"] = torch.tensor([[True, True, True], [True, False, False]])
+    stored = transform.inv(rows)
+    assert transform.pop_metrics()["states_seen"].tolist() == [3, 1]
+    assert transform(stored)["next", "reward"][:, 0].flatten().tolist() == [2.0, 1.5]
+    for _ in range(3):
+        stored = transform.inv(rows)
+    assert transform(stored)["next", "reward"][:, 0].flatten().tolist() == [1.5, 1.25]
+    assert (rows["next", "reward"] == 1).all()
