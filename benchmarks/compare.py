@@ -14,7 +14,6 @@ block. One thread; other work on the machine disturbs ratios less than times.
 from __future__ import annotations
 
 import argparse
-import logging
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,9 +21,6 @@ from typing import TYPE_CHECKING
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python benchmarks/compare.py` finds its own packages
 
-import torch  # noqa: E402
-
-from bbq_torchrl.trainers import keep_freed_memory  # noqa: E402
 from benchmarks.parts.floor import floor  # noqa: E402
 from benchmarks.parts.processes import process  # noqa: E402
 from benchmarks.parts.rounds import rounds  # noqa: E402
@@ -32,7 +28,7 @@ from benchmarks.parts.rows import as_table, keep  # noqa: E402
 from benchmarks.parts.simulator import simulator  # noqa: E402
 from benchmarks.parts.sizes import FULL, TINY  # noqa: E402
 from benchmarks.parts.time_to_learn import time_to_learn  # noqa: E402
-from benchmarks.parts.timing import CLOCKS, Timer  # noqa: E402
+from benchmarks.parts.timing import CLOCKS, Timer, one_thread  # noqa: E402
 from benchmarks.parts.updates import agents, update  # noqa: E402
 
 if TYPE_CHECKING:
@@ -60,21 +56,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--clock", choices=CLOCKS, default="wall", help="default: wall")
     parser.add_argument("--file", type=Path, default=FILE, help="default: results/speed.csv")
     chosen = parser.parse_args(arguments)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    keep_freed_memory()
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage
     timer, sizes = Timer(chosen.clock), TINY if chosen.tiny else FULL
     rows = []
-    try:
+    with one_thread():
         for part in chosen.parts or PARTS:
             sys.stderr.write(f"measuring: {part}\n")
             measured = PARTS[part](sizes, timer)
             rows += measured
             if chosen.save:
                 keep(chosen.file, chosen.save, measured)
-    finally:
-        torch.set_num_threads(threads)
     print(as_table(rows))
 
 

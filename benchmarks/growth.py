@@ -11,7 +11,6 @@ packages, and is written to results/growth.csv as soon as it is measured.
 from __future__ import annotations
 
 import argparse
-import logging
 import multiprocessing
 import random
 import resource
@@ -26,17 +25,14 @@ from typing import TYPE_CHECKING
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python benchmarks/growth.py` finds its own packages
 
-import torch  # noqa: E402
-
 from bbq_torchrl.cli.store import compose  # noqa: E402
 from bbq_torchrl.cli.training import build_trainer  # noqa: E402
 from bbq_torchrl.domains import Domain, movie_domain  # noqa: E402
 from bbq_torchrl.envs import DialogueEnv  # noqa: E402
-from bbq_torchrl.trainers import keep_freed_memory  # noqa: E402
 from benchmarks.parts.learning import full_trainer  # noqa: E402
 from benchmarks.parts.rows import merge  # noqa: E402
 from benchmarks.parts.simulator import play_simulator  # noqa: E402
-from benchmarks.parts.timing import CLOCKS, Timer  # noqa: E402
+from benchmarks.parts.timing import CLOCKS, Timer, one_thread  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -139,11 +135,8 @@ def measure(what: str, size: int, clock: str) -> tuple[float, float]:
 
 
 def _cell(what: str, size: int, clock: str) -> tuple[float, int]:
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage
-    torch.set_num_threads(1)
-    keep_freed_memory()
     before = _peak()
-    with tempfile.TemporaryDirectory() as folder:
+    with one_thread(), tempfile.TemporaryDirectory() as folder:
         seconds = GROWTH[what][0](size, Timer(clock), Path(folder) / "run")
     return seconds, max(_peak() - before, 1)
 

@@ -12,7 +12,6 @@ are not measured stay, also of those that went. One thread, processor time.
 from __future__ import annotations
 
 import argparse
-import logging
 import statistics
 import sys
 import tempfile
@@ -25,16 +24,14 @@ from unittest.mock import patch
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python benchmarks/tricks.py` finds its own packages
 
-import torch  # noqa: E402
-
 from bbq_torchrl.bayes import GaussianPosterior, KLSum  # noqa: E402
 from bbq_torchrl.bayes.noise_sources import NoisePool  # noqa: E402
 from bbq_torchrl.data import ReplicaReplay  # noqa: E402
 from bbq_torchrl.objectives import OneStepQLoss  # noqa: E402
-from bbq_torchrl.trainers import keep_freed_memory, learn  # noqa: E402
+from bbq_torchrl.trainers import learn  # noqa: E402
 from benchmarks.parts.learning import AGENTS, TINY_CAPACITY, TINY_OVERRIDES, Learner  # noqa: E402
 from benchmarks.parts.rows import merge  # noqa: E402
-from benchmarks.parts.timing import Timer  # noqa: E402
+from benchmarks.parts.timing import Comparison, Timer, interleaved, one_thread  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,40 +67,27 @@ def _noise_each_draw(pool: NoisePool, posterior: GaussianPosterior, shape: Size)
 _td_target, _kl_sum = OneStepQLoss._td_target, KLSum.__init__
 NO_POOL = patch.object(NoisePool, "normal", _noise_each_draw)
 TORCHS_NORMALS = patch.object(GaussianPosterior, "fill_noise_", lambda _, noise: noise.normal_())
+NEW_SIGMA = patch.object(GaussianPosterior, "_sigma_held", _sigma_each_draw)
+NEW_KL = patch.object(KLSum, "__init__", _kl_each_batch)
+TWO_PASSES = patch.object(GaussianPosterior, "sample_with_kl", _two_passes)
+ADDED_UP_AT_ONCE = patch.object(learn, "_AT_ONCE", 1)
+NEW_TARGET = patch.object(OneStepQLoss, "_td_target", _target_each_batch)
+NOTHING_COMPUTED = patch.object(ReplicaReplay, "compute", lambda *_: None)
 
 # trick -> the agents it is for, what is so in both cases, and what takes it away
 TRICKS: dict[str, tuple[tuple[str, ...], list, list]] = {
-    "sigma of the frozen posterior held": (
-        ("bbqn-mc",),
-        [],
-        [patch.object(GaussianPosterior, "_sigma_held", _sigma_each_draw)],
-    ),
-    "value of the KL held": (
-        ("bbqn-map", "bbqn-mc"),
-        [],
-        [patch.object(KLSum, "__init__", _kl_each_batch)],
-    ),
-    "losses added up by 64": (("dqn", "bbqn-map"), [], [patch.object(learn, "_AT_ONCE", 1)]),
+    "sigma of the frozen posterior held": (("bbqn-mc",), [], [NEW_SIGMA]),
+    "value of the KL held": (("bbqn-map", "bbqn-mc"), [], [NEW_KL]),
+    "losses added up by 64": (("dqn", "bbqn-map"), [], [ADDED_UP_AT_ONCE]),
     "noise from a pool": (("bbqn-map", "bbqn-mc"), [], [NO_POOL]),
     "fast normal numbers, without a pool": (("bbqn-map",), [NO_POOL], [TORCHS_NORMALS]),
-    "draw and KL in one pass": (
-        ("bbqn-map",),
-        [],
-        [patch.object(GaussianPosterior, "sample_with_kl", _two_passes)],
-    ),
-    "targets once a freeze": (
-        ("dqn", "bbqn-map"),
-        [],
-        [
-            patch.object(OneStepQLoss, "_td_target", _target_each_batch),
-            patch.object(ReplicaReplay, "compute", lambda *_: None),
-        ],
-    ),
+    "draw and KL in one pass": (("bbqn-map",), [], [TWO_PASSES]),
+    "targets once a freeze": (("dqn", "bbqn-map"), [], [NEW_TARGET, NOTHING_COMPUTED]),
 }
 
 
-def measure(learner: Learner, common: list, taken_away: list, repeats: int) -> tuple[float, list]:
-    """Returns the median seconds of an update, and the ratios without to with, sorted."""
+def measure(learner: Learner, common: list, taken_away: list, repeats: int) -> Comparison:
+    """Compares updates without the trick with those that have it."""
 
     def block(patches: list) -> float:
         with ExitStack() as stack:
@@ -112,12 +96,7 @@ def measure(learner: Learner, common: list, taken_away: list, repeats: int) -> t
             return learner.learn()
 
     block([]), block(taken_away)  # first calls
-    seconds, ratios = [block([])], []
-    for _ in range(repeats):
-        without = block(taken_away)
-        seconds.append(block([]))
-        ratios.append(2 * without / (seconds[-1] + seconds[-2]))
-    return statistics.median(seconds), sorted(ratios)
+    return interleaved(lambda: block([]), lambda: block(taken_away), repeats)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -129,16 +108,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--replicas", nargs="*", type=int, default=[1, 10])
     parser.add_argument("--out", type=Path, default=RESULT)
     chosen = parser.parse_args(arguments)
-    torch.set_num_threads(1)
-    keep_freed_memory()
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage
     capacity, more = 3_200, ("protocol.eval_every=0",)
     if chosen.tiny:
         capacity, more = TINY_CAPACITY, (*TINY_OVERRIDES, *more)
     for replicas, trick in product(chosen.replicas, chosen.tricks):
         agents, common, taken_away = TRICKS[trick]
         for agent in agents:
-            with tempfile.TemporaryDirectory() as folder:
+            with one_thread(), tempfile.TemporaryDirectory() as folder:
                 learner = Learner(
                     (*AGENTS[agent], *more),
                     Path(folder) / "run",
@@ -146,10 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     replicas=replicas,
                     capacity=capacity,
                 )
-                seconds, ratios = measure(learner, common, taken_away, chosen.repeats)
-            low, middle, high = (100 * (r - 1) for r in statistics.quantiles(ratios, n=4))
+                found = measure(learner, common, taken_away, chosen.repeats)
+            low, middle, high = (100 * (r - 1) for r in statistics.quantiles(found.ratios, n=4))
             figures = (f"{x:.1f}" for x in (middle, low, high))
-            line = (trick, agent, replicas, f"{1e3 * seconds:.3f}", *figures)
+            line = (trick, agent, replicas, f"{1e3 * found.base:.3f}", *figures)
             merge(chosen.out, COLUMNS, 3, [line])
             sys.stderr.write(f"{line}\n")
 

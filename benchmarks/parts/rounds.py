@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from bbq_torchrl.trainers.learn import LossSums, Update
 from benchmarks.parts import processes
 from benchmarks.parts.learning import full_trainer
 from benchmarks.parts.rows import Row
-from benchmarks.parts.timing import Stopwatch
+from benchmarks.parts.timing import stopwatch
 
 if TYPE_CHECKING:
     from bbq_torchrl.trainers import RoundTrainer
@@ -30,16 +31,16 @@ def watched_round(trainer: RoundTrainer, timer: Timer) -> tuple[float, float]:
     is storing and checking transitions, shuffling, batching, sums of what the losses report,
     metrics, log files.
     """
-    watch = Stopwatch(timer.now)
-    watch.watch(trainer.env, "rollout", "work")
-    watch.watch(trainer.learner, "compute_targets", "work")
-    watch.watch(Update, "__call__", "work")
-    watch.watch(LossSums, "add", "sums")
-    try:
+    with ExitStack() as stack:
+
+        def watch(owner: object, name: str) -> list[float]:
+            return stack.enter_context(stopwatch(timer.now, owner, name))
+
+        played = watch(trainer.env, "rollout")
+        computed = watch(trainer.learner, "compute_targets")
+        updated, sums = watch(Update, "__call__"), watch(LossSums, "add")
         total = timer.time(trainer.train_round)
-    finally:
-        watch.restore()
-    return total, total - watch.seconds["work"] + watch.seconds["sums"]
+    return total, total - sum([*played, *computed, *updated]) + sum(sums)
 
 
 def rounds(sizes: Sizes, timer: Timer) -> list[Row]:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import time
-from collections import Counter
+from contextlib import contextmanager
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
+from unittest.mock import patch
+
+import torch
+
+from bbq_torchrl.trainers import keep_freed_memory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     Block = Callable[[], float]
     """Does some work once and returns the seconds that a unit of it took."""
@@ -22,12 +28,17 @@ class Comparison(NamedTuple):
     Attributes:
         seconds: median time of a unit of the candidate.
         base: median time of a unit of what it is compared with.
-        ratio: median of candidate / base, each candidate beside its neighbors.
+        ratios: candidate / base, each candidate beside its neighbors.
     """
 
     seconds: float
     base: float
-    ratio: float
+    ratios: list[float]
+
+    @property
+    def ratio(self) -> float:
+        """Median of the ratios."""
+        return median(self.ratios)
 
 
 class Timer:
@@ -61,37 +72,33 @@ def interleaved(base: Block, candidate: Block, repeats: int) -> Comparison:
         bases.append(base())
     sides = zip(seconds, bases, bases[1:], strict=False)
     ratios = [2 * own / (before + after) for own, before, after in sides]
-    return Comparison(median(seconds), median(bases), median(ratios))
+    return Comparison(median(seconds), median(bases), ratios)
 
 
-class Stopwatch:
-    """Adds up the seconds spent in functions, by what they are for.
+@contextmanager
+def stopwatch(now: Callable[[], float], owner: object, name: str) -> Iterator[list[float]]:
+    """Yields a list to which every call of ``owner.name`` within the context adds its seconds."""
+    function, seconds = getattr(owner, name), []
 
-    Args:
-        now: the clock.
-    """
+    def timed(*args: object, **kwargs: object) -> object:
+        started = now()
+        try:
+            return function(*args, **kwargs)
+        finally:
+            seconds.append(now() - started)
 
-    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
-        self.seconds: Counter[str] = Counter()
-        self._now = now
-        self._originals: list[tuple[object, str, Callable]] = []
+    with patch.object(owner, name, timed):
+        yield seconds
 
-    def watch(self, owner: object, name: str, what: str) -> None:
-        """Replaces ``owner.name`` by a function that does the same and is timed."""
-        function: Callable = getattr(owner, name)
-        self._originals.append((owner, name, function))
 
-        def timed(*args: object, **kwargs: object) -> object:
-            started = self._now()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                self.seconds[what] += self._now() - started
-
-        setattr(owner, name, timed)
-
-    def restore(self) -> None:
-        """Puts the functions back."""
-        while self._originals:
-            owner, name, function = self._originals.pop()
-            setattr(owner, name, function)
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Has a process measure as a run works: on one thread, keeping its memory, without a word."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    keep_freed_memory()
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
