@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
@@ -10,6 +9,7 @@ import torch
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.simulator.channel import Utterance
 from bbq_torchrl.simulator.choices import index_below
+from bbq_torchrl.simulator.movable import Movable
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -24,7 +24,7 @@ SlotErrorMode = Literal["value", "slot", "delete", "mixed"]
 _ABOVE_IDS = 1 << 32  # above every value id
 
 
-class ErrorModel:
+class ErrorModel(Movable):
     """The channel of dialogue acts: stands for the errors of speech and language understanding.
 
     Every slot the user informs is hit with ``slot_error_prob``, independently; requested slots are
@@ -79,14 +79,6 @@ class ErrorModel:
         self._width = domain.error_values.shape[-1]
         self._values = domain.error_values.flatten()
         self._first = torch.arange(domain.n_slots, device=self._count.device) * self._width
-
-    def to(self, device: torch.device | str) -> ErrorModel:
-        """Returns the same error model with every tensor on ``device``."""
-        moved = copy(self)
-        for name, value in vars(self).items():
-            if isinstance(value, torch.Tensor):
-                setattr(moved, name, value.to(device))
-        return moved
 
     def transmit(
         self,

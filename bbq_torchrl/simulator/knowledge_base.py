@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import TYPE_CHECKING
 
 import torch
@@ -10,6 +9,7 @@ import torch
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
 from bbq_torchrl.simulator.bits import WORD_BITS, byte_counts, pack, popcount
 from bbq_torchrl.simulator.lookup import rows
+from bbq_torchrl.simulator.movable import Movable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +28,7 @@ _FILL_BLOCK = 4096
 _BUILD_BLOCK = 2**22
 
 
-class KnowledgeBase:
+class KnowledgeBase(Movable):
     """The knowledge base of a domain as bit-packed sets of records.
 
     For every value of every slot there is the set of the records that a held value allows: all of
@@ -106,17 +106,6 @@ class KnowledgeBase:
             ]
         )
         self._move(device)
-
-    def to(self, device: torch.device | str) -> KnowledgeBase:
-        """Returns the same knowledge base with every tensor on ``device``."""
-        moved = copy(self)
-        moved._move(device)
-        return moved
-
-    def _move(self, device: torch.device | str) -> None:
-        for name, value in vars(self).items():
-            if isinstance(value, torch.Tensor):
-                setattr(self, name, value.to(device))
 
     def _chosen(self, held: torch.Tensor) -> torch.Tensor:
         """Returns which set each slot's held value stands for, long ``[*B, K]``."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -10,6 +9,7 @@ import torch
 from bbq_torchrl.domains.values import NONE, fold
 from bbq_torchrl.simulator.channel import Utterance
 from bbq_torchrl.simulator.choices import one_of
+from bbq_torchrl.simulator.movable import Movable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ _ABOVE_IDS = 1 << 32  # above every value id
 _MEAN_WEIGHT = 2.0  # how many values of the slot's mean rates stand beside those counted of a value
 
 
-class MeasuredErrors:
+class MeasuredErrors(Movable):
     """The channel of sentences as a table of counts: what was heard of what was said.
 
     Drawn independently in every turn, given what the user says and the agent's act before:
@@ -82,14 +82,6 @@ class MeasuredErrors:
         ]
         codes = [[(domain.act[act], float(count)) for act, count in row.items()] for row in rows]
         self._act_below, self._act_codes = _table(codes)
-
-    def to(self, device: torch.device | str) -> MeasuredErrors:
-        """Returns the same errors with every tensor on ``device``."""
-        moved = copy(self)
-        for name, value in vars(self).items():
-            if isinstance(value, torch.Tensor):
-                setattr(moved, name, value.to(device))
-        return moved
 
     def transmit(
         self,
