@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
-from bbq_torchrl.cli.store import compose_raw, session, to_config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import CalibrateConfig, ConfigError
 from bbq_torchrl.text import sentence, shown
 
@@ -70,8 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments[0] != "calibrate":
             raise ConfigError(f"the command must be calibrate, got {shown(arguments[0])}")
         arguments = take_config_dir(arguments)
-        with session():
-            config = to_config(compose_raw(arguments[1:], "calibrate"), CalibrateConfig)
+        config = compose(arguments[1:], CalibrateConfig)
         found = calibrate(config, output.complain)
     except (ValueError, OSError) as error:
         output.complain(f"error: {sentence(error)}")

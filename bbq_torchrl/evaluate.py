@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.resume import run_config
-from bbq_torchrl.cli.store import compose_raw, session, to_config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.shipped import run_folder
@@ -58,8 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         arguments = take_config_dir(arguments)
-        with session():
-            config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
+        config = compose(arguments, EvaluateConfig)
         line = evaluation(config, arguments)
     except (ValueError, OSError) as error:
         output.complain(f"error: {sentence(error)}")
