@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torch import Tensor
+    from torchrl.data import Composite
+    from torchrl.modules import QValueActor
 
-__all__ = ["Per", "begins", "explores"]
+__all__ = ["ActorPolicy", "Per", "begins", "explores"]
 
 Per = Literal["step", "episode", "round"]
 
@@ -42,3 +45,22 @@ def begins(tensordict: TensorDictBase, init_key: NestedKey) -> Tensor:
         )
     marks: Tensor = found.reshape(tensordict.batch_size)
     return marks
+
+
+class ActorPolicy(TensorDictModuleBase):
+    """A policy that reads and writes what its actor does.
+
+    Args:
+        actor: what chooses actions from values.
+    """
+
+    def __init__(self, actor: QValueActor) -> None:
+        super().__init__()
+        self.actor = actor
+        self.in_keys = actor.in_keys
+        self.out_keys = actor.out_keys
+
+    @property
+    def spec(self) -> Composite:
+        """Specs of what the actor writes."""
+        return self.actor.spec

@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 
 from bbq_torchrl.bayes.kl import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.exploration.base import ActorPolicy
 from bbq_torchrl.networks.q_actor import split_actor
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torch import Tensor
-    from torchrl.data import Composite
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.bayes import GaussianPosterior
@@ -25,7 +24,7 @@ __all__ = ["EvaluationMode", "EvaluationPolicy"]
 EvaluationMode = Literal["mean", "average", "draw", "thompson"]
 
 
-class EvaluationPolicy(TensorDictModuleBase):
+class EvaluationPolicy(ActorPolicy):
     """Acts greedily on what is to be reported, whatever the exploration type.
 
     ReLU of noise has a positive mean, so that Q at the mean weights is not the mean of Q: these
@@ -70,18 +69,10 @@ class EvaluationPolicy(TensorDictModuleBase):
             raise ValueError(f"num_draws must be at least 1, got {num_draws}")
         if mode != "mean":
             posteriors(actor)
-        super().__init__()
-        self.actor = actor
+        super().__init__(actor)
         self.mode = mode
         self.num_draws = num_draws if mode == "average" else 1
-        self.in_keys = actor.in_keys
-        self.out_keys = actor.out_keys
         self._held: list[dict[GaussianPosterior, Tensor]] = []
-
-    @property
-    def spec(self) -> Composite:
-        """Specs of what the actor writes."""
-        return self.actor.spec
 
     def resample(self) -> None:
         """Forgets the draws: the next call makes new ones."""

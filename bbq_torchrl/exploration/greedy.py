@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tensordict.nn import TensorDictModuleBase
-
 from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.exploration.base import ActorPolicy
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
-    from torchrl.data import Composite
-    from torchrl.modules import QValueActor
 
 __all__ = ["Greedy"]
 
 
-class Greedy(TensorDictModuleBase):
+class Greedy(ActorPolicy):
     """Acts greedily on the mean network (dropout off), whatever the exploration type.
 
     Args:
@@ -41,17 +38,6 @@ class Greedy(TensorDictModuleBase):
         >>> bool((policy(td)["action"] > 0).all())
         True
     """
-
-    def __init__(self, actor: QValueActor) -> None:
-        super().__init__()
-        self.actor = actor
-        self.in_keys = actor.in_keys
-        self.out_keys = actor.out_keys
-
-    @property
-    def spec(self) -> Composite:
-        """Specs of what the actor writes."""
-        return self.actor.spec
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the greedy action and the values it comes from."""

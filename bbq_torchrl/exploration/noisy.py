@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tensordict.nn import TensorDictModuleBase
-
 from bbq_torchrl.bayes.scope import WeightMode, weight_scope
-from bbq_torchrl.exploration.base import explores
+from bbq_torchrl.exploration.base import ActorPolicy, explores
 from bbq_torchrl.networks.noisy_mlp import noisy_layers
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
-    from torchrl.data import Composite
     from torchrl.modules import QValueActor
 
 __all__ = ["NoisySampling"]
 
 
-class NoisySampling(TensorDictModuleBase):
+class NoisySampling(ActorPolicy):
     """Acts greedily on noise that is new at every step (NoisyNet's exploration).
 
     Under the exploration types DETERMINISTIC, MEAN and MODE it acts on the mean network μ; under
@@ -47,17 +44,9 @@ class NoisySampling(TensorDictModuleBase):
     """
 
     def __init__(self, actor: QValueActor, *, shared: bool = False) -> None:
-        super().__init__()
+        super().__init__(actor)
         noisy_layers(actor)
-        self.actor = actor
         self.shared = shared
-        self.in_keys = actor.in_keys
-        self.out_keys = actor.out_keys
-
-    @property
-    def spec(self) -> Composite:
-        """Specs of what the actor writes."""
-        return self.actor.spec
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that is greedy under the noise, and the values."""

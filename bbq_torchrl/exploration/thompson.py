@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, get_args
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 
 from bbq_torchrl.bayes.kl import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.exploration.base import Per, begins, explores
+from bbq_torchrl.exploration.base import ActorPolicy, Per, begins, explores
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torch import Tensor
-    from torchrl.data import Composite
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.bayes import GaussianPosterior
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["ThompsonSampling"]
 
 
-class ThompsonSampling(TensorDictModuleBase):
+class ThompsonSampling(ActorPolicy):
     """Draws weights from the posterior and acts greedily on them.
 
     Under the exploration types DETERMINISTIC, MEAN and MODE it acts on the mean network; under
@@ -77,21 +75,13 @@ class ThompsonSampling(TensorDictModuleBase):
     ) -> None:
         if per not in get_args(Per):
             raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
-        super().__init__()
-        self.actor = actor
+        super().__init__(actor)
         self.per = per
         self.shared = per == "round" if shared is None else shared
         self.init_key = init_key
-        self.in_keys = actor.in_keys
-        self.out_keys = actor.out_keys
         self._held: dict[GaussianPosterior, Tensor] = {}
         self._held_rows: torch.Size | None = None
         posteriors(actor)
-
-    @property
-    def spec(self) -> Composite:
-        """Specs of what the actor writes."""
-        return self.actor.spec
 
     def resample(self) -> None:
         """Forgets the draws: the next call acts on new ones."""
