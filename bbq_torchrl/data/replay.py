@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
 
+from bbq_torchrl.data.epoch import Batch, EpochMemory
 from bbq_torchrl.data.hooks import Seeded
 from bbq_torchrl.data.padding import pad_rows, unpad_rows
 from bbq_torchrl.data.stored_rows import map_stored_rows
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     from torchrl.envs import Transform
 
-__all__ = ["TRANSITION_KEYS", "Batch", "ReplicaReplay"]
+__all__ = ["TRANSITION_KEYS", "ReplicaReplay"]
 
 TRANSITION_KEYS: tuple[NestedKey, ...] = (
     "observation",
@@ -34,22 +35,6 @@ TRANSITION_KEYS: tuple[NestedKey, ...] = (
     ("next", "done"),
     ("next", "terminated"),
 )
-
-
-class Batch(NamedTuple):
-    """One mini-batch for every replica.
-
-    Attributes:
-        transitions: batch size [replicas, batch_size]; the entry ``valid`` [replicas, batch_size]
-            tells the rows that count from the padding, which repeats a row of the same replica,
-            and ``row_weight`` [replicas, batch_size] is one over their number, 0 for padding.
-        active: for each replica, whether the batch holds a row of it that counts (on the host).
-        active_mask: the same on the device, shape [replicas].
-    """
-
-    transitions: TensorDictBase
-    active: tuple[bool, ...]
-    active_mask: Tensor
 
 
 class ReplicaReplay:
@@ -129,7 +114,7 @@ class ReplicaReplay:
         ]
         self.seed(range(replicas))
         self._computed: dict[NestedKey, Tensor] = {}
-        self._epoch_rows: TensorDict | None = None
+        self._memory = EpochMemory(self._buffers, self.stored_keys, capacity)
         self._epochs_begun = 0
 
     @property
@@ -265,7 +250,7 @@ class ReplicaReplay:
     def _batches(
         self, lengths: tuple[int, ...], batch_size: int, epoch_number: int
     ) -> Iterator[Batch]:
-        rows = self._shuffled(lengths, batch_size)
+        rows = self._memory.gather(lengths, batch_size, self._computed, self.transform)
         counts = [-(-length // batch_size) for length in lengths]
         # A batch's first row counts if any does.
         active = rows["valid"][..., 0].unbind(1)
@@ -273,55 +258,6 @@ class ReplicaReplay:
             if epoch_number != self._epochs_begun:
                 raise RuntimeError("a new epoch has begun: the batches of the one before are gone")
             yield Batch(batch, tuple(number < count for count in counts), active[number])
-
-    def _shuffled(self, lengths: tuple[int, ...], batch_size: int) -> TensorDictBase:
-        """Returns an epoch's rows, shuffled and padded: [replicas, batches, batch_size]."""
-        batches = -(-max(lengths) // batch_size)
-        padded = batches * batch_size
-        memory = self._memory(-(-self.capacity // batch_size) * batch_size)
-        for replica, (buffer, length) in enumerate(zip(self._buffers, lengths, strict=True)):
-            index, _ = buffer.sampler.sample(buffer.storage, length)
-            index = torch.cat([index, index[:1].expand(padded - length)])
-            stored = buffer.storage.get(slice(0, length))
-            target = memory[replica, :padded]
-            for key in self.stored_keys:
-                if key not in self._computed:
-                    torch.index_select(stored.get(key), 0, index, out=target.get(key))
-            for key, values in self._computed.items():
-                torch.index_select(values[replica], 0, index, out=target.get(key))
-        rows = memory[:, :padded]
-        # Filled in, not compared with the lengths: a tensor of them would have to be copied to the
-        # device, and the host would wait for it.
-        valid = torch.ones(rows.shape, dtype=torch.bool, device=self._device)
-        for replica, length in enumerate(lengths):
-            valid[replica, length:].fill_(False)
-        rows = rows.set("valid", valid)
-        if self.transform is not None:
-            rows = self.transform(rows)
-        rows = rows.unflatten(1, (batches, batch_size))
-        # Once for all batches: a few numbers a batch cost as much as a small matrix product.
-        weight = rows["valid"].to(torch.get_default_dtype())
-        tiny = torch.finfo(weight.dtype).tiny
-        return rows.set("row_weight", weight / weight.sum(-1, keepdim=True).clamp_min_(tiny))
-
-    def _memory(self, rows: int) -> TensorDict:
-        """Returns the memory that epochs are gathered into, batch size [replicas, rows].
-
-        It is kept: allocating 22 MB a replica (10,000 transitions of two observations of 268
-        floats) anew for every epoch costs as much as filling it.
-        """
-        memory = self._epoch_rows
-        if memory is None or memory.shape[1] != rows:
-            row = self._buffers[0].storage.get(slice(0, 1)).select(*self.stored_keys)
-            memory = row.expand(self.replicas, rows).apply(torch.empty_like)
-            assert isinstance(memory, TensorDict)
-            self._epoch_rows = memory
-        kept = [*self.stored_keys, *self._computed]
-        for key, values in self._computed.items():
-            there = memory.get(key, None)
-            if there is None or there.shape[2:] != values.shape[2:]:
-                memory.set(key, values.new_empty((self.replicas, rows, *values.shape[2:])))
-        return memory.select(*kept)
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the transitions, the writers' positions and the transform's state.

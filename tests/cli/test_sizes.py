@@ -63,7 +63,7 @@ def test_the_estimate_of_the_buffer_is_what_it_takes(tmp_path):
     trainer.begin()
     list(trainer.replay.epoch(32))
     tensors = [buffer.storage._storage for buffer in trainer.replay.buffers]
-    tensors.append(trainer.replay._epoch_rows)
+    tensors.append(trainer.replay._memory._rows)
     taken = sum(td.bytes() for td in tensors)
     estimated = training_needs(config, trainer.env.domain)[0].size
     assert 0.8 < estimated / taken < 1.25
