@@ -8,13 +8,13 @@ from __future__ import annotations
 from bbq_torchrl.options.base import (
     AgentOption,
     DomainOption,
-    EnvOption,
     Exploration,
     ExploreOption,
     IntrinsicOption,
     LoggerOption,
     Option,
 )
+from bbq_torchrl.options.env_base import EnvOption
 from bbq_torchrl.options.registry import explorations, register, schemas
 from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig, validate
 from bbq_torchrl.options.settings import ConfigError, check_settings

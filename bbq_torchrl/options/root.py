@@ -7,12 +7,12 @@ from dataclasses import dataclass, fields
 from bbq_torchrl.options.base import (
     AgentOption,
     DomainOption,
-    EnvOption,
     ExploreOption,
     IntrinsicOption,
     LoggerOption,
     Option,
 )
+from bbq_torchrl.options.env_base import EnvOption  # noqa: TC001 (OmegaConf reads it)
 from bbq_torchrl.options.protocols import ProtocolOption  # noqa: TC001 (OmegaConf reads it)
 from bbq_torchrl.options.registry import explorations
 from bbq_torchrl.options.settings import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from bbq_torchrl.options.base import EnvOption
+from bbq_torchrl.options.env_base import EnvOption
 from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
     BOOLEAN,
