@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl.domains.values import FIRST_VALUE, NONE, RESERVED_TEXT, fold
+from bbq_torchrl.domains.values import FIRST_VALUE, NONE, RESERVED_TEXT, fold, value_ids
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -121,7 +121,7 @@ def tensorize(domain: Domain) -> DomainTensors:
     act = {name: index for index, name in enumerate(domain.acts)}
     slot = {name: index for index, name in enumerate(domain.slots)}
     vocabulary = build_vocabulary(domain)
-    ids = [{fold(text): index for index, text in enumerate(texts)} for texts in vocabulary]
+    ids = value_ids(vocabulary)
 
     def slots_of(kind: str) -> torch.Tensor:
         return torch.tensor([_slot_of(action, kind, slot) for action in domain.actions])

@@ -6,6 +6,11 @@ here, once; the slot's own values follow from :data:`FIRST_VALUE` on.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
 __all__ = [
     "AVAILABLE",
     "DONT_CARE",
@@ -14,6 +19,7 @@ __all__ = [
     "NO_MATCH",
     "RESERVED_TEXT",
     "fold",
+    "value_ids",
 ]
 
 NONE = 0
@@ -50,3 +56,12 @@ def fold(text: str) -> str:
         True
     """
     return text.casefold()
+
+
+def value_ids(vocabulary: Iterable[Sequence[str]]) -> list[dict[str, int]]:
+    """Returns, per slot, the id of each value by its folded text.
+
+    Args:
+        vocabulary: per slot, id to text.
+    """
+    return [{fold(text): id_ for id_, text in enumerate(texts)} for texts in vocabulary]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl.domains.values import NONE, fold
+from bbq_torchrl.domains.values import NONE, fold, value_ids
 from bbq_torchrl.simulator.channel import Utterance
 from bbq_torchrl.simulator.choices import one_of
 from bbq_torchrl.simulator.movable import Movable
@@ -65,9 +65,7 @@ class MeasuredErrors(Movable):
         self._n_acts, self._n_slots = domain.n_acts, domain.n_slots
         self._names = tuple(domain.slot)
         self._slot = domain.slot
-        self._ids = [
-            {fold(text): id_ for id_, text in enumerate(texts)} for texts in domain.vocabulary
-        ]
+        self._ids = value_ids(domain.vocabulary)
         self._first = domain.n_values.cumsum(0) - domain.n_values
         self._slots = torch.arange(domain.n_slots)
         self._value_rows(domain, counts["values"])
