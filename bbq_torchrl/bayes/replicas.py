@@ -10,7 +10,9 @@ from torch import Tensor
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["replica_shape", "replica_values"]
+    from torch import nn
+
+__all__ = ["replica_shape", "replica_values", "replicas_of"]
 
 
 def replica_shape(replicas: int | Sequence[int]) -> torch.Size:
@@ -64,3 +66,18 @@ def replica_values(
         allowed += " and finite" if maximum is None else f" and at most {maximum:g}"
         raise ValueError(f"{name} must be {allowed}, got {values.tolist()}")
     return values
+
+
+def replicas_of(network: nn.Module) -> torch.Size:
+    """Returns the replica dimension that the layers of a network have in common, () if none.
+
+    Raises:
+        ValueError: if they differ.
+    """
+    found = (getattr(module, "replicas", None) for module in network.modules())
+    shapes = {shape for shape in found if isinstance(shape, torch.Size)}
+    if len(shapes) > 1:
+        raise ValueError(
+            f"the network's layers must have one replica dimension in common, got {shapes}"
+        )
+    return shapes.pop() if shapes else torch.Size(())

@@ -11,7 +11,7 @@ from tensordict.nn import dispatch
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
-from bbq_torchrl.bayes.replicas import replica_values
+from bbq_torchrl.bayes.replicas import replica_values, replicas_of
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
@@ -320,18 +320,3 @@ def _masked(values: Tensor, mask: Tensor | None) -> Tensor:
     if mask is None:
         return values
     return torch.where(mask, values, torch.finfo(values.dtype).min)
-
-
-def replicas_of(network: nn.Module) -> torch.Size:
-    """Returns the replica dimension that the layers of a network have in common, () if none.
-
-    Raises:
-        ValueError: if they differ.
-    """
-    found = (getattr(module, "replicas", None) for module in network.modules())
-    shapes = {shape for shape in found if isinstance(shape, torch.Size)}
-    if len(shapes) > 1:
-        raise ValueError(
-            f"the network's layers must have one replica dimension in common, got {shapes}"
-        )
-    return shapes.pop() if shapes else torch.Size(())

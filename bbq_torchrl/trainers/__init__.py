@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from bbq_torchrl.trainers.best_weights import BestWeights
-from bbq_torchrl.trainers.checkpoint import (
-    CheckpointDamagedError,
-    CheckpointFolder,
-    CheckpointMismatchError,
-)
+from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import EpisodeStats, Policy, outcomes, play, play_dialogues
-from bbq_torchrl.trainers.errors import NonFiniteLossError, SpikeError
+from bbq_torchrl.trainers.errors import (
+    CheckpointDamagedError,
+    CheckpointMismatchError,
+    NonFiniteLossError,
+    SpikeError,
+)
 from bbq_torchrl.trainers.hooks import Evaluator, RoundCallback, RoundEnv
 from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile

@@ -33,34 +33,19 @@ from torch.utils import _pytree as pytree
 from torchrl.checkpoint import Checkpoint, CheckpointError
 
 from bbq_torchrl.trainers.archive import TensorFiles, read_archive
+from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-__all__ = ["CheckpointDamagedError", "CheckpointFolder", "CheckpointMismatchError"]
+__all__ = ["CheckpointFolder"]
 
 _LOG = logging.getLogger(__name__)
 _SUFFIX = ".torchrl"
 _NAME = re.compile(r"round-(\d{6,})\.torchrl")
 _METADATA_SIZE = 1 << 20  # bytes; more than the JSON and the folders of a checkpoint take
 _LEFTOVER = re.compile(r"\..+\.torchrl\.(stage|archive|backup)-[0-9a-f]{32}")
-
-
-class CheckpointDamagedError(RuntimeError):
-    """No checkpoint of a run can be used, though there was one."""
-
-    @classmethod
-    def gone(cls, run_folder: Path) -> CheckpointDamagedError:
-        """Returns the error of a run that has begun and has no checkpoint any more."""
-        return cls(
-            f"{run_folder} has metrics or a result, but no checkpoint to go on from: put its "
-            "checkpoint/ back, resume a copy of the folder that has it, or start a new run"
-        )
-
-
-class CheckpointMismatchError(ValueError):
-    """A checkpoint is one of another seed or configuration."""
 
 
 class CheckpointFolder:

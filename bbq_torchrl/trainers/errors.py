@@ -1,4 +1,4 @@
-"""What stops a training."""
+"""What stops a training, or keeps one from going on."""
 
 from __future__ import annotations
 
@@ -8,11 +8,32 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["NonFiniteLossError", "SpikeError"]
+__all__ = [
+    "CheckpointDamagedError",
+    "CheckpointMismatchError",
+    "NonFiniteLossError",
+    "SpikeError",
+]
 
 
 class SpikeError(ValueError):
     """Spiked transitions that do not fit the replay buffer."""
+
+
+class CheckpointDamagedError(RuntimeError):
+    """No checkpoint of a run can be used, though there was one."""
+
+    @classmethod
+    def gone(cls, run_folder: Path) -> CheckpointDamagedError:
+        """Returns the error of a run that has begun and has no checkpoint any more."""
+        return cls(
+            f"{run_folder} has metrics or a result, but no checkpoint to go on from: put its "
+            "checkpoint/ back, resume a copy of the folder that has it, or start a new run"
+        )
+
+
+class CheckpointMismatchError(ValueError):
+    """A checkpoint is one of another seed or configuration."""
 
 
 class NonFiniteLossError(RuntimeError):

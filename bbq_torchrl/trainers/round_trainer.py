@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from bbq_torchrl.exploration.hooks import Annealed, Resampled
 from bbq_torchrl.hooks import provides
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
-from bbq_torchrl.trainers.checkpoint import CheckpointDamagedError, CheckpointFolder
+from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import (
     Policy,
     outcomes,
@@ -22,7 +22,7 @@ from bbq_torchrl.trainers.collect import (
     pop_metrics,
     rows_per_replica,
 )
-from bbq_torchrl.trainers.errors import NonFiniteLossError
+from bbq_torchrl.trainers.errors import CheckpointDamagedError, NonFiniteLossError
 from bbq_torchrl.trainers.hooks import RoundEnv
 from bbq_torchrl.trainers.learner import Learner, TargetUpdater
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
