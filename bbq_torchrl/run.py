@@ -5,33 +5,21 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
-import platform
-import time
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-import bbq_torchrl
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.agent import make_domain
+from bbq_torchrl.cli.final import final_result
 from bbq_torchrl.cli.run_lock import run_lock
 from bbq_torchrl.cli.saved import save_config
-from bbq_torchrl.cli.training import build_trainer, evaluation_places
-from bbq_torchrl.envs.policies import RANDOM_POLICY
+from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.figures import Curves, draw_run
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.names import agent_name
-from bbq_torchrl.evaluation.play import evaluate
-from bbq_torchrl.evaluation.results import (
-    RunResult,
-    TrainingEvaluation,
-    read_result,
-    replica_result,
-    training_evaluation,
-    write_json,
-)
+from bbq_torchrl.evaluation.results import RunResult, read_result, write_json
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 from bbq_torchrl.trainers import keep_freed_memory
@@ -40,18 +28,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from bbq_torchrl.cli.agent import Agent
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
-    from bbq_torchrl.trainers import RoundTrainer
     from bbq_torchrl.trainers.hooks import RoundCallback
 
 __all__ = ["run"]
 
 _LOG = logging.getLogger(__name__)
-
-OTHERS_DIALOGUES = 1_000
-"""Dialogues of each policy that the agent is set beside: all of them take a second."""
 
 
 def run(
@@ -104,9 +87,8 @@ def _run(
             rows = trainer.train(resume=config.resume is not None)
         interruption.check()
         trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
-        started = time.perf_counter()
         _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
-        result = _evaluated(config, folder, domain, agent, trainer, trained, started)
+        result = final_result(config, folder, domain, agent, trainer, trained)
         write_json(result, folder / RESULT)
     if config.protocol.keep_checkpoints == "weights":
         trainer.checkpoints.keep_only("loss", "best")
@@ -182,90 +164,6 @@ def _quieten_torchrl() -> None:
         logging.getLogger("torchrl").setLevel(logging.WARNING)
 
 
-def _evaluated(
-    config: Config,
-    folder: Path,
-    domain: Domain | None,
-    agent: Agent,
-    trainer: RoundTrainer,
-    trained: float,
-    started: float,
-) -> RunResult:
-    """Plays the final evaluation, in the state of the domain in which training ended."""
-    protocol = config.protocol
-    env = config.env.make(
-        domain,
-        (config.replicas, evaluation_places(config, protocol.eval_dialogues)),
-        device=config.device,
-    )
-    config.env.enter_round(env, max(protocol.rounds - 1, 0))
-    name, policy = config.agent.make_evaluation(agent.actor)
-    played = evaluate(
-        env, policy, protocol.eval_dialogues, seed=config.seed, max_steps=config.env.steps()
-    )
-    metrics = read_metrics(folder)
-    training_success = metrics.training_success
-    evaluated: list[TrainingEvaluation | None] = [None] * config.replicas
-    if trainer.evaluator is not None:
-        rates = metrics["eval_success_rate"]
-        best = trainer.evaluator.best
-        evaluated = [
-            training_evaluation(rates[:, replica], float(rate), int(number))
-            for replica, (rate, number) in enumerate(
-                zip(best.success_rate.tolist(), best.round.tolist(), strict=True)
-            )
-        ]
-    values = replica_values(config)
-    per_replica = [
-        replica_result(
-            replica,
-            played.success[replica].tolist(),
-            played.reward[replica].tolist(),
-            played.turns[replica].tolist(),
-            float(training_success[replica]),
-            values[replica],
-            evaluated[replica],
-        )
-        for replica in range(config.replicas)
-    ]
-    return RunResult.of(
-        per_replica,
-        agent=config.agent.name,
-        explore=config.explore.name,
-        intrinsic=config.intrinsic.name,
-        env=config.env.name,
-        domain="" if domain is None else domain.name,
-        policy=name,
-        seed=config.seed,
-        rounds=protocol.rounds,
-        wall_seconds=trained + time.perf_counter() - started,
-        versions=_versions(),
-        skipped=() if domain is None else domain.skipped,
-        **_others(config, domain),
-    )
-
-
-def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]]:
-    """Returns success rates of policies that do not learn, as :class:`RunResult` has them.
-
-    In the state of the domain in which training ended.
-    """
-    dialogues = min(config.protocol.eval_dialogues, OTHERS_DIALOGUES)
-    env = config.env.make(domain, (1, dialogues), device=config.device)
-    config.env.enter_round(env, max(config.protocol.rounds - 1, 0))
-
-    def rate(name: str) -> float:
-        policy = config.env.make_policy(name, env)
-        played = evaluate(env, policy, dialogues, seed=config.seed, max_steps=config.env.steps())
-        return played.success.double().mean().item()
-
-    scripted = (*config.env.policies(domain), RANDOM_POLICY)
-    return {
-        "scripted": {name: rate(name) for name in scripted},
-        "references": {name: rate(name) for name in config.env.references(domain)},
-    }
-
-
 def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None) -> None:
     spike = config.spike
     name = f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}"
@@ -298,12 +196,3 @@ def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None
         extensions=config.env.additions(domain),
         references=result.references,
     )
-
-
-def _versions() -> dict[str, str]:
-    packages = ("torch", "torchrl", "tensordict")
-    return {
-        "bbq-torchrl": bbq_torchrl.__version__,
-        "python": platform.python_version(),
-        **{name: version(name) for name in packages},
-    }

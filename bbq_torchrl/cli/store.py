@@ -109,7 +109,9 @@ def register_options() -> None:
             own = {"override /explore@_global_.explore": option.explores_by}
             store.store(group=group, name=f"_{name}", node=option)
             store.store(group=group, name=name, node={"defaults": [f"_{name}", own, "_self_"]})
-    OmegaConf.register_new_resolver("bbq_pairs", _indented_pairs, replace=True)
+    OmegaConf.register_new_resolver(
+        "bbq_pairs", lambda: textwrap.indent(explorations_table(), "  "), replace=True
+    )
     OmegaConf.register_new_resolver("bbq_groups", _indented_groups, replace=True)
     OmegaConf.register_new_resolver("bbq_lists", _indented_lists, replace=True)
 
@@ -129,19 +131,9 @@ def explorations_table() -> str:
     )
 
 
-def _indented_pairs() -> str:
-    return "\n".join(f"  {line}" for line in explorations_table().splitlines())
-
-
 def _indented_lists() -> str:
-    return "\n".join(
-        textwrap.wrap(
-            ", ".join(keys_with_lists(schemas())),
-            width=90,
-            initial_indent="  ",
-            subsequent_indent="  ",
-        )
-    )
+    keys = ", ".join(keys_with_lists(schemas()))
+    return textwrap.fill(keys, 90, initial_indent="  ", subsequent_indent="  ")
 
 
 def _indented_groups() -> str:

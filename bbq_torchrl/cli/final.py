@@ -1,0 +1,144 @@
+"""The final evaluation of a run: the agent's, and that of policies that do not learn."""
+
+from __future__ import annotations
+
+import platform
+import time
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import bbq_torchrl
+from bbq_torchrl.cli.training import evaluation_places
+from bbq_torchrl.envs.policies import RANDOM_POLICY
+from bbq_torchrl.evaluation.metrics import read_metrics
+from bbq_torchrl.evaluation.play import evaluate
+from bbq_torchrl.evaluation.results import (
+    RunResult,
+    TrainingEvaluation,
+    replica_result,
+    training_evaluation,
+)
+from bbq_torchrl.options.values import replica_values
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tensordict.nn import TensorDictModuleBase
+    from torchrl.envs import EnvBase
+
+    from bbq_torchrl.cli.agent import Agent
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.options import Config
+    from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
+
+__all__ = ["final_result"]
+
+OTHERS_DIALOGUES = 1_000
+"""Dialogues of each policy that the agent is set beside: all of them take a second."""
+
+
+def final_result(
+    config: Config,
+    folder: Path,
+    domain: Domain | None,
+    agent: Agent,
+    trainer: RoundTrainer,
+    trained: float,
+) -> RunResult:
+    """Plays the final evaluation, in the state of the domain in which training ended.
+
+    Args:
+        config: of the run.
+        folder: of the run, with the metrics of the training.
+        domain: what it was about.
+        agent: what has learned.
+        trainer: what trained it.
+        trained: seconds of the training.
+    """
+    started = time.perf_counter()
+    protocol = config.protocol
+    places = evaluation_places(config, protocol.eval_dialogues)
+    env = _last_env(config, domain, config.replicas, places)
+    name, policy = config.agent.make_evaluation(agent.actor)
+    played = _played(config, env, policy, protocol.eval_dialogues)
+    metrics = read_metrics(folder)
+    training_success = metrics.training_success
+    evaluated: list[TrainingEvaluation | None] = [None] * config.replicas
+    if trainer.evaluator is not None:
+        rates = metrics["eval_success_rate"]
+        best = trainer.evaluator.best
+        evaluated = [
+            training_evaluation(rates[:, replica], float(rate), int(number))
+            for replica, (rate, number) in enumerate(
+                zip(best.success_rate.tolist(), best.round.tolist(), strict=True)
+            )
+        ]
+    values = replica_values(config)
+    per_replica = [
+        replica_result(
+            replica,
+            played.success[replica].tolist(),
+            played.reward[replica].tolist(),
+            played.turns[replica].tolist(),
+            float(training_success[replica]),
+            values[replica],
+            evaluated[replica],
+        )
+        for replica in range(config.replicas)
+    ]
+    return RunResult.of(
+        per_replica,
+        agent=config.agent.name,
+        explore=config.explore.name,
+        intrinsic=config.intrinsic.name,
+        env=config.env.name,
+        domain="" if domain is None else domain.name,
+        policy=name,
+        seed=config.seed,
+        rounds=protocol.rounds,
+        wall_seconds=trained + time.perf_counter() - started,
+        versions=_versions(),
+        skipped=() if domain is None else domain.skipped,
+        **_others(config, domain),
+    )
+
+
+def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]]:
+    """Returns success rates of policies that do not learn, as :class:`RunResult` has them.
+
+    In the state of the domain in which training ended.
+    """
+    dialogues = min(config.protocol.eval_dialogues, OTHERS_DIALOGUES)
+    env = _last_env(config, domain, 1, dialogues)
+
+    def rate(name: str) -> float:
+        played = _played(config, env, config.env.make_policy(name, env), dialogues)
+        return played.success.double().mean().item()
+
+    scripted = (*config.env.policies(domain), RANDOM_POLICY)
+    return {
+        "scripted": {name: rate(name) for name in scripted},
+        "references": {name: rate(name) for name in config.env.references(domain)},
+    }
+
+
+def _last_env(config: Config, domain: Domain | None, replicas: int, places: int) -> EnvBase:
+    """Makes the environment as it was in the last round of the training."""
+    env = config.env.make(domain, (replicas, places), device=config.device)
+    config.env.enter_round(env, max(config.protocol.rounds - 1, 0))
+    return env
+
+
+def _played(
+    config: Config, env: EnvBase, policy: TensorDictModuleBase, dialogues: int
+) -> EpisodeStats:
+    return evaluate(env, policy, dialogues, seed=config.seed, max_steps=config.env.steps())
+
+
+def _versions() -> dict[str, str]:
+    packages = ("torch", "torchrl", "tensordict")
+    return {
+        "bbq-torchrl": bbq_torchrl.__version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }
