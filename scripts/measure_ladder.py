@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from bbq_torchrl.cli.store import compose_raw, session, to_config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluate import evaluation
 from bbq_torchrl.options import EvaluateConfig
 
@@ -38,9 +38,7 @@ RUNGS = {
 def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
     """Returns what a policy does on a rung, with the command."""
     arguments = f"policy={policy} {RUNGS[rung]} dialogues={dialogues}".split()
-    with session():
-        config = to_config(compose_raw(arguments, "evaluate"), EvaluateConfig)
-    result = evaluation(config, arguments)
+    result = evaluation(compose(arguments, EvaluateConfig), arguments)
     del result["turns_per_second"]  # of the machine, not of the agent
     command = f"bbq evaluate {' '.join(arguments)}"
     return {"policy": policy, "rung": rung, "command": command, "result": result}

@@ -46,50 +46,37 @@ class Measurement(NamedTuple):
     overrides: str
 
 
-MEASUREMENTS = (
+SCRIPTED = ("rule", "rule_inform", "careful_essential", "careful")
+NO_ERROR, V1 = "env.slot_error_prob=0", f"domain.goals={GOALS_V1}"
+SETTINGS: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
+    ("movie", "reference", (), (*SCRIPTED, "random", "clairvoyant")),
+    ("movie", "no error", (NO_ERROR,), (*SCRIPTED, "clairvoyant")),
+    ("miulab", "reference", (), (*SCRIPTED, "random", "clairvoyant")),
+    ("miulab", "v2, error .05", ("env.slot_error_prob=.05",), ("rule",)),
+    ("miulab", "v2, no error", (NO_ERROR,), ("rule", "rule_inform", "careful", "clairvoyant")),
+    ("miulab", "v1, no error", (V1, NO_ERROR), (*SCRIPTED, "clairvoyant")),
     *(
-        Measurement("movie", "reference", policy, REFERENCE if policy == "rule" else SHORT)
-        for policy in (
-            *("rule", "rule_inform", "careful_essential", "careful", "random"),
-            "clairvoyant",
-        )
+        ("miulab", f"v1, error {error}", (V1, f"env.slot_error_prob={error}"), ("rule",))
+        for error in (".05", ".10", ".20", ".30")
     ),
-    *(
-        Measurement("movie", "no error", policy, f"{SHORT} env.slot_error_prob=0")
-        for policy in ("rule", "rule_inform", "careful_essential", "careful", "clairvoyant")
-    ),
-    *(
-        Measurement(
-            "miulab", "reference", policy, f"{REFERENCE if policy == 'rule' else SHORT} {MIULAB}"
-        )
-        for policy in (
-            *("rule", "rule_inform", "careful_essential", "careful", "random"),
-            "clairvoyant",
-        )
-    ),
-    Measurement("miulab", "v2, error .05", "rule", f"{SHORT} {MIULAB} env.slot_error_prob=.05"),
-    *(
-        Measurement("miulab", "v2, no error", policy, f"{SHORT} {MIULAB} env.slot_error_prob=0")
-        for policy in ("rule", "rule_inform", "careful", "clairvoyant")
-    ),
-    *(
-        Measurement(
-            "miulab",
-            "v1, no error",
-            policy,
-            f"{SHORT} {MIULAB} domain.goals={GOALS_V1} env.slot_error_prob=0",
-        )
-        for policy in ("rule", "rule_inform", "careful_essential", "careful", "clairvoyant")
-    ),
-    *(
-        Measurement(
-            "miulab",
-            f"v1, error {probability}",
-            "rule",
-            f"{SHORT} {MIULAB} domain.goals={GOALS_V1} env.slot_error_prob={probability}",
-        )
-        for probability in (".05", ".10", ".20", ".30")
-    ),
+)
+"""Corpus, name of the setting, what the command line says of it, and who is measured in it."""
+
+MEASUREMENTS = tuple(
+    Measurement(
+        corpus,
+        setting,
+        policy,
+        " ".join(
+            [
+                REFERENCE if (setting, policy) == ("reference", "rule") else SHORT,
+                *([MIULAB] if corpus == "miulab" else []),
+                *more,
+            ]
+        ),
+    )
+    for corpus, setting, more, policies in SETTINGS
+    for policy in policies
 )
 
 

@@ -1,4 +1,4 @@
-"""Dialogues a second: on the simulator alone, and in an evaluation."""
+"""Turns a second on the simulator alone."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.cli.agent import make_agent
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.envs import DialogueEnv
-from bbq_torchrl.evaluation.play import evaluate
 from benchmarks.parts.rows import Row
 
 if TYPE_CHECKING:
@@ -57,7 +54,7 @@ def play_simulator(env: DialogueEnv, policy: str = "random") -> Callable[[], int
 
 
 def simulator(sizes: Sizes, timer: Timer) -> list[Row]:
-    """Turns a second, features included, how many times the public simulator's; evaluation."""
+    """Turns a second, features included, and how many times the public simulator's."""
     rows = [
         Row(
             "simulator",
@@ -75,20 +72,10 @@ def simulator(sizes: Sizes, timer: Timer) -> list[Row]:
         what = f"simulator, {policy} policy under errors, {dialogues:,} dialogues"
         unit = f"times the public one's {public:,} turns/s"
         rows.append(Row("simulator", what, unit, times, target, "higher"))
-    return [*rows, _evaluation(sizes, timer)]
+    return rows
 
 
 def _turns_per_second(dialogues: int, policy: str, sizes: Sizes, timer: Timer) -> float:
     play = play_simulator(DialogueEnv(movie_domain(), batch_size=(dialogues,), seed=0), policy)
     valid = play()
     return valid / median(timer.time(play) for _ in range(sizes.repeats))
-
-
-def _evaluation(sizes: Sizes, timer: Timer) -> Row:
-    config = compose(["agent=bbqn", *sizes.overrides])
-    lanes = min(config.protocol.eval_batch, sizes.eval_dialogues)
-    env = DialogueEnv(movie_domain(), batch_size=(1, lanes), seed=0)
-    _, policy = config.agent.make_evaluation(make_agent(config, env).actor)
-    seconds = timer.time(lambda: evaluate(env, policy, sizes.eval_dialogues))
-    what = f"evaluation of bbqn, {sizes.eval_dialogues:,} dialogues, {lanes:,} in parallel"
-    return Row("simulator", what, "dialogues/s", sizes.eval_dialogues / seconds)

@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from statistics import fmean, median
-from typing import TYPE_CHECKING
-
-from scipy import stats
 
 from bbq_torchrl.evaluation.learning import rounds_to_reach
+from bbq_torchrl.evaluation.statistics import estimate
 from scripts.docs_blocks.common import RESULTS, block, code, read_csv, table
 from scripts.docs_blocks.results import groups
 from scripts.docs_blocks.tables import success_rate
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 LEVEL = 0.6
 """Success of an evaluation that shows that an agent has learned to book."""
@@ -132,13 +127,9 @@ def _tried(file: str, end: str, name: str) -> str:
         row = [variant, str(len(lines))]
         for key in ("cumulative_success", end):
             own, first = ([float(line[key]) for line in of] for of in (lines, runs[base]))
-            row += [f"{fmean(own):.3f}", "–" if variant == base else _difference(own, first)]
+            differences = [one - other for one, other in zip(own, first, strict=True)]
+            paired = "–" if variant == base else f"{estimate(differences, method='t'):+.3f}"
+            row += [f"{fmean(own):.3f}", paired]
         rows.append(row)
     head = ("variant", "seeds", "cumulative", "paired difference", name, "paired difference")
     return table(head, rows, numbers=5)
-
-
-def _difference(own: Sequence[float], first: Sequence[float]) -> str:
-    values = [a - b for a, b in zip(own, first, strict=True)]
-    interval = stats.ttest_1samp(values, 0).confidence_interval()
-    return f"{fmean(values):+.3f} [{interval.low:+.3f}, {interval.high:+.3f}]"
