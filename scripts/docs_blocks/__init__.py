@@ -1,4 +1,7 @@
-"""The parts of the documentation that are made from code and from results."""
+"""The parts of the documentation that are made from code and from results.
+
+A module declares its blocks, by :func:`~scripts.docs_blocks.common.block`, as it is imported here.
+"""
 
 from __future__ import annotations
 
