@@ -156,7 +156,7 @@ def draw_chat(file: Path) -> None:
     partner = Partner(
         agent, make_ears(agent.domain, agent.folder), make_mouth(agent.domain, agent.folder)
     )
-    Chat(partner, choose_goal(agent.domain, 1, 0), screen, names=names).run(read)
+    Chat(partner, choose_goal(partner.domain, 1, 0), screen, names=names).run(read)
     drawn = screen.export_svg(title=f"bbq chat {AGENT} --goal 1")
     # Any font of the reader's will do, and none is loaded from another host.
     file.write_text(re.sub(r"@font-face \{.*?\}\s*", "", drawn, flags=re.S), encoding="utf-8")

@@ -71,6 +71,7 @@ def _chat(given: argparse.Namespace) -> None:
     from bbq_torchrl.chat.goals import choose_goal
     from bbq_torchrl.chat.language import make_ears, make_mouth
     from bbq_torchrl.chat.partner import Partner
+    from bbq_torchrl.chat.spelling import Spelling
     from bbq_torchrl.chat.terminal import Chat, console, prompt
     from bbq_torchrl.language import load_phrases
 
@@ -78,7 +79,8 @@ def _chat(given: argparse.Namespace) -> None:
     screen = console()
     read = _lines() if given.plain or not sys.stdin.isatty() else prompt()
     agent = TrainedAgent(given.run, replica=given.replica, mode=given.mode, weights=given.weights)
-    goal = None if given.free else choose_goal(agent.domain, given.goal, given.seed)
+    spelling = Spelling(agent.domain, agent.folder)
+    goal = None if given.free else choose_goal(spelling.domain, given.goal, given.seed)
     ears = make_ears(
         agent.domain,
         agent.folder,
@@ -90,7 +92,8 @@ def _chat(given: argparse.Namespace) -> None:
     mouth = make_mouth(agent.domain, agent.folder, endpoint if given.nlg == "endpoint" else None)
     phrases = load_phrases(agent.domain, agent.folder)
     names = {slot: entry.name for slot, entry in phrases.slots.items()}
-    Chat(Partner(agent, ears, mouth), goal, screen, names=names, seed=given.seed).run(read)
+    partner = Partner(agent, ears, mouth, spelling)
+    Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
 
 
 def _endpoint(given: argparse.Namespace) -> Endpoint | None:

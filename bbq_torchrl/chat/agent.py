@@ -82,7 +82,7 @@ class TrainedAgent:
     Attributes:
         domain: what it talks about.
         folder: where the domain's phrases are looked for; ``None`` for the generic ones.
-        simulator: of the domain, whose tracker completes the agent's actions.
+        simulator: of the domain, as the agent was trained in it.
         active: bool ``[S]``, the slots active for the agent.
         name: of the policy, such as ``mean`` or ``greedy``.
 

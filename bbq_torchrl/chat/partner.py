@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import torch
 from tensordict import TensorDict
 
+from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.chat.tracking import Tracking
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.language import Frame, TextError, Understood
+from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -138,6 +141,11 @@ class Partner:
         agent: who decides.
         ears: who understands.
         mouth: who speaks.
+        spelling: of values; ``None`` for that of the agent's own domain and phrases.
+
+    Attributes:
+        agent: who decides.
+        domain: what they talk about, in the spelling that all acts have.
 
     Example:
         >>> partner = Partner(TrainedAgent("runs/bbqn"), understand, speak)  # doctest: +SKIP
@@ -147,10 +155,16 @@ class Partner:
         >>> answer = partner.reply(answer.memory, "reno", seed=1)  # doctest: +SKIP
     """
 
-    def __init__(self, agent: TrainedAgent, ears: Ears, mouth: Mouth) -> None:
+    def __init__(
+        self, agent: TrainedAgent, ears: Ears, mouth: Mouth, spelling: Spelling | None = None
+    ) -> None:
         self.agent = agent
         self._ears, self._mouth = ears, mouth
-        self._tracking = Tracking(agent.simulator, agent.active)
+        self._spelling = spelling or Spelling(agent.domain, agent.folder)
+        self.domain = self._spelling.domain
+        # The agent sees numbers of records: those that match in whichever spelling.
+        simulator = Simulator(tensorize(self.domain), max_turn=agent.simulator.max_turn)
+        self._tracking = Tracking(simulator, agent.active)
 
     def reply(self, memory: str | None, text: str, seed: int) -> Answer:
         """Answers a text.
@@ -164,7 +178,7 @@ class Partner:
         now = replace(before, texts=before.texts + 1)
         question = self._question(before)
         try:
-            understood = self._ears(text, question)
+            understood = self._understood(text, question)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.", before)
         if self._asks(understood, before):
@@ -223,6 +237,12 @@ class Partner:
         if memory.slot:
             return Frame("request", {}, (memory.slot,))
         return None if memory.state is None else self._tracking.said(memory.state)
+
+    def _understood(self, text: str, question: Frame | None) -> Understood:
+        """Returns what a text means, its values in the one spelling."""
+        understood = self._ears(text, question)
+        frame = understood.frame
+        return replace(understood, frame=replace(frame, informs=self._spelling.of(frame.informs)))
 
     def _asks(self, understood: Understood, memory: _Memory) -> bool:
         if memory.asks >= _ASKS_IN_A_ROW:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.domains import NO_MATCH, tensorize
 from bbq_torchrl.language import Frame, Generator
 from bbq_torchrl.language.coding import Coding
@@ -13,7 +14,7 @@ from bbq_torchrl.simulator import Simulator
 from bbq_torchrl.simulator.tracker import AgentTurn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from bbq_torchrl.study import Frame as Act
     from bbq_torchrl.study import Study
@@ -34,10 +35,19 @@ class SimulatedUser:
         speak: who says what it means.
         goal: number of its goal, from 1.
         seed: of its choices and its words.
+        spelled: returns what an agent tells in the spelling of the simulator's domain.
     """
 
-    def __init__(self, simulator: Simulator, speak: Generator, goal: int, seed: int) -> None:
+    def __init__(
+        self,
+        simulator: Simulator,
+        speak: Generator,
+        goal: int,
+        seed: int,
+        spelled: Callable[[Mapping[str, str]], Mapping[str, str]] = dict,
+    ) -> None:
         self._simulator, self._speak, self._seed = simulator, speak, seed
+        self._spelled = spelled
         self._coding = Coding(simulator.domain)
         self._random = torch.Generator().manual_seed(seed)
         draws = simulator.draw_reset((), self._random)
@@ -94,7 +104,7 @@ class SimulatedUser:
     def _turn(self, said: Act) -> AgentTurn:
         """Returns an agent's act as the tracker completes it; an offer of values is a question."""
         domain, coding = self._simulator.domain, self._coding
-        informs = torch.tensor(coding.ids(said.informs))
+        informs = torch.tensor(coding.ids(self._spelled(said.informs)))
         is_booking = coding.slots[domain.complete] in said.informs
         is_choice = said.act == _MULTIPLE_CHOICE
         spoken_of = [domain.slot[slot] for slot in (*said.requests, *said.informs)]
@@ -129,9 +139,10 @@ def _names_choices(said: Act) -> bool:
 def make_users(study: Study) -> Callable[[int, int], SimulatedUser]:
     """Returns what makes a user of a study from the number of its goal, from 1, and a seed."""
     domain = study.domain
-    simulator, speak = Simulator(tensorize(domain)), Generator.of(domain, domain.folder)
+    spelling = Spelling(domain, domain.folder)
+    simulator, speak = Simulator(tensorize(spelling.domain)), Generator.of(domain, domain.folder)
 
     def user(goal: int, seed: int) -> SimulatedUser:
-        return SimulatedUser(simulator, speak, goal, seed)
+        return SimulatedUser(simulator, speak, goal, seed, spelling.of)
 
     return user

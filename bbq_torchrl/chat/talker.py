@@ -12,6 +12,7 @@ import torch
 from bbq_torchrl.chat.agent import TrainedAgent
 from bbq_torchrl.chat.language import make_ears, make_mouth
 from bbq_torchrl.chat.partner import Partner
+from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.chat.terminal import as_act
 from bbq_torchrl.language import load_phrases
 from bbq_torchrl.language.kept import language_key
@@ -35,14 +36,25 @@ class AgentTalker:
         language: a hash of both.
         labels: how people call the domain's slots.
 
+    Attributes:
+        domain: the study's, in the spelling that all acts have.
+
     Raises:
         StudyError: with every agent that cannot be loaded, or is of another domain.
     """
 
     def __init__(
-        self, study: Study, ears: Ears, mouth: Mouth, *, language: str, labels: dict[str, str]
+        self,
+        study: Study,
+        ears: Ears,
+        mouth: Mouth,
+        *,
+        language: str,
+        labels: dict[str, str],
     ) -> None:
         self.labels = labels
+        spelling = Spelling(study.domain, study.domain.folder)
+        self.domain = spelling.domain
         self._language = language
         # The tagger is not safe to be used by several threads at once.
         self._lock = threading.Lock()
@@ -59,7 +71,7 @@ class AgentTalker:
                     f"the agent {name} of {source} is of the domain {agent.domain.name}, which is "
                     f"not the study's, {study.domain.name}"
                 )
-            self._partners[name] = Partner(agent, ears, mouth)
+            self._partners[name] = Partner(agent, ears, mouth, spelling)
         if faults:
             raise StudyError(str(study.path), faults)
 

@@ -177,7 +177,7 @@ class Chat:
         self._say(how[ended])
         said = [Exchange(as_act(t.answer.heard), as_act(t.answer.said)) for t in self._turns]
         if self._goal is None:
-            complete = self._partner.agent.domain.complete_slot
+            complete = self._partner.domain.complete_slot
             offers = [item.said.informs for item in said if complete in item.said.informs]
             if not offers:
                 self._say("No booking was offered.")
@@ -185,7 +185,7 @@ class Chat:
                 held = [f"{k}={v}" for k, v in offers[-1].items() if k != complete]
                 self._say(f"The last offer: {offers[-1][complete]} ({', '.join(held)}).")
             return None
-        judge = Judge(self._partner.agent.domain)
+        judge = Judge(self._partner.domain)
         verdict = judge.verdict(self._goal, said, in_time=ended != "turns")
         if verdict.success:
             self._say("Success: you have got what your goal card says.")

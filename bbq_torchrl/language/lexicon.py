@@ -167,6 +167,11 @@ class Lexicon:
         spellings = self._by_key[slot][key]
         return max(spellings, key=lambda value: self._frequency[slot, fold(value)])
 
+    def respell(self, slot: str, value: str) -> str:
+        """Returns the spelling of a value that most records have; an unknown value as it is."""
+        key = self.key(slot, value)
+        return self.spelling(slot, key) if key in self._by_key.get(slot, {}) else value
+
     def link(self, slot: str, text: str) -> Link:
         """Returns the value, or the values, that ``text`` names."""
         name = compact(text)

@@ -54,7 +54,7 @@ class Conversations:
 
     def __init__(self, study: Study, store: Store, talker: Talker) -> None:
         self._study, self._store, self._talker = study, store, talker
-        self._judge = Judge(study.domain)
+        self._judge = Judge(talker.domain)
         self._locks = [threading.Lock() for _ in range(_LOCKS)]
 
     def enrol(self, form: Mapping[str, str]) -> str:
@@ -79,7 +79,7 @@ class Conversations:
 
     def goal(self, session: Session) -> Goal:
         """Returns the goal on the card."""
-        return self._study.domain.goals[session.goal - 1]
+        return self._talker.domain.goals[session.goal - 1]
 
     def say(self, person: Person, form: Mapping[str, str]) -> None:
         """Answers a person's text. A message that was answered already changes nothing.

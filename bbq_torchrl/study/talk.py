@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from bbq_torchrl.domains import Domain
+
 __all__ = ["Belief", "Beliefs", "Exchange", "Frame", "Reply", "Talker"]
 
 
@@ -124,9 +126,12 @@ class Talker(Protocol):
     :meth:`reply` is called from several threads at once, never twice at once for a conversation.
 
     Attributes:
+        domain: what is spoken of: the study's, where needed with one spelling for each value. Goal
+            cards are in its spelling, and acts are judged by it.
         labels: how people call the domain's slots; a slot without a label is shown by its name.
     """
 
+    domain: Domain
     labels: Mapping[str, str]
 
     def fingerprint(self, agent: str) -> str:

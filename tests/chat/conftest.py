@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bbq_torchrl.chat import Partner, TrainedAgent
+from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import Frame, Generator, TextError, Understood
@@ -66,9 +67,14 @@ def mouth(movie):
     return Generator.of(movie, MOVIE_FOLDER)
 
 
+@pytest.fixture(scope="session")
+def spelling(movie):
+    return Spelling(movie, MOVIE_FOLDER)
+
+
 @pytest.fixture
-def partner(agents, mouth):
-    return Partner(agents["bbqn"], Acts(), mouth)
+def partner(agents, mouth, spelling):
+    return Partner(agents["bbqn"], Acts(), mouth, spelling)
 
 
 @pytest.fixture

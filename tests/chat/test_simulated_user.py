@@ -111,7 +111,7 @@ def test_simulated_users_take_part_in_a_study_of_trained_agents(runs, mouth, mon
     assert results.simulated
     assert sorted(session.agent for session in results.sessions) == ["bbqn", "bbqn", "dqn", "dqn"]
     for session in results.sessions:
-        goal = study.domain.goals[session.goal - 1]
+        goal = talker.domain.goals[session.goal - 1]
         told = session.exchanges[0].heard.informs
         assert told.items() <= goal.constraints.items()
         assert (session.exchanges[0].beliefs is not None) == (session.agent == "bbqn")

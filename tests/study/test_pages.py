@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import pytest
+from dataclasses import replace
 
-from .conftest import hidden
+import pytest
+from starlette.testclient import TestClient
+
+from bbq_torchrl.study.web import application
+
+from .conftest import Site, hidden
 from .fakes import script
 
 HOSTILE = (
@@ -58,6 +63,27 @@ def test_the_goal_card_shows_wishes_by_their_labels_and_questions(site):
         assert value.replace("&", "&amp;").replace("'", "&#39;") in page
     for slot in goal.requests:
         assert site.talker.labels.get(slot, slot) in page
+
+
+def test_goal_card_and_judge_have_the_talkers_spelling(site):
+    def other(values):
+        return {slot: f"{value} otherwise" for slot, value in values.items()}
+
+    domain = site.talker.domain
+    site.talker.domain = replace(
+        domain,
+        records=tuple(map(other, domain.records)),
+        goals=tuple(replace(goal, constraints=other(goal.constraints)) for goal in domain.goals),
+    )
+    study, store, talker = site.study, site.store, site.talker
+    with TestClient(application(study, store, talker)) as client:
+        served = Site(study, client, store, talker, site.clock)
+        link = served.enrol()
+        goal = talker.domain.goals[served.session(link).goal - 1]
+        assert " otherwise</dd>" in client.get(link).text
+        for text in (*script(talker.domain, goal), "bye"):
+            served.say(link, text)
+    assert store._database.rows("SELECT success FROM session WHERE ended IS NOT NULL") == [(1,)]
 
 
 def test_no_answer_names_agent_weights_or_values(site):
