@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -11,7 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs.dialogue import DialogueEnv
-from bbq_torchrl.envs.policies import scripted_policy
+from bbq_torchrl.envs.policies import RANDOM_POLICY, scripted_policy
 from bbq_torchrl.envs.text import text_channel
 from bbq_torchrl.simulator import MeasuredErrors
 from bbq_torchrl.simulator.measured_errors import (
@@ -24,9 +25,10 @@ from bbq_torchrl.simulator.measured_errors import (
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from tensordict import TensorDictBase
+    from tensordict.nn import TensorDictModuleBase
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs.text import TextChannel
@@ -40,7 +42,7 @@ ERRORS_FILE = "errors.json"
 
 _COMMAND = "python -m bbq_torchrl.language count"
 _BATCH = 500
-_RANDOM = 0.15  # share of actions at random: an agent that learns does everything
+_RANDOM = 0.15  # share of scripted actions at random: an agent that learns does everything
 
 
 def load_errors(domain: Domain) -> MeasuredErrors:
@@ -68,37 +70,66 @@ def load_errors(domain: Domain) -> MeasuredErrors:
         ) from error
 
 
-def count_errors(domain: Domain, turns: int, *, seed: int = 0) -> dict[str, Any]:
+def count_errors(
+    domain: Domain,
+    turns: int,
+    *,
+    seed: int = 0,
+    trained: Mapping[str, TensorDictModuleBase] | None = None,
+) -> dict[str, Any]:
     """Returns what was heard of what users said in simulated dialogues at the level of text.
 
-    The agents are the domain's scripted policies, one after another, with a share of actions at
-    random.
+    The domain's scripted policies play half of the turns, one after another, with a share of
+    actions at random. Trained agents play the other half as they are: what they tell users, and
+    what these then correct, no script does.
 
     Args:
         domain: what is spoken of.
         turns: of users; at least so many are counted.
         seed: of everything random.
+        trained: the policies of trained agents, of one replica, by name; without any the scripted
+            policies play all turns.
     """
     channel = _Recorder(text_channel(domain))
+    names = tuple(domain.policies) or (RANDOM_POLICY,)
+    halves: list[tuple[Iterable[str | TensorDictModuleBase], float]] = [(names, _RANDOM)]
+    if trained:
+        halves.append((trained.values(), 0.0))
     generator = torch.Generator().manual_seed(seed)
-    names = tuple(domain.policies) or ("random",)
-    ends = torch.tensor([action.act in ("thanks", "closing") for action in domain.actions])
     number = 0
-    while channel.turns < turns:
-        env = DialogueEnv(domain, batch_size=(_BATCH,), channel=channel, seed=seed + number)
-        policy = scripted_policy(names[number % len(names)], env)
-        state = env.reset()
-        with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
-            while not bool(state["done"].all()):
-                action = policy(state)["action"]
-                other = torch.randint(len(ends), (_BATCH,), generator=generator)
-                strays = torch.rand(_BATCH, generator=generator) < _RANDOM
-                # Few strays end a dialogue, or there would be no late turns.
-                strays &= ~ends[other] | (torch.rand(_BATCH, generator=generator) < _RANDOM)
-                state["action"] = torch.where(strays, other, action)
-                state = env.step(state)["next"]
-        number += 1
-    return {"domain": domain.name, "seed": seed, "turns": channel.turns, **channel.counts()}
+    for half, (policies, random) in enumerate(halves, 1):
+        for policy in cycle(policies):
+            if channel.turns >= turns * half / len(halves):
+                break
+            env = DialogueEnv(domain, batch_size=(1, _BATCH), channel=channel, seed=seed + number)
+            own = scripted_policy(policy, env) if isinstance(policy, str) else policy
+            _play(env, own, random, generator)
+            number += 1
+    return {
+        "domain": domain.name,
+        "seed": seed,
+        "trained": list(trained or ()),
+        "turns": channel.turns,
+        **channel.counts(),
+    }
+
+
+def _play(
+    env: DialogueEnv, policy: TensorDictModuleBase, random: float, generator: torch.Generator
+) -> None:
+    """Plays the environment's dialogues to their end, with a share of actions at random."""
+    shape, actions = env.batch_size, env.domain.actions
+    ends = torch.tensor([action.act in ("thanks", "closing") for action in actions])
+    state = env.reset()
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        while not bool(state["done"].all()):
+            action = policy(state)["action"]
+            other = torch.randint(len(actions), shape, generator=generator)
+            strays = torch.rand(shape, generator=generator) < random
+            # Few strays end a dialogue, or there would be no late turns.
+            strays &= ~ends[other] | (torch.rand(shape, generator=generator) < random)
+            state["action"] = torch.where(strays, other, action)
+            state = env.step(state)["next"]
 
 
 def errors_text(counts: Mapping[str, Any]) -> str:
@@ -121,7 +152,7 @@ def _lines(content: Any, depth: int) -> str:
 
 
 class _Recorder:
-    """The channel of sentences, which counts what it transmits."""
+    """The channel of sentences, which counts what it transmits to one replica, ``[1, B]``."""
 
     def __init__(self, channel: TextChannel) -> None:
         self._channel = channel
@@ -154,22 +185,22 @@ class _Recorder:
     ) -> Utterance:
         heard = self._channel.transmit(said, agent, before, is_silent, draws, active)
         columns = [said.act, said.informs, said.requests, heard.act, heard.informs, heard.requests]
-        questions = [OPENING] * len(said.act)
+        questions = [OPENING] * is_silent.numel()
         contexts = torch.zeros_like(said.informs)
         asked = torch.zeros_like(said.requests)
         if agent is not None:
-            offers = agent.is_booking.tolist()
-            named = [self._acts[act] for act in agent.act.tolist()]
+            offers = agent.is_booking[0].tolist()
+            named = [self._acts[act] for act in agent.act[0].tolist()]
             questions = [
                 OFFER if offer else name for offer, name in zip(offers, named, strict=True)
             ]
             asked, contexts = agent.requests, context_of(agent)
         rows = zip(
-            is_silent.tolist(),
+            is_silent[0].tolist(),
             questions,
-            asked.tolist(),
-            contexts.tolist(),
-            *(c.tolist() for c in columns),
+            asked[0].tolist(),
+            contexts[0].tolist(),
+            *(column[0].tolist() for column in columns),
             strict=True,
         )
         for silent, question, asked_, contexts_, *turn in rows:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
+    from tensordict.nn import TensorDictModuleBase
+
     from bbq_torchrl.domains import Domain
 
 
@@ -53,6 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
     count.add_argument("--turns", type=int, default=100_000, help="of users, at least")
     count.add_argument("--seed", type=int, default=0)
+    count.add_argument(
+        "--trained", nargs="+", default=[], help="run folders or shipped:<name>, to play half of it"
+    )
     given = parser.parse_args(arguments)
     try:
         domain = load_domain(given.domain)
@@ -87,10 +92,24 @@ def _count(given: argparse.Namespace, domain: Domain) -> None:
     from bbq_torchrl.envs.measured import ERRORS_FILE, count_errors, errors_text
 
     torch.set_num_threads(1)
-    counts = count_errors(domain, given.turns, seed=given.seed)
+    trained = {name: _agent(name, domain) for name in given.trained}
+    counts = count_errors(domain, given.turns, seed=given.seed, trained=trained)
     file = given.domain.expanduser() / ERRORS_FILE
     file.write_text(errors_text(counts), encoding="utf-8")
     output.write(f"{counts['turns']} turns counted: {file}\n")
+
+
+def _agent(name: str, domain: Domain) -> TensorDictModuleBase:
+    """Returns what a run folder, or a shipped agent, has learned to do in a domain."""
+    from bbq_torchrl import load_run
+
+    run = load_run(name, dialogues=1)
+    own = getattr(run.env, "domain", None)
+    if own is None or own.action_names != domain.action_names or run.config.replicas != 1:
+        raise ValueError(
+            f"--trained must name runs of one replica in the domain {domain.name}, got {name}"
+        )
+    return run.policy
 
 
 def _trained(given: argparse.Namespace, domain: Domain) -> tuple[Understander, float]:
