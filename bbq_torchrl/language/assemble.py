@@ -171,6 +171,8 @@ def assemble(
         act = "request"
     if act == "thanks" and requests and not _is_offer(question, domain):
         act = "request"
+    if act == "request" and requests and not told and _accepts(words, question, domain):
+        act = "thanks"
     if act == "thanks" and told:
         act = "request" if requests else "inform"
     return Frame(act, informs, tuple(requests)), unclear
@@ -202,6 +204,13 @@ def _ties(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> tup
     if link is None or len(link.values) < 2 or link.score < _FAIR:
         return ()
     return (Unclear(slot, text, link.values),)
+
+
+def _accepts(words: Sequence[str], question: Frame | None, domain: Domain) -> bool:
+    """Returns whether a booking is offered, and the sentence begins by agreeing to it."""
+    if question is None or question.informs.get(domain.complete_slot, _NO_MATCH) == _NO_MATCH:
+        return False
+    return words[0] in _YES
 
 
 def _is_offer(question: Frame | None, domain: Domain) -> bool:
@@ -239,7 +248,7 @@ def _values(
             known = ([link for link in known if not link[3]] or known)[-1:]
         if any(link[2] == 1.0 and len(link[1]) == 1 for link in known):
             # Beside a name in full, words that are no more than like one are none.
-            known = [link for link in known if link[2] > _FAIR]
+            known = [link for link in known if link[2] == 1.0]
         if not known:
             unclear.append(Unclear(slot, links[-1][0]))
             continue

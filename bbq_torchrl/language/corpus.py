@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.phrases import Phrases
     from bbq_torchrl.language.templates import Piece
 
-__all__ = ["Example", "make_examples", "tag"]
+__all__ = ["Example", "make_examples", "spoiled", "tag"]
 
 _NO_CONTENT = (
     "greeting",
@@ -115,6 +115,16 @@ def _played(domain: Domain, seed: int) -> Callable[[random.Random], tuple[Frame 
     found = play(domain, 1, seed=seed + 1_000_000, kept=_DIALOGUES)
     turns = [(agent, user) for agent, _, user in found.turns]
     return lambda rng: rng.choice(turns)
+
+
+def spoiled(examples: Sequence[Example], seed: int) -> list[Example]:
+    """Returns sentences of people spoiled as those of the grammar are."""
+    rng = random.Random(seed)
+    found = []
+    for example in examples:
+        words, tags = _spoil(example.words, example.tags, rng, 1.0)
+        found.append(replace(example, words=words, tags=tags))
+    return found
 
 
 def _spoil(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import random
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.language.corpus import Example
 from bbq_torchrl.language.frames import ANY, Frame
-from bbq_torchrl.language.tagger import OUTSIDE
+from bbq_torchrl.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.language.words import TextError, clean, compact, tokenize
 from bbq_torchrl.text import FaultsError
 
@@ -16,10 +18,23 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.lexicon import Lexicon
+    from bbq_torchrl.language.surfaces import Surfaces
 
-__all__ = ["HEARD_FILE", "Line", "as_examples", "heard_lines", "read_lines"]
+__all__ = [
+    "HEARD_FILE",
+    "LEARNED_FILE",
+    "Line",
+    "as_examples",
+    "domain_lines",
+    "read_lines",
+    "varied",
+]
 
 HEARD_FILE = "heard.txt"
+"""Labeled lines in a domain's folder that the confidence is fitted to."""
+
+LEARNED_FILE = "learned.txt"
+"""Labeled lines in a domain's folder that are learned beside the grammar's."""
 
 _LONGEST = 10
 
@@ -74,14 +89,15 @@ def read_lines(path: str | Path, domain: Domain) -> list[Line]:
     return lines
 
 
-def heard_lines(domain: Domain, folder: str | Path | None) -> list[Line]:
-    """Returns the labeled lines that a domain's folder has for the confidence, often none.
+def domain_lines(domain: Domain, folder: str | Path | None, name: str) -> list[Line]:
+    """Returns the labeled lines of a file in a domain's folder, none where there is no such file.
 
     Args:
         domain: whose acts and slots the labels may name.
-        folder: where :data:`HEARD_FILE` is looked for.
+        folder: where the file is looked for.
+        name: :data:`HEARD_FILE` or :data:`LEARNED_FILE`.
     """
-    path = None if folder is None else Path(folder).expanduser() / HEARD_FILE
+    path = None if folder is None else Path(folder).expanduser() / name
     return read_lines(path, domain) if path is not None and path.is_file() else []
 
 
@@ -120,3 +136,31 @@ def _place(
             if best is None or rank[:2] > best[:2]:
                 best = rank
     return None if best is None else best[2]
+
+
+def varied(
+    examples: Sequence[Example], lexicon: Lexicon, surfaces: Surfaces, copies: int, seed: int
+) -> list[Example]:
+    """Returns sentences as they are, and copies of each that say other values in its words.
+
+    Args:
+        examples: the sentences.
+        lexicon: the values.
+        surfaces: how values are written.
+        copies: how many of each.
+        seed: chooses the values.
+    """
+    rng = random.Random(seed)
+    found = list(examples)
+    for example in examples:
+        for _ in range(copies):
+            words, tags, at = [], [], 0
+            for slot, start, end in spans_of(example.tags):
+                value = rng.choice(lexicon.values(slot))
+                other = tokenize(surfaces(slot, value, rng))
+                words += [*example.words[at:start], *other]
+                tags += [*example.tags[at:start], *[slot] * len(other)]
+                at = end
+            words, tags = words + example.words[at:], tags + example.tags[at:]
+            found.append(replace(example, words=words, tags=tags))
+    return found

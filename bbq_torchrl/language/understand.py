@@ -12,15 +12,22 @@ import torch
 
 from bbq_torchrl.language.assemble import assemble
 from bbq_torchrl.language.confidence import cues_of, fit_confidence, probability
-from bbq_torchrl.language.corpus import make_examples
+from bbq_torchrl.language.corpus import make_examples, spoiled
 from bbq_torchrl.language.features import Features
 from bbq_torchrl.language.frames import Understood
 from bbq_torchrl.language.intents import IntentNet
-from bbq_torchrl.language.labeled import heard_lines
+from bbq_torchrl.language.labeled import (
+    HEARD_FILE,
+    LEARNED_FILE,
+    as_examples,
+    domain_lines,
+    varied,
+)
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.model import Model, fit
 from bbq_torchrl.language.noise import DROPPED
 from bbq_torchrl.language.phrases import load_phrases
+from bbq_torchrl.language.surfaces import Surfaces
 from bbq_torchrl.language.tagger import OUTSIDE, Tagger
 from bbq_torchrl.language.words import clean, tokenize
 
@@ -37,7 +44,8 @@ __all__ = ["Understander"]
 _VERSION = 3
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
-_PLAYED = 3  # sentences of simulated users to one of the grammar's own
+_COPIES = 3  # of each of people's sentences, with other values
+_PLAYED = 4  # sentences of simulated users to one of the grammar's own
 _CUES = 7
 
 
@@ -91,9 +99,10 @@ class Understander:
 
         Args:
             domain: what is spoken of.
-            folder: where the domain's ``language.yaml`` is, if it has one, and ``heard.txt``,
-                labeled lines of people that the confidence is fitted to.
-            sentences: how many to learn from; the net learns from three times as many of
+            folder: where the domain's ``language.yaml`` is, if it has one, with labeled lines of
+                people: ``learned.txt``, learned beside the own sentences, and ``heard.txt``,
+                which the confidence is fitted to.
+            sentences: how many to learn from; the net learns from four times as many of
                 simulated users.
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
@@ -108,9 +117,11 @@ class Understander:
             played = make_examples(
                 domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
             )
-            model = fit(
-                domain, phrases, lexicon, [*said, *labeled], played, seed=seed, steps=60, epochs=14
-            )
+            own_lines = as_examples(domain_lines(domain, folder, LEARNED_FILE), lexicon)
+            surfaces = Surfaces(lexicon, domain.free_slots)
+            learned = spoiled(varied(own_lines, lexicon, surfaces, _COPIES, seed), seed)
+            given = [*said, *learned, *labeled]
+            model = fit(domain, phrases, lexicon, given, played, seed=seed, steps=60, epochs=14)
             others = make_examples(
                 domain, phrases, lexicon, max(sentences // 5, 200), seed + 1, noise=_CALM
             )
@@ -118,7 +129,7 @@ class Understander:
             grammar = own._judged([(e.words, e.question, e.frame) for e in others])
             heard = [
                 (tokenize(clean(text)), question, frame)
-                for question, text, frame in heard_lines(domain, folder)
+                for question, text, frame in domain_lines(domain, folder, HEARD_FILE)
             ]
             calibration = fit_confidence(grammar, own._judged(heard) if heard else None)
         finally:
