@@ -11,7 +11,7 @@ import torch
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs import DialogueEnv, measured
+from bbq_torchrl.envs import DialogueEnv, SequencePolicy, measured
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.language import Frame
 from bbq_torchrl.options import ConfigError, EvaluateConfig
@@ -203,6 +203,18 @@ def test_who_is_always_understood_is_counted_so(restaurant, monkeypatch):
         is_going = ~state["done"]
         assert torch.equal(state["heard_requests"][is_going], state["pending"][is_going])
         assert torch.equal(state["heard_act"], state["user_act"])
+
+
+def test_trained_agents_play_half_of_what_is_counted(movie, monkeypatch):
+    channel, _ = channel_of(movie)
+    monkeypatch.setattr(measured, "text_channel", lambda _: channel)
+    monkeypatch.setattr(measured, "_BATCH", 40)
+    tells = SequencePolicy([movie.action_index("inform(zip)")])  # and never anything else
+    counts = measured.count_errors(movie, 800, trained={"own": tells})
+    assert counts["trained"] == ["own"]
+    told = sum(n for key, found in counts["acts"].items() if key.startswith("inform ")
+               for n in found.values())  # fmt: skip
+    assert told > 0.35 * counts["turns"]
 
 
 def test_a_domain_without_counts_is_told_how_to_make_them(restaurant, movie, tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import Frame, as_examples, load_phrases, read_lines
+from bbq_torchrl.language.labeled import varied
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.measure import VOICES
 
@@ -38,6 +39,23 @@ def test_own_lines_become_examples_with_the_place_of_each_value(lexicon, tmp_pat
     assert placed["numberofpeople"] == ["two"]
     assert placed["moviename"] == ["top", "gun"]
     assert placed["starttime"] == ["half", "past", "seven"]
+
+
+def test_a_line_is_learned_with_other_values_as_well(lexicon, tmp_path):
+    path = tmp_path / "own.txt"
+    path.write_text(" | is wonka on in reno tonight | request(ticket) inform(moviename=wonka, "
+                    "city=reno, date=tonight)\n")  # fmt: skip
+    examples = as_examples(read_lines(path, movie_domain()), lexicon)
+    found = varied(examples, lexicon, lambda slot, value, rng: value, copies=20, seed=0)
+    assert found[0] == examples[0]
+    cities = set()
+    for example in found:
+        tagged = list(zip(example.words, example.tags, strict=True))
+        assert [word for word, tag in tagged if tag == "-"] == ["is", "on", "in"]
+        city = " ".join(word for word, tag in tagged if tag == "city")
+        assert lexicon.link("city", city).score == 1.0
+        cities.add(city)
+    assert len(cities) > 10
 
 
 def test_lines_that_cannot_be_read_are_all_named(tmp_path):

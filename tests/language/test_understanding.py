@@ -129,6 +129,21 @@ def test_what_is_saved_understands_the_same(understand, tmp_path):
     assert len(digests) == 1
 
 
+@pytest.mark.slow
+def test_equal_arguments_give_equal_bytes(tmp_path):
+    for name in ("u.npz", "v.npz"):
+        Understander.train(movie_domain(), MOVIE_FOLDER, sentences=200).save(tmp_path / name)
+    assert (tmp_path / "u.npz").read_bytes() == (tmp_path / "v.npz").read_bytes()
+
+
+def test_agreeing_to_a_booking_in_a_word_and_asking_is_thanks(understand):
+    offer = Frame("inform", {"taskcomplete": "ticket available"})
+    refusal = Frame("inform", {"taskcomplete": "no match"})
+    heard = understand("sure. what's the price?", offer).frame
+    assert (heard.act, heard.requests) == ("thanks", ("price",))
+    assert understand("sure. what's the price?", refusal).frame.act == "request"
+
+
 def test_a_damaged_file_is_refused(understand, tmp_path):
     path = tmp_path / "u.npz"
     understand.save(path)
