@@ -4,10 +4,14 @@ import hashlib
 
 import numpy as np
 import pytest
+import torch
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import ANY, MAX_CHARACTERS, Frame, TextError, Understander
+from bbq_torchrl.language.assemble import assemble
+from bbq_torchrl.language.model import Reading
+from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
 
 
@@ -136,12 +140,17 @@ def test_equal_arguments_give_equal_bytes(tmp_path):
     assert (tmp_path / "u.npz").read_bytes() == (tmp_path / "v.npz").read_bytes()
 
 
-def test_agreeing_to_a_booking_in_a_word_and_asking_is_thanks(understand):
-    offer = Frame("inform", {"taskcomplete": "ticket available"})
-    refusal = Frame("inform", {"taskcomplete": "no match"})
-    heard = understand("sure. what's the price?", offer).frame
-    assert (heard.act, heard.requests) == ("thanks", ("price",))
-    assert understand("sure. what's the price?", refusal).frame.act == "request"
+@pytest.mark.parametrize(
+    ("offer", "act"), [("ticket available", "thanks"), ("no match", "request")]
+)
+def test_agreeing_to_a_booking_in_a_word_and_asking_is_thanks(understand, offer, act):
+    domain, words = movie_domain(), ["sure", ".", "price", "?"]
+    acts = torch.tensor([0.0 if name == "request" else -9.0 for name in domain.acts])
+    requests = torch.tensor([float(slot == "price") for slot in domain.slots])
+    reading = Reading([OUTSIDE] * 4, 1.0, acts, requests, torch.zeros(len(domain.slots)), 0.0)
+    question = Frame("inform", {"taskcomplete": offer})
+    frame, _ = assemble(words, reading, question, domain, understand.lexicon)
+    assert (frame.act, frame.requests) == (act, ("price",))
 
 
 def test_a_damaged_file_is_refused(understand, tmp_path):
