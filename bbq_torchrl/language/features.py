@@ -99,7 +99,7 @@ class Features:
         for at, (word, kind) in enumerate(zip(spelled, classes, strict=True)):
             raw = words[at]
             row = [f"w={word}", f"c={kind}", f"s={raw[-3:]}", f"p={raw[:3]}", *found[at]]
-            row += [f"in:{slot}" for slot in self._part.get(word, ())]
+            row += [f"in:{slot}" for slot in sorted(self._part.get(word, ()))]
             row += [f"noun:{slot}" for slot in self._nouns.get(word, ())]
             own.append(row)
         rows = []

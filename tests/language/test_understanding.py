@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -134,10 +137,15 @@ def test_what_is_saved_understands_the_same(understand, tmp_path):
 
 
 @pytest.mark.slow
-def test_equal_arguments_give_equal_bytes(tmp_path):
-    for name in ("u.npz", "v.npz"):
-        Understander.train(movie_domain(), MOVIE_FOLDER, sentences=200).save(tmp_path / name)
-    assert (tmp_path / "u.npz").read_bytes() == (tmp_path / "v.npz").read_bytes()
+def test_two_processes_train_the_same_bytes(tmp_path):
+    for hash_seed in ("1", "2"):
+        command = ["-m", "bbq_torchrl.language", "train", "--sentences", "200", "--file"]
+        subprocess.run(
+            [sys.executable, *command, tmp_path / f"{hash_seed}.npz"],
+            env={**os.environ, "PYTHONHASHSEED": hash_seed},
+            check=True,
+        )
+    assert (tmp_path / "1.npz").read_bytes() == (tmp_path / "2.npz").read_bytes()
 
 
 @pytest.mark.parametrize(
