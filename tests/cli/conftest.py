@@ -7,12 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from trusted import TINY, one_line
 
 import train
 from bbq_torchrl.cli.command import REFUSED
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.run import run
+
+from .trusted import TINY, one_line
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "trainers"))  # planted.py
 

@@ -153,7 +153,7 @@ def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_say
         *SMALL,
         "protocol.rounds=1",
         "replicas=1",
-        "+hydra.callbacks.keep._target_=returned.KeepReturned",
+        "+hydra.callbacks.keep._target_=cli.returned.KeepReturned",
         f"hydra.sweep.dir={tmp_path / 'sweep'}",
         cwd=tmp_path,
     )

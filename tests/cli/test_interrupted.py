@@ -7,7 +7,6 @@ import os
 import signal
 
 import pytest
-from trusted import TINY, resumed, rows, state_of
 
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.saved import load_config
@@ -15,6 +14,8 @@ from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.sweeps import table_of_runs
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
+
+from .trusted import TINY, resumed, rows, state_of
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 

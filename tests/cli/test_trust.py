@@ -9,7 +9,6 @@ import sys
 
 import pytest
 from planted import plant
-from trusted import TINY, one_line, resumed, state_of
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli.resume import is_finished, run_config
@@ -19,6 +18,8 @@ from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 from bbq_torchrl.trainers import CheckpointDamagedError
+
+from .trusted import TINY, one_line, resumed, state_of
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 
