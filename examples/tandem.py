@@ -95,7 +95,7 @@ def main() -> None:
     parser.add_argument("--passive", choices=AGENTS, default="dqn", help="learns only")
     parser.add_argument("--file", type=Path, help="CSV file to write; the screen by default")
     parser.add_argument(
-        "overrides", nargs="*", default=DEFAULTS, help=f"of both configurations; {DEFAULTS}"
+        "overrides", nargs="*", default=DEFAULTS, help=f"of both; else {' '.join(DEFAULTS)}"
     )
     options = parser.parse_args()
     torch.set_num_threads(1)  # the networks are too small for more
