@@ -69,6 +69,8 @@ def build_trainer(
             batch_size=protocol.batch_size,
             freezes=protocol.freezes,
             epochs=protocol.epochs,
+            lr_final=protocol.lr_final,
+            lr_decay_from=protocol.lr_decay_from,
             checkpoint_every=protocol.checkpoint_every,
             keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
             seed=config.seed,

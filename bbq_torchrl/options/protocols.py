@@ -11,6 +11,7 @@ from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
     COUNT,
     NON_NEGATIVE_INTEGER,
+    PROBABILITY,
     STEP_SIZE,
     ConfigError,
     one_of,
@@ -35,6 +36,12 @@ class ProtocolOption(Option):
     dialogues: int = setting(50, COUNT, "dialogues of a round and replica")
     batch_size: int = setting(32, COUNT, "transitions of an update")
     lr: float = setting(1e-3, STEP_SIZE, "step size of Adam, for batches of this size")
+    lr_final: float = setting(
+        1.0, PROBABILITY, "share of every step size left in the last round; 1: it stays"
+    )
+    lr_decay_from: float = setting(
+        0.5, PROBABILITY, "share of the rounds after which step sizes fall, linearly, to lr_final"
+    )
     freezes: int = setting(2, COUNT, "target freezes of a round")
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
     capacity: int = setting(10_000, COUNT, "transitions a replica's buffer holds")

@@ -41,7 +41,8 @@ class Learner:
         replay (ReplicaReplay): the buffers.
         optimizer (ReplicaOptimizer): of the loss's parameters.
         target_updater (TargetUpdater): freezes the target.
-        settings (RoundSettings): how many freezes and epochs, and of which batches.
+        settings (RoundSettings): how many freezes and epochs, of which batches, and whether the
+            learning rate falls.
         seed_phase (SeedPhase): called before each epoch.
     """
 
@@ -69,6 +70,8 @@ class Learner:
     def learn(self, round_number: int) -> dict[str, list[float]]:
         """Learns for a round. Returns the mean of what the loss reports, for each replica."""
         self._update.sums.reset()
+        if self.settings.lr_final != 1.0:
+            self._update.optimizer.scale_lr(self.settings.lr_share(round_number))
         if provides(self.loss, UsesNumData):
             self.loss.set_num_data(self.replay.num_data())
         self.update_all(round_number)

@@ -32,6 +32,9 @@ class ReplicaOptimizer(Protocol):
     def step(self, active: Sequence[bool] | None = None) -> None:
         """Moves the replicas that are active, all by default; the others stay bitwise the same."""
 
+    def scale_lr(self, share: float) -> None:
+        """Goes on at that share of the learning rate it was made with; called where it falls."""
+
     def state_dict(self) -> dict[str, Any]:
         """Returns what a resumed training needs."""
 
@@ -50,14 +53,11 @@ class _GroupState:
         exp_avgs: list[Tensor],
         exp_avg_sqs: list[Tensor],
         steps: list[Tensor],
-        *,
-        lr: float,
     ) -> None:
         self.views = views
         self.exp_avgs = exp_avgs
         self.exp_avg_sqs = exp_avg_sqs
         self.steps = steps
-        self.lr = lr
 
 
 class ReplicaAdam:
@@ -111,6 +111,7 @@ class ReplicaAdam:
             for replica in range(replicas)
         ]
         groups = self._groups(lr)
+        self._rates = [group["lr"] for group in groups]
         self._adam = torch.optim.Adam(groups, betas=betas, eps=eps, fused=True)
         self._states: list[_GroupState] = []
 
@@ -160,6 +161,11 @@ class ReplicaAdam:
                 views[parameter_number].grad = gradient if is_active else None
         self._adam.step()
 
+    def scale_lr(self, share: float) -> None:
+        """Has each replica go on at that share of the rate that it was given."""
+        for group, rate in zip(self._adam.param_groups, self._rates, strict=True):
+            group["lr"] = rate * share
+
     def _has_states(self) -> bool:
         """Whether every view has moments; notes where they are."""
         state = self._adam.state
@@ -169,7 +175,6 @@ class ReplicaAdam:
             _GroupState(
                 group["params"],
                 *([state[view][name] for view in group["params"]] for name in _GroupState.names),
-                lr=group["lr"],
             )
             for group in self._adam.param_groups
         ]
@@ -185,20 +190,20 @@ class ReplicaAdam:
         gradients = [part[replica] for replica in range(self.replicas) for part in parts]
         options = self._adam.defaults
         first = 0
-        for group in self._states:
-            last = first + len(group.views)
+        for group, state in zip(self._adam.param_groups, self._states, strict=True):
+            last = first + len(state.views)
             adam(
-                group.views,
+                state.views,
                 gradients[first:last],
-                group.exp_avgs,
-                group.exp_avg_sqs,
+                state.exp_avgs,
+                state.exp_avg_sqs,
                 [],
-                group.steps,
+                state.steps,
                 fused=True,
                 amsgrad=False,
                 beta1=options["betas"][0],
                 beta2=options["betas"][1],
-                lr=group.lr,
+                lr=group["lr"],
                 weight_decay=0.0,
                 eps=options["eps"],
                 maximize=False,

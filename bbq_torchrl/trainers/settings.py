@@ -19,6 +19,8 @@ class RoundSettings:
         batch_size: transitions of a mini-batch, for each replica.
         freezes: how often in a round the target is frozen and learned against.
         epochs: how many epochs over the buffer follow each freeze.
+        lr_final: the share of the learning rate that is left in the last round; 1: it stays.
+        lr_decay_from: the share of the rounds after which it falls, linearly.
         checkpoint_every: rounds between two checkpoints.
         keep_checkpoints: how many of the newest are kept; ``None``: all.
         seed: what every random number of the training derives from.
@@ -30,6 +32,8 @@ class RoundSettings:
     batch_size: int = 32
     freezes: int = 2
     epochs: int = 2
+    lr_final: float = 1.0
+    lr_decay_from: float = 0.5
     checkpoint_every: int = 10
     keep_checkpoints: int | None = 2
     seed: int = 0
@@ -49,6 +53,21 @@ class RoundSettings:
             value = getattr(self, name)
             if value < least:
                 raise ValueError(f"{name} must be at least {least}, got {value}")
+        for name, value in (("lr_final", self.lr_final), ("lr_decay_from", self.lr_decay_from)):
+            if not 0.0 <= value <= 1.0:
+                raise ValueError(f"{name} must be in [0, 1], got {value}")
+
+    def lr_share(self, round_number: int) -> float:
+        """Returns the share of the learning rate that a round, counted from 0, learns with.
+
+        Example:
+            >>> settings = RoundSettings(rounds=8, lr_final=0.2, lr_decay_from=0.5)
+            >>> [round(settings.lr_share(number), 2) for number in range(8)]
+            [1.0, 1.0, 1.0, 1.0, 0.8, 0.6, 0.4, 0.2]
+        """
+        start = self.lr_decay_from * self.rounds
+        since = round_number + 1 - start
+        return 1.0 if since <= 0 else 1.0 - (1.0 - self.lr_final) * since / (self.rounds - start)
 
 
 @dataclass(frozen=True)

@@ -72,13 +72,14 @@ def test_langevin_steps_are_those_of_the_paper():
     weight = nn.Parameter(torch.tensor([[1.0, -2.0], [0.5, 3.0]]))
     expected, mean, square = weight.detach().clone(), torch.zeros(2, 2), torch.zeros(2, 2)
     optimizer = LangevinAdam([weight], 2, noisy=[], lr=lr, bias=bias)
-    for _ in range(3):
+    for share in (1.0, 1.0, 0.5):
+        optimizer.scale_lr(share)
         optimizer.zero_grad()
         (weight**2).sum().backward()
         optimizer.step()
         gradient = 2 * expected
         mean, square = 0.9 * mean + 0.1 * gradient, 0.99 * square + 0.01 * gradient**2
-        expected -= lr[:, None] * (gradient + bias * mean / (square + 1e-8).sqrt())
+        expected -= share * lr[:, None] * (gradient + bias * mean / (square + 1e-8).sqrt())
     assert torch.allclose(weight, expected)
 
 
@@ -89,7 +90,8 @@ def test_langevin_noise_has_the_temperature_and_leaves_inactive_replicas_alone()
         torch.manual_seed(seed)
         weight = nn.Parameter(torch.zeros(3, 20_000))
         beta = torch.tensor([1e2, 1e2, 1e4])
-        optimizer = LangevinAdam([weight], 3, lr=0.5, inverse_temperature=beta)
+        optimizer = LangevinAdam([weight], 3, lr=1.0, inverse_temperature=beta)
+        optimizer.scale_lr(0.5)
         for _ in range(2):
             weight.grad = torch.zeros_like(weight)
             optimizer.step(active)

@@ -70,6 +70,30 @@ def test_every_replica_moves_at_its_own_rate(rates):
             assert torch.equal(parameter[replica], alone[replica])
 
 
+def test_a_scaled_rate_is_torchs_schedule():
+    shares = [1.0, 1.0, 0.7, 0.1, 0.4]
+    rates = (1e-2, 1e-2, 0.3)
+    parameters, alone = replica_parameters(), [replica_parameters() for _ in rates]
+    adams = [torch.optim.Adam(alone[r], lr=rate) for r, rate in enumerate(rates)]
+    schedules = [torch.optim.lr_scheduler.LambdaLR(adam, shares.__getitem__) for adam in adams]
+    optimizer = ReplicaAdam(parameters, 3, lr=rates)
+    for number, share in enumerate(shares):
+        optimizer.scale_lr(share)
+        give_gradients(parameters, number)
+        optimizer.step()
+        for r, (adam, schedule) in enumerate(zip(adams, schedules, strict=True)):
+            give_gradients(alone[r], number)
+            adam.step()
+            if number + 1 < len(shares):
+                schedule.step()
+            for own, stacked in zip(alone[r], parameters, strict=True):
+                torch.testing.assert_close(own[r], stacked[r], rtol=1e-6, atol=1e-7)
+        if number == 2:  # what was saved under a fallen rate goes on with whichever comes
+            saved = optimizer.state_dict()
+            optimizer = ReplicaAdam(parameters, 3, lr=rates)
+            optimizer.load_state_dict(saved)
+
+
 def test_as_many_rates_as_replicas_or_one():
     with pytest.raises(ValueError, match="one for each of the 3 replicas, got 2"):
         ReplicaAdam(replica_parameters(), 3, lr=[0.1, 0.2])

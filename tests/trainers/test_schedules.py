@@ -1,4 +1,4 @@
-"""Exploration schedules go on after a resume where they were."""
+"""Schedules fall as they are asked to, and go on after a resume where they were."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def explorer(kind):
     return module, lambda: float(module.temperature)
 
 
-def make_trainer(kind, folder, rounds):
+def make_trainer(kind, folder, rounds, **settings):
     replicas = 2
     env = GuessEnv(replicas, 4)
     actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,), replicas=(replicas,)), Categorical(ACTIONS))
@@ -49,7 +49,9 @@ def make_trainer(kind, folder, rounds):
         ReplicaReplay(100, replicas=replicas),
         ReplicaAdam(loss.parameters(), replicas),
         HardUpdate(loss, value_network_update_interval=0),
-        RoundSettings(rounds=rounds, dialogues=4, batch_size=32, epochs=1, checkpoint_every=1),
+        RoundSettings(
+            rounds=rounds, dialogues=4, batch_size=32, epochs=1, checkpoint_every=1, **settings
+        ),
         folder,
         round_metrics={"exploration": value},
         progress=False,
@@ -82,3 +84,47 @@ def test_a_policys_checkpoint_holds_its_place_in_the_schedule(tmp_path, kind):
         seen.append(value())
         restored.step()
     assert seen == pytest.approx(SCHEDULE[2:])
+
+
+def weights(trainer):
+    return [parameter.detach().clone() for parameter in trainer.policy.parameters()]
+
+
+def trained(folder, stops, **settings):
+    """Returns the weights after each of the rounds in which the training stopped."""
+    seen = []
+    for stop in stops:
+        torch.manual_seed(0)  # of the weights that are drawn; a resumed training has saved ones
+        trainer = make_trainer("epsilon", folder, max(stops), **settings)
+        trainer.begin(resume=folder.exists())
+        while trainer.rounds_done < stop:
+            trainer.train_round()
+        seen.append(weights(trainer))
+    return seen
+
+
+def same(ours, theirs):
+    return all(map(torch.equal, ours, theirs))
+
+
+def test_the_learning_rate_falls_after_its_share_of_the_rounds(tmp_path):
+    constant = trained(tmp_path / "constant", (2, 4))
+    falls = trained(tmp_path / "falls", (2, 3, 4), lr_final=0.0, lr_decay_from=0.5)
+
+    assert same(falls[0], constant[0])
+    assert not same(falls[1], falls[0])  # at half of the rate
+    assert same(falls[2], falls[1])  # at 0: nothing moves in the last round
+    assert not same(constant[1], falls[2])
+
+
+def test_a_resumed_training_goes_on_at_the_rate_of_its_round(tmp_path):
+    settings = {"lr_final": 0.1, "lr_decay_from": 0.25}
+    (through,) = trained(tmp_path / "through", (4,), **settings)
+    *_, resumed = trained(tmp_path / "resumed", (1, 2, 3, 4), **settings)
+    assert same(through, resumed)
+
+
+@pytest.mark.parametrize("name", ["lr_final", "lr_decay_from"])
+def test_a_share_is_from_0_to_1(name):
+    with pytest.raises(ValueError, match=rf"{name} must be in \[0, 1\], got 1.5"):
+        RoundSettings(rounds=2, **{name: 1.5})

@@ -70,8 +70,8 @@ class LangevinAdam:
         own = None if noisy is None else {id(parameter) for parameter in noisy}
         self.is_noisy = [own is None or id(parameter) in own for parameter in self.parameters]
         rate = torch.as_tensor(lr, dtype=torch.float64)
-        self.lr = rate.expand(replicas)
-        self.noise_std = (2 * rate / inverse_temperature).sqrt().expand(replicas)
+        self.rate = self.lr = rate.expand(replicas)
+        self.inverse_temperature = torch.as_tensor(inverse_temperature, dtype=torch.float64)
         self.bias = torch.as_tensor(bias, dtype=torch.float64).expand(replicas)
         self.betas, self.eps = betas, eps
         self.means = [torch.zeros_like(parameter) for parameter in self.parameters]
@@ -88,6 +88,7 @@ class LangevinAdam:
         rows: Any = slice(None)
         if active is not None:
             rows = [replica for replica, is_active in enumerate(active) if is_active]
+        noise_stds = (2 * self.lr / self.inverse_temperature).sqrt()
         first, second = (1 - beta for beta in self.betas)
         for parameter, mean, square, is_noisy in zip(
             self.parameters, self.means, self.squares, self.is_noisy, strict=True
@@ -100,12 +101,16 @@ class LangevinAdam:
             square[rows] = square[rows].lerp(gradient.square(), second)
             lr, noise_std, bias = (
                 values.to(parameter).view(-1, *(1,) * (parameter.ndim - 1))[rows]
-                for values in (self.lr, self.noise_std, self.bias)
+                for values in (self.lr, noise_stds, self.bias)
             )
             drift = gradient + bias * mean[rows] / (square[rows] + self.eps).sqrt()
             parameter[rows] -= lr * drift
             if noise is not None:
                 parameter[rows] += noise_std * noise[rows]
+
+    def scale_lr(self, share: float) -> None:
+        """Goes on at that share of the learning rate, and with the noise that belongs to it."""
+        self.lr = self.rate * share
 
     def state_dict(self) -> dict[str, Any]:
         """Returns Adam's moments."""
