@@ -33,40 +33,13 @@ def refused(refused, tmp_path):
     return run
 
 
-def replace(old, new, count=1):
-    def damage(text):
-        assert old in text
-        return text.replace(old, new, count)
-
-    return damage
-
-
-@pytest.mark.parametrize(
-    ("file", "damage", "message"),
-    [
-        ("knowledge_base.csv", replace("terrace", "balcony"), "balcony"),
-        ("knowledge_base.csv", lambda text: text.splitlines()[0] + "\n", "knowledge base"),
-        (
-            "knowledge_base.csv",
-            lambda text: text.rstrip(),
-            "knowledge_base.csv: the last line must",
-        ),
-        ("goals.jsonl", replace('"cuisine"', '"kitchen"'), "kitchen"),
-        ("goals.jsonl", replace('"indian"', '"martian"'), "martian"),
-        ("goals.jsonl", lambda text: text[: len(text) // 2], "goals.jsonl"),
-        ("values.json", lambda text: text[:-20], "values.json"),
-        ("domain.yaml", replace("request(cuisine)", "demand(cuisine)"), "demand"),
-        ("domain.yaml", None, "domain.yaml"),
-    ],
-)
-def test_a_damaged_domain_folder(refused, restaurant_folder, tmp_path, file, damage, message):
+def test_a_damaged_domain_folder(refused, restaurant_folder, tmp_path):
+    """Every fault of every file is in tests/domains; here one, as the command tells it."""
     folder = tmp_path / "domain"
     shutil.copytree(restaurant_folder, folder)
-    if damage is None:
-        (folder / file).unlink()
-    else:
-        (folder / file).write_text(damage((folder / file).read_text()))
-    assert message in refused("domain=folder", f"domain.path={folder}")
+    file = folder / "knowledge_base.csv"
+    file.write_text(file.read_text().replace("terrace", "balcony", 1))
+    assert "balcony" in refused("domain=folder", f"domain.path={folder}")
 
 
 def test_a_domain_folder_that_is_not_there(refused):
