@@ -11,6 +11,7 @@ packages, and is written to results/growth.csv as soon as it is measured.
 from __future__ import annotations
 
 import argparse
+import csv
 import multiprocessing
 import random
 import resource
@@ -30,7 +31,6 @@ from bbq_torchrl.cli.training import build_trainer  # noqa: E402
 from bbq_torchrl.domains import Domain, movie_domain  # noqa: E402
 from bbq_torchrl.envs import DialogueEnv  # noqa: E402
 from benchmarks.parts.learning import full_trainer  # noqa: E402
-from benchmarks.parts.rows import merge  # noqa: E402
 from benchmarks.parts.simulator import play_simulator  # noqa: E402
 from benchmarks.parts.timing import CLOCKS, Timer, one_thread  # noqa: E402
 
@@ -147,9 +147,18 @@ def _peak() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-def _place(line: Sequence[str]) -> tuple[int, int]:
-    """Returns where a cell stands in the file."""
-    return list(GROWTH).index(line[0]), int(line[1])
+def keep(file: Path, line: Sequence[object]) -> None:
+    """Writes a cell in the place of what was measured of it before, in the order of GROWTH."""
+    cells = {}
+    if file.is_file():
+        with file.open(newline="", encoding="utf-8") as opened:
+            cells = {(what, int(size)): rest for what, size, *rest in list(csv.reader(opened))[1:]}
+    cells[line[0], line[1]] = line[2:]
+    order = sorted(cells, key=lambda cell: (list(GROWTH).index(cell[0]), cell[1]))
+    with file.open("w", newline="", encoding="utf-8") as opened:
+        csv.writer(opened, lineterminator="\n").writerows(
+            [COLUMNS, *((*cell, *cells[cell]) for cell in order)]
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -164,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for size in (40,) if chosen.tiny else GROWTH[what][1]:
             line = (what, size, *measure(what, size, chosen.clock))
             if not chosen.tiny:
-                merge(chosen.file, COLUMNS, 2, [line], key=_place)
+                keep(chosen.file, line)
             print(*(f"{name} {value}" for name, value in zip(COLUMNS, line, strict=True)), sep=", ")
 
 

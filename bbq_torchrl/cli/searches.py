@@ -181,7 +181,8 @@ def compose_search(arguments: Sequence[str]) -> Search:
         raise ConfigError(f"{SEARCH}.space must have a key that varies, but all are given")
     name = Path(chosen[0]).stem
     search = Search(name, _settings(given.settings), space, tuple(given.fixed.values()))
-    _check_bounds(search)
+    for values in search.corners():  # at every bound and choice: no trial fails for its values
+        search.config(values)
     return search
 
 
@@ -280,13 +281,6 @@ def _settings(given: Mapping[str, Any]) -> SearchConfig:
     except ConfigError as error:
         raise ConfigError(f"{SEARCH}.{error}") from error
     return settings
-
-
-def _check_bounds(search: Search) -> None:
-    """Composes a trial at every bound and choice, so that none can fail for its values."""
-    with session():
-        for values in search.corners():
-            to_config(compose_raw(search.overrides(values)), Config)
 
 
 def _override(name: str, value: Any) -> str:

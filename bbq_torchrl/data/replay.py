@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
@@ -13,7 +12,7 @@ from torchrl.envs import Compose
 from bbq_torchrl.data.epoch import Batch, EpochMemory
 from bbq_torchrl.data.hooks import Seeded
 from bbq_torchrl.data.padding import pad_rows, unpad_rows
-from bbq_torchrl.data.stored_rows import map_stored_rows
+from bbq_torchrl.data.stored_rows import buffer_state, load_buffer_state, map_stored_rows
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.hooks import provides
@@ -21,6 +20,7 @@ from bbq_torchrl.hooks import provides
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from tensordict import NestedKey, TensorDictBase
     from torchrl.envs import Transform
 
 __all__ = ["TRANSITION_KEYS", "ReplicaReplay"]
@@ -265,10 +265,7 @@ class ReplicaReplay:
         Not the generators: see :meth:`seed`.
         """
         state: dict[str, Any] = {
-            str(replica): {
-                "rows": _leaves(buffer, self.stored_keys),
-                "writer": buffer.writer.state_dict(),
-            }
+            str(replica): buffer_state(buffer, self.stored_keys)
             for replica, buffer in enumerate(self._buffers)
         }
         if self.transform is not None:
@@ -290,16 +287,7 @@ class ReplicaReplay:
         if self.transform is not None:
             self.transform.load_state_dict(state_dict["transform"])
         for replica, buffer in enumerate(self._buffers):
-            state = state_dict[str(replica)]
-            buffer.empty()
-            if state["rows"]:
-                rows = TensorDict(dict(state["rows"])).auto_batch_size_(1)
-                if len(rows) > self.capacity:
-                    raise ValueError(
-                        f"the state must fit the capacity {self.capacity}, got {len(rows)} rows"
-                    )
-                buffer.extend(rows.unflatten_keys("/").to(self._device))
-            buffer.writer.load_state_dict(state["writer"])
+            load_buffer_state(buffer, state_dict[str(replica)], self.capacity, self._device)
 
 
 def _parts(transform: Transform | None) -> list[Transform]:
@@ -307,11 +295,3 @@ def _parts(transform: Transform | None) -> list[Transform]:
     if transform is None:
         return []
     return list(transform.transforms) if isinstance(transform, Compose) else [transform]
-
-
-def _leaves(buffer: TensorDictReplayBuffer, keys: tuple[NestedKey, ...]) -> dict[str, Tensor]:
-    """Returns the stored entries by their flat names, each [rows, ...]; none if nothing is."""
-    if not len(buffer):
-        return {}
-    rows = buffer.storage.get(slice(0, len(buffer))).select(*keys)
-    return dict(rows.flatten_keys("/").items())

@@ -1,20 +1,20 @@
-"""A function of every stored transition, a large batch at a time."""
+"""The stored rows of replay buffers: a function of each, and all as a state."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict, lazy_stack
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from tensordict import TensorDictBase
+    from tensordict import NestedKey, TensorDictBase
     from torch import Tensor
     from torchrl.data import TensorDictReplayBuffer
 
-__all__ = ["map_stored_rows"]
+__all__ = ["buffer_state", "load_buffer_state", "map_stored_rows"]
 
 _ROWS_AT_ONCE = 512
 
@@ -58,3 +58,32 @@ def _rows(buffer: TensorDictReplayBuffer, start: int, stop: int, count: int) -> 
         return rows
     first = buffer.storage.get(slice(0, 1)).expand(count - there)
     return first if there == 0 else TensorDict.cat([rows, first])
+
+
+def buffer_state(buffer: TensorDictReplayBuffer, keys: Sequence[NestedKey]) -> dict[str, Any]:
+    """Returns a buffer's entries by their flat names, each [rows, ...], and its writer's state."""
+    rows: dict[str, Tensor] = {}
+    if len(buffer):
+        stored = buffer.storage.get(slice(0, len(buffer))).select(*keys)
+        rows = dict(stored.flatten_keys("/").items())
+    return {"rows": rows, "writer": buffer.writer.state_dict()}
+
+
+def load_buffer_state(
+    buffer: TensorDictReplayBuffer,
+    state: Mapping[str, Any],
+    capacity: int,
+    device: torch.device,
+) -> None:
+    """Restores what :func:`buffer_state` returned, row for row in the same places.
+
+    Raises:
+        ValueError: if the rows are more than the capacity.
+    """
+    buffer.empty()
+    if state["rows"]:
+        rows = TensorDict(dict(state["rows"])).auto_batch_size_(1)
+        if len(rows) > capacity:
+            raise ValueError(f"the state must fit the capacity {capacity}, got {len(rows)} rows")
+        buffer.extend(rows.unflatten_keys("/").to(device))
+    buffer.writer.load_state_dict(state["writer"])

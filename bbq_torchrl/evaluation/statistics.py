@@ -221,9 +221,7 @@ def t_test(differences: Sequence[float]) -> float:
     return float(stats.ttest_1samp(differences, 0).pvalue)
 
 
-def probability_of_improvement(
-    better: Sequence[float], worse: Sequence[float], seed: int = 0
-) -> Estimate:
+def probability_of_improvement(better: Sequence[float], worse: Sequence[float]) -> Estimate:
     """P(a seed of ``better`` beats a seed of ``worse``), ties counting half, with a 95 % interval.
 
     The Mann-Whitney U statistic divided by the number of pairs; the interval is a BCa bootstrap
@@ -244,7 +242,7 @@ def probability_of_improvement(
     value, count = float(share(first, second)), min(first.size, second.size)
     if count < MIN_BOOTSTRAP:
         return Estimate(value, math.nan, math.nan, count, "none")
-    low, high = _bootstrap((first, second), share, seed)
+    low, high = _bootstrap((first, second), share, seed=0)
     return Estimate(value, low, high, count, "bootstrap")
 
 

@@ -9,6 +9,8 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.data import Categorical, Composite, OneHot
 from torchrl.modules import QValueActor
 
+from bbq_torchrl.networks.masking import masked
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -88,17 +90,17 @@ class VoteModule(TensorDictModuleBase):
     def vote(self, tensordict: TensorDictBase, head_values: Tensor) -> TensorDictBase:
         """Writes what :meth:`forward` does; head_values has shape [*batch, K, N]."""
         mask = self._mask(tensordict)
-        ballots = _masked(head_values, None if mask is None else mask.unsqueeze(-2)).argmax(-1)
+        ballots = masked(head_values, None if mask is None else mask.unsqueeze(-2)).argmax(-1)
         shape = (*head_values.shape[:-2], head_values.shape[-1])
         votes = ballots.new_zeros(shape).scatter_add_(-1, ballots, torch.ones_like(ballots))
         mean = head_values.mean(-2)
         tied = votes == votes.amax(-1, keepdim=True)
         index = mean.masked_fill(~tied, float("-inf")).argmax(-1, keepdim=True)
-        return self._write(tensordict, _masked(mean, mask), index)
+        return self._write(tensordict, masked(mean, mask), index)
 
     def act_greedily(self, tensordict: TensorDictBase, values: Tensor) -> TensorDictBase:
         """Writes the legal action of greatest value; values has shape [*batch, N]."""
-        values = _masked(values, self._mask(tensordict))
+        values = masked(values, self._mask(tensordict))
         return self._write(tensordict, values, values.argmax(-1, keepdim=True))
 
     def _mask(self, tensordict: TensorDictBase) -> Tensor | None:
@@ -114,12 +116,6 @@ class VoteModule(TensorDictModuleBase):
         for key, value in zip(self.out_keys, written, strict=True):
             tensordict.set(key, value)
         return tensordict
-
-
-def _masked(values: Tensor, mask: Tensor | None) -> Tensor:
-    if mask is None:
-        return values
-    return torch.where(mask, values, torch.finfo(values.dtype).min)
 
 
 class _BootstrapActor(QValueActor):

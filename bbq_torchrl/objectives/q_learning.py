@@ -12,6 +12,8 @@ from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import replica_values, replicas_of
+from bbq_torchrl.networks.masking import masked
+from bbq_torchrl.objectives.row_weights import normalized_weights
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
@@ -214,9 +216,8 @@ class OneStepQLoss(DQNLoss):
             actions taken), each [*replicas]; and what the subclass adds.
         """
         keys = self.tensor_keys
-        function = self._function
         online, target = self._tensors()
-        values, out = self._predict(online, function.inputs(tensordict))
+        values, out = self._predict(online, self._function.inputs(tensordict))
         with torch.no_grad():
             td_target = self._td_target(tensordict.get("next"), online, target)
             weight = self._row_weights(tensordict, td_target)
@@ -274,10 +275,10 @@ class OneStepQLoss(DQNLoss):
         mask = None
         if function.action_mask_key is not None:
             mask = self._beside_values(following.get(function.action_mask_key))
-        values = _masked(self._target_values(target, inputs), mask)
+        values = masked(self._target_values(target, inputs), mask)
         if not self.double_dqn:
             return values.amax(-1, keepdim=True)
-        choice = _masked(self._choice_values(online, inputs), mask)
+        choice = masked(self._choice_values(online, inputs), mask)
         return values.gather(-1, choice.argmax(-1, keepdim=True))
 
     def _beside_values(self, entry: Tensor) -> Tensor:
@@ -296,27 +297,5 @@ class OneStepQLoss(DQNLoss):
             weight = weight.unsqueeze(-1).to(like.dtype)
             if not keys or tensordict.get(keys[0], None) is None:
                 return weight
-        for key in keys:
-            mask = tensordict.get(key, None)
-            if mask is not None:
-                if mask.ndim == like.ndim - 1:
-                    mask = mask.unsqueeze(-1)
-                if mask.shape != like.shape:
-                    raise ValueError(
-                        f"{key!r} must have the batch's shape {list(like.shape[:-1])}, got "
-                        f"{list(mask.shape)}"
-                    )
-                mask = mask.to(like.dtype)
-                weight = mask if weight is None else weight * mask
-        if weight is None:
-            return None
-        dims = tuple(range(len(self.replicas), like.ndim))
-        # 0 / tiny where no row counts at all: such a replica's data have no gradient
-        tiny = torch.finfo(weight.dtype).tiny
-        return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)
-
-
-def _masked(values: Tensor, mask: Tensor | None) -> Tensor:
-    if mask is None:
-        return values
-    return torch.where(mask, values, torch.finfo(values.dtype).min)
+        masks = {key: tensordict.get(key, None) for key in keys}
+        return normalized_weights(weight, masks, like, len(self.replicas))

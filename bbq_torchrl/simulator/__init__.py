@@ -7,7 +7,8 @@ from bbq_torchrl.simulator.error_model import ErrorModel, SlotErrorMode
 from bbq_torchrl.simulator.features import FeatureLayout
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.measured_errors import MeasuredErrors
-from bbq_torchrl.simulator.simulator import Rewards, Simulator
+from bbq_torchrl.simulator.rewards import Rewards
+from bbq_torchrl.simulator.simulator import Simulator
 from bbq_torchrl.simulator.transcript import Transcript
 
 __all__ = [

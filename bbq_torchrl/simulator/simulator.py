@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
@@ -11,9 +10,11 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains.values import NO_MATCH, NONE
 from bbq_torchrl.simulator.channel import Utterance
+from bbq_torchrl.simulator.draws import uniform_draws
 from bbq_torchrl.simulator.error_model import ErrorModel
 from bbq_torchrl.simulator.features import Features
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
+from bbq_torchrl.simulator.rewards import Rewards
 from bbq_torchrl.simulator.tracker import Tracker
 from bbq_torchrl.simulator.user import User
 
@@ -28,24 +29,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator.tracker import AgentTurn
     from bbq_torchrl.simulator.user import Reply
 
-__all__ = ["Rewards", "Simulator"]
+__all__ = ["Simulator"]
 
 _ACTS_PER_TURN = 2
-
-
-@dataclass(frozen=True)
-class Rewards:
-    """What the agent gets for a turn (Lipton et al., 2018).
-
-    Args:
-        success: for the turn that ends a dialogue in success.
-        failure: for the turn that ends a dialogue otherwise, running out of turns included.
-        turn: for every other turn.
-    """
-
-    success: float = 40.0
-    failure: float = -10.0
-    turn: float = -1.0
 
 
 class Simulator:
@@ -161,7 +147,7 @@ class Simulator:
         if self.errors.mishears_all:
             heard_by = self.errors.slot_draws, self.errors.draws
         per_slot, per_dialogue = ("constraint", "request", *heard_by[0]), ("goal", *heard_by[1])
-        return self._draw(batch_shape, per_slot, per_dialogue, generator)
+        return uniform_draws(self.domain, batch_shape, per_slot, per_dialogue, generator)
 
     def draw_turn(
         self, batch_shape: Sequence[int], generator: torch.Generator | None = None
@@ -173,8 +159,8 @@ class Simulator:
             and what the channel needs, of an error model ``error``, ``error_kind``,
             ``error_slot`` and ``error_value`` ``[*B, S]``, ``intent`` and ``intent_act`` ``[*B]``.
         """
-        per_slot, per_dialogue = self.errors.slot_draws, self.errors.draws
-        return self._draw(batch_shape, ("agenda", *per_slot), (*per_dialogue, "offer"), generator)
+        per_slot, per_dialogue = ("agenda", *self.errors.slot_draws), (*self.errors.draws, "offer")
+        return uniform_draws(self.domain, batch_shape, per_slot, per_dialogue, generator)
 
     def reset(self, draws: TensorDictBase, active: torch.Tensor) -> TensorDict:
         """Starts dialogues. Returns the state after the users' first turn.
@@ -281,7 +267,7 @@ class Simulator:
                 "turn": turn,
                 "done": is_done,
                 "success": success,
-                "reward": self._reward(was_done, is_done, success),
+                "reward": self.rewards.of(was_done, is_done, success),
             },
             batch_size=state.batch_size,
             device=self.device,
@@ -303,31 +289,3 @@ class Simulator:
         is_false = (constraints != NONE) & (history != NONE) & (history != constraints)
         spoils = is_left | is_false | (history == NO_MATCH)
         return agent.is_end & state["constraints_met"] & ~spoils.any(-1)
-
-    def _reward(
-        self, was_done: torch.Tensor, is_done: torch.Tensor, success: torch.Tensor
-    ) -> torch.Tensor:
-        """Returns the reward of the turn, float32 ``[*B]``."""
-        rewards = self.rewards
-        at_end = torch.where(success, rewards.success, rewards.failure)
-        return torch.where(was_done, 0.0, torch.where(is_done, at_end, rewards.turn))
-
-    def _draw(
-        self,
-        batch_shape: Sequence[int],
-        per_slot: tuple[str, ...],
-        per_dialogue: tuple[str, ...],
-        generator: torch.Generator | None,
-    ) -> TensorDict:
-        """Draws all numbers in one call and names the parts."""
-        n_slots = self.domain.n_slots
-        width = len(per_slot) * n_slots + len(per_dialogue)
-        uniform = torch.rand(*batch_shape, width, generator=generator, device=self.device)
-        by_slot = uniform[..., : len(per_slot) * n_slots].unflatten(-1, (len(per_slot), n_slots))
-        draws = dict(zip(per_slot, by_slot.unbind(-2), strict=True))
-        scalars = uniform[..., len(per_slot) * n_slots :].unbind(-1)
-        return TensorDict(
-            draws | dict(zip(per_dialogue, scalars, strict=True)),
-            batch_size=torch.Size(batch_shape),
-            device=self.device,
-        )

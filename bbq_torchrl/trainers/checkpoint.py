@@ -16,13 +16,11 @@ One process writes, any number may read: a reader changes nothing in the folder.
 
 from __future__ import annotations
 
-import errno
 import json
 import logging
 import os
 import re
 import shutil
-import tempfile
 import uuid
 import zipfile
 from textwrap import shorten
@@ -33,6 +31,7 @@ from torch.utils import _pytree as pytree
 from torchrl.checkpoint import Checkpoint, CheckpointError
 
 from bbq_torchrl.trainers.archive import TensorFiles, read_archive
+from bbq_torchrl.trainers.disk import check_room, force_to_disk
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
 
 if TYPE_CHECKING:
@@ -92,8 +91,8 @@ class CheckpointFolder:
         path = self.folder / f"{name or f'round-{rounds:06d}'}{_SUFFIX}"
         self._check_room()
         self._checkpoint.save(path, metadata={"round": rounds, **metadata})
-        _force_to_disk(path)
-        _force_to_disk(self.folder)
+        force_to_disk(path)
+        force_to_disk(self.folder)
         if name is None and self.keep is not None:
             for old in self._files()[self.keep :]:
                 old.unlink()
@@ -202,11 +201,11 @@ class CheckpointFolder:
                         member = f"{record['path']}/{file}"
                         new.writestr(member, old.read(member))
                 new.writestr("manifest.json", json.dumps(manifest))
-            _force_to_disk(smaller)
+            force_to_disk(smaller)
             os.replace(smaller, path)
         finally:
             smaller.unlink(missing_ok=True)
-        _force_to_disk(self.folder)
+        force_to_disk(self.folder)
         for other in self._files():
             if other != path:
                 other.unlink()
@@ -271,31 +270,10 @@ class CheckpointFolder:
         return [path for _, path in sorted(numbered, reverse=True)]
 
     def _check_room(self) -> None:
-        """Raises OSError where the disk has no room for a checkpoint, staged and archived.
-
-        TorchRL writes through memory maps: one that meets a full disk is no error, but a signal
-        that kills the process.
-        """
-        if not hasattr(os, "posix_fallocate"):
-            return
+        """Raises OSError where the disk has no room for a checkpoint, staged and archived."""
         states = [part.state_dict() for part in self._checkpoint.components.values()]
         tensors = [leaf for leaf in pytree.tree_leaves(states) if isinstance(leaf, torch.Tensor)]
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=self.folder) as file:
-            try:
-                needed = 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE
-                os.posix_fallocate(file.fileno(), 0, needed)
-            except OSError as error:
-                if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
-                    raise OSError(error.errno, error.strerror, os.fspath(self.folder)) from error
-
-
-def _force_to_disk(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        check_room(self.folder, 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE)
 
 
 def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Dialogues played side by side to the last one's end."""
+"""Dialogues played side by side to the last one's end, and stored."""
 
 from __future__ import annotations
 
@@ -16,9 +16,12 @@ from bbq_torchrl.hooks import provides
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
+    from bbq_torchrl.data import ReplicaReplay
+
 __all__ = [
     "EpisodeStats",
     "Policy",
+    "collect_dialogues",
     "outcomes",
     "play",
     "play_dialogues",
@@ -128,16 +131,16 @@ def play_dialogues(
         yield rollout[..., : min(places, dialogues - begun), :]
 
 
-def outcomes(rollout: TensorDictBase, *, success_key: NestedKey = "success") -> EpisodeStats:
+def outcomes(rollout: TensorDictBase) -> EpisodeStats:
     """Returns how the dialogues of a rollout of :func:`play` went, each entry of shape [*batch].
 
     Args:
-        rollout (TensorDictBase): batch size [*batch, turns], with ``valid``.
-        success_key (NestedKey): the entry of ``next`` that tells a success. Default: ``"success"``.
+        rollout (TensorDictBase): batch size [*batch, turns], with ``valid``, and whether the
+            dialogue is a success so far under ``("next", "success")``.
     """
     valid = rollout["valid"]
     after = rollout["next"]
-    success = after.get(success_key).squeeze(-1) & valid
+    success = after["success"].squeeze(-1) & valid
     reward = after["reward"].squeeze(-1).double() * valid
     return EpisodeStats(success.any(-1), reward.sum(-1), valid.sum(-1))
 
@@ -152,6 +155,37 @@ def rows_per_replica(rollout: TensorDictBase, keys: tuple[NestedKey, ...]) -> li
     valid = rollout["valid"]
     counts = valid.sum((-2, -1)).tolist()
     return list(rollout.select(*keys)[valid].split(counts))
+
+
+def collect_dialogues(
+    replay: ReplicaReplay,
+    env: EnvBase,
+    policy: Policy,
+    dialogues: int,
+    *,
+    max_steps: int,
+) -> dict[str, Tensor]:
+    """Plays dialogues and stores them. Returns their mean outcomes by metric, [replicas] each.
+
+    With them are the metrics that the replay's transform noted of these transitions.
+
+    Args:
+        replay (ReplicaReplay): the buffers.
+        env (EnvBase): batch size [replicas, places].
+        policy (callable): writes an action.
+        dialogues (int): how many dialogues each replica plays.
+        max_steps (int): the most turns of a dialogue.
+    """
+    pop_metrics(replay.transform)  # what was stored before, in spiking, is not of these
+    totals: Tensor | None = None
+    for rollout in play_dialogues(env, policy, dialogues, max_steps=max_steps):
+        result = outcomes(rollout)
+        sums = torch.stack([entry.double().sum(-1) for entry in result])
+        totals = sums if totals is None else totals + sums
+        replay.extend(rows_per_replica(rollout, replay.keys))
+    assert totals is not None
+    means = dict(zip(("success_rate", "reward", "turns"), totals / dialogues, strict=True))
+    return {**means, **pop_metrics(replay.transform)}
 
 
 def pop_metrics(transform: nn.Module | None) -> dict[str, Tensor]:

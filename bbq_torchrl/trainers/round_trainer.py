@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +15,7 @@ from bbq_torchrl.exploration.hooks import Annealed, Resampled
 from bbq_torchrl.hooks import provides
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
-from bbq_torchrl.trainers.collect import (
-    Policy,
-    outcomes,
-    play_dialogues,
-    pop_metrics,
-    rows_per_replica,
-)
+from bbq_torchrl.trainers.collect import Policy, collect_dialogues
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, NonFiniteLossError
 from bbq_torchrl.trainers.hooks import RoundEnv
 from bbq_torchrl.trainers.learner import Learner, TargetUpdater
@@ -29,12 +23,11 @@ from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.seeding import derive_seed
 from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
-from bbq_torchrl.trainers.spiking import is_spike_outgrown, spike_replay
+from bbq_torchrl.trainers.spiking import drop_outgrown_spikes, spike_replay
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from tensordict import NestedKey
     from torchrl.envs import EnvBase
     from torchrl.record.loggers import Logger
 
@@ -43,8 +36,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
 
 __all__ = ["RoundTrainer"]
-
-_LOG = logging.getLogger(__name__)
 
 
 class RoundTrainer:
@@ -109,7 +100,6 @@ class RoundTrainer:
         evaluator: Evaluator | None = None,
         round_metrics: Mapping[str, Callable[[], float | Tensor]] | None = None,
         described: Mapping[str, Any] | None = None,
-        success_key: NestedKey = "success",
         progress: bool | None = None,
     ) -> None:
         replicas = replay.replicas
@@ -137,7 +127,6 @@ class RoundTrainer:
         self.callbacks = tuple(callbacks)
         self.evaluator = evaluator
         self.round_metrics = dict(round_metrics or {})
-        self.success_key = success_key
         self.progress = progress
         self.described = {"seed": settings.seed, "replicas": replicas, **(described or {})}
         self.rounds_done = self.rounds_saved = 0
@@ -182,11 +171,9 @@ class RoundTrainer:
             visible=self.progress,
             name=self.run_folder.name,
         )
-        try:
+        with closing(bar):
             while self.rounds_done < self.settings.rounds and not self._stops:
                 bar.update(self.train_round())
-        finally:
-            bar.close()
         if self.rounds_saved < self.rounds_done:
             self._save()
         return list(self.metrics.rows)
@@ -203,7 +190,11 @@ class RoundTrainer:
         """
         self.checkpoints.remove_leftovers()
         if resume:
-            self._resume()
+            found = self.checkpoints.restore(self.described)
+            if found is not None:
+                self.rounds_done = self.rounds_saved = int(found[1]["round"])
+            elif self.metrics.path.exists():
+                raise CheckpointDamagedError.gone(self.run_folder)
         elif self.metrics.path.exists() or self.checkpoints.newest() is not None:
             raise ValueError(
                 f"the run folder must be a new one, or be resumed; {self.run_folder} holds a "
@@ -223,15 +214,10 @@ class RoundTrainer:
         self.rounds_done += 1
         for callback in self.callbacks:
             callback(self, rows)
-        if self._is_checkpoint_due():
+        every, last = self.settings.checkpoint_every, self.settings.rounds
+        if self.rounds_done % every == 0 or self.rounds_done == last:
             self._save()
         return rows
-
-    def _is_checkpoint_due(self) -> bool:
-        return (
-            self.rounds_done % self.settings.checkpoint_every == 0
-            or self.rounds_done == self.settings.rounds
-        )
 
     # ---------------------------------------------------------------- phases
 
@@ -239,23 +225,14 @@ class RoundTrainer:
         """Stores the spike policy's dialogues, each replica its own."""
         if self.spike_policy is None or not self.spike.dialogues:
             return
-        self._seed_phase("spike", 0)
-        self._enter_round(0)
-        successes = spike_replay(
+        self._begin_phase("spike", 0)
+        spike_replay(
             self.replay,
             self.env,
             self.spike_policy,
             self.spike,
             max_steps=self.settings.max_steps,
-            success_key=self.success_key,
         )
-        without = [str(replica) for replica, count in enumerate(successes) if not count]
-        if without:
-            _LOG.warning(
-                "none of the %d spiked dialogues of replica %s is a success",
-                self.spike.dialogues,
-                ", ".join(without),
-            )
 
     def _round(self, round_number: int) -> dict[str, float | Tensor | Sequence[float]]:
         """Plays and learns one round. Returns its metrics by name, in the order of the columns."""
@@ -266,10 +243,14 @@ class RoundTrainer:
             for name, read in self.round_metrics.items()
         }
         collected = self._collect(round_number)
-        self._drop_spike(collected["success_rate"].tolist())
+        drop_outgrown_spikes(
+            self.replay, self.metrics.rows, collected["success_rate"].tolist(), self.spike
+        )
         collected_at = time.perf_counter()
         learned = self._learn(round_number)
-        self._step_schedules()
+        for module in self.policy.modules():
+            if provides(module, Annealed):
+                module.step(1)  # epsilon, temperature
         learned_at = time.perf_counter()
         evaluated = {} if self.evaluator is None else self.evaluator(round_number)
         ended = time.perf_counter()
@@ -289,27 +270,17 @@ class RoundTrainer:
 
     def _collect(self, round_number: int) -> dict[str, Tensor]:
         """Plays the round's dialogues and stores them. Returns mean outcomes, [replicas] each."""
-        self._seed_phase("collect", round_number)
-        self._enter_round(round_number)
+        self._begin_phase("collect", round_number)
         for module in self.policy.modules():
             if provides(module, Resampled):
                 module.resample()
-        settings = self.settings
-        pop_metrics(self.replay.transform)  # spiking's are not the round's
-        totals: Tensor | None = None
-        plays = play_dialogues(
-            self.env, self.policy, settings.dialogues, max_steps=settings.max_steps
+        return collect_dialogues(
+            self.replay,
+            self.env,
+            self.policy,
+            self.settings.dialogues,
+            max_steps=self.settings.max_steps,
         )
-        for rollout in plays:
-            result = outcomes(rollout, success_key=self.success_key)
-            sums = torch.stack([entry.double().sum(-1) for entry in result])
-            totals = sums if totals is None else totals + sums
-            self.replay.extend(rows_per_replica(rollout, self.replay.keys))
-        assert totals is not None
-        means = dict(
-            zip(("success_rate", "reward", "turns"), totals / settings.dialogues, strict=True)
-        )
-        return {**means, **pop_metrics(self.replay.transform)}
 
     def _learn(self, round_number: int) -> dict[str, list[float]]:
         """Freezes and learns. Returns the mean of what the loss reports, for each replica."""
@@ -320,23 +291,11 @@ class RoundTrainer:
             raise NonFiniteLossError(round_number, broken, saved)
         return means
 
-    def _step_schedules(self) -> None:
-        """Moves the policy's schedules (epsilon, temperature) on by one round."""
-        for module in self.policy.modules():
-            if provides(module, Annealed):
-                module.step(1)
-
-    def _enter_round(self, round_number: int) -> None:
-        """Has the environment be as in a round."""
+    def _begin_phase(self, name: str, round_number: int) -> None:
+        """Has dialogues be played from a seed of their own, in the environment as in a round."""
+        self._seed_phase(name, round_number)
         if provides(self.env, RoundEnv):
             self.env.set_round(round_number)
-
-    def _drop_spike(self, success_rate: Sequence[float]) -> None:
-        """Drops a replica's spiked transitions once it does well without them."""
-        for replica, rate in enumerate(success_rate):
-            before = [past["success_rate"] for past in self.metrics.rows[replica :: self.replicas]]
-            if is_spike_outgrown([*before, rate], self.spike):
-                self.replay.drop_protected(replica)
 
     def _seed_phase(self, *path: str | int) -> None:
         """Seeds every source of random numbers for a phase."""
@@ -345,18 +304,8 @@ class RoundTrainer:
         self.env.set_seed(derive_seed(seed, "env", *path))
         self.replay.seed([derive_seed(seed, "replay", r, *path) for r in range(self.replicas)])
 
-    # ------------------------------------------------------------ checkpoints
-
     def _save(self, *, name: str | None = None) -> Path:
         saved = self.checkpoints.save(self.rounds_done, self.described, name=name)
         if name is None:
             self.rounds_saved = self.rounds_done
         return saved
-
-    def _resume(self) -> None:
-        """Restores the newest readable checkpoint; leaves everything as built if there is none."""
-        found = self.checkpoints.restore(self.described)
-        if found is not None:
-            self.rounds_done = self.rounds_saved = int(found[1]["round"])
-        elif self.metrics.path.exists():
-            raise CheckpointDamagedError.gone(self.run_folder)

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 from statistics import fmean
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.trainers.collect import Policy, outcomes, play_dialogues, rows_per_replica
 from bbq_torchrl.trainers.errors import SpikeError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from tensordict import NestedKey
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.trainers.settings import SpikeSettings
 
-__all__ = ["count_transitions", "is_spike_outgrown", "spike_replay"]
+__all__ = ["count_transitions", "drop_outgrown_spikes", "is_spike_outgrown", "spike_replay"]
+
+_LOG = logging.getLogger(__name__)
 
 
 def spike_replay(
@@ -27,9 +29,10 @@ def spike_replay(
     spike: SpikeSettings,
     *,
     max_steps: int,
-    success_key: NestedKey = "success",
-) -> list[int]:
+) -> None:
     """Stores dialogues of a policy, each replica's buffer its own, protected if so set.
+
+    A replica without a success among them is named in a warning.
 
     Args:
         replay (ReplicaReplay): the buffers.
@@ -37,10 +40,6 @@ def spike_replay(
         policy (callable): writes an action.
         spike (SpikeSettings): how many dialogues, and whether they are protected.
         max_steps (int): the most turns of a dialogue.
-        success_key (NestedKey): the entry of ``next`` that tells a success. Default: ``"success"``.
-
-    Returns:
-        how many of each replica's dialogues are a success.
 
     Raises:
         SpikeError: a ``ValueError``, if the transitions would fill a replica's capacity.
@@ -55,11 +54,17 @@ def spike_replay(
                     f"capacity {replay.capacity}: raise the capacity or spike with fewer dialogues"
                 )
         replay.extend(rows)
-        found = outcomes(rollout, success_key=success_key).success.sum(-1).tolist()
+        found = outcomes(rollout).success.sum(-1).tolist()
         successes = [before + new for before, new in zip(successes, found, strict=True)]
     if spike.protect:
         replay.protect()
-    return successes
+    without = [str(replica) for replica, count in enumerate(successes) if not count]
+    if without:
+        _LOG.warning(
+            "none of the %d spiked dialogues of replica %s is a success",
+            spike.dialogues,
+            ", ".join(without),
+        )
 
 
 def count_transitions(
@@ -98,3 +103,23 @@ def is_spike_outgrown(success_rates: Sequence[float], spike: SpikeSettings) -> b
     if spike.drop_above is None or len(success_rates) < spike.drop_window:
         return False
     return fmean(success_rates[-spike.drop_window :]) > spike.drop_above
+
+
+def drop_outgrown_spikes(
+    replay: ReplicaReplay,
+    rows: Sequence[Mapping[str, Any]],
+    success_rates: Sequence[float],
+    spike: SpikeSettings,
+) -> None:
+    """Drops a replica's spiked transitions once it does well without them.
+
+    Args:
+        replay (ReplicaReplay): the buffers.
+        rows (sequence of mapping): the metrics of all rounds before, replica after replica.
+        success_rates (sequence of float): each replica's in this round.
+        spike (SpikeSettings): when they are outgrown.
+    """
+    for replica, rate in enumerate(success_rates):
+        before = [past["success_rate"] for past in rows[replica :: replay.replicas]]
+        if is_spike_outgrown([*before, rate], spike):
+            replay.drop_protected(replica)

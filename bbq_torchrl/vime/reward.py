@@ -6,17 +6,17 @@ from math import prod
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
-import torch.nn.functional as F
 from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.vime.information_gain import information_gain
+from bbq_torchrl.vime.pieces import pieces
 from bbq_torchrl.vime.running_median import RunningMedian
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
@@ -26,11 +26,6 @@ if TYPE_CHECKING:
 __all__ = ["GainWeights", "VIMEReward"]
 
 GainWeights = Literal["map", "mc"]
-
-# Rows are worked on this many at a time. With more than one replica the last piece
-# is filled up: what a matrix product rounds to depends on its shape, and a row's must not depend
-# on how many rows another replica has.
-_PIECE = 256
 
 
 class VIMEReward(Transform):
@@ -93,8 +88,7 @@ class VIMEReward(Transform):
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-        >>> from bbq_torchrl.vime import VIMEReward
-        >>> from bbq_torchrl.vime import DynamicsModel
+        >>> from bbq_torchrl.vime import DynamicsModel, VIMEReward
         >>> transform = VIMEReward(DynamicsModel(4, 2), eta=0.5)
         >>> memory = TensorDictReplayBuffer(
         ...     storage=LazyTensorStorage(1000), transform=transform, batch_size=32
@@ -135,10 +129,8 @@ class VIMEReward(Transform):
         valid_key: NestedKey = "valid",
         intrinsic_reward_key: NestedKey = "intrinsic_reward",
     ) -> None:
-        if weights not in get_args(GainWeights):
-            raise ValueError(
-                f"weights must be one of {list(get_args(GainWeights))}, got {weights!r}"
-            )
+        if weights not in (known := list(get_args(GainWeights))):
+            raise ValueError(f"weights must be one of {known}, got {weights!r}")
         if isinstance(eta, Tensor):
             eta = replica_values("eta", eta, dynamics.replicas, minimum=0)
         elif not 0 <= eta < float("inf"):
@@ -148,10 +140,8 @@ class VIMEReward(Transform):
                 raise ValueError(f"{name} must be positive, got {value}")
         if median_window < 1:
             raise ValueError(f"median_window must be at least 1, got {median_window}")
-        reward, bonus = (
-            unravel_key(("next", reward_key)),
-            unravel_key(("next", intrinsic_reward_key)),
-        )
+        reward = unravel_key(("next", reward_key))
+        bonus = unravel_key(("next", intrinsic_reward_key))
         state = (observation_key, action_key, unravel_key(("next", observation_key)))
         super().__init__(
             in_keys=[reward, bonus],
@@ -179,9 +169,8 @@ class VIMEReward(Transform):
     def pop_metrics(self) -> dict[str, Tensor]:
         """Returns the mean bonus of what was stored since the last call, and starts anew.
 
-        A trainer's metric, under "intrinsic_reward", shape [*replicas]: the mean over the
-        transitions that count, in units of the usual one (eta is not in it), terminal ones
-        included with their 0; NaN where nothing was stored.
+        A trainer's metric, "intrinsic_reward" [*replicas]: the mean over the transitions that
+        count, without eta, terminal ones included with their 0; NaN where nothing was stored.
         """
         total, count = self._given.unbind(0)
         mean = total / count
@@ -225,13 +214,15 @@ class VIMEReward(Transform):
         )
         is_going_on = ~terminated.reshape(batch)
         valid = tensordict.get(self.valid_key, None)
-        valid = torch.ones_like(is_going_on) if valid is None else valid.reshape(batch)
+        if valid is None:
+            valid = torch.ones_like(is_going_on)
+        valid = valid.reshape(batch).to(is_going_on.device)
         rows = [
             observation,
             self.dynamics.encode_action(action, batch),
             following,
-            valid.to(is_going_on.device).unsqueeze(-1),
-            (valid.to(is_going_on.device) & is_going_on).unsqueeze(-1),
+            valid.unsqueeze(-1),
+            (valid & is_going_on).unsqueeze(-1),
         ]
         rows = [entry.reshape(*replicas, -1, entry.shape[-1]) for entry in rows]
         bonus = self._bonus(*rows).reshape(*batch, 1)
@@ -249,18 +240,18 @@ class VIMEReward(Transform):
         count = observation.shape[-2]
         if count == 0:
             return self.dynamics.mean.new_zeros(observation.shape[:-1])
-        for state, states_valid in self._pieces(
-            torch.cat([observation, following], -1), torch.cat([valid, predicted], -1)
-        ):
+        replicas = self.dynamics.replicas
+        states = torch.cat([observation, following], -1), torch.cat([valid, predicted], -1)
+        for state, states_valid in pieces(replicas, *states):
             before, after = state.chunk(2, -1)
             self.dynamics.update_statistics(before, states_valid[..., 0])
             self.dynamics.update_statistics(after, states_valid[..., 1])
         noise = self._noise() if self.weights == "mc" else None
-        pieces = [
+        gains = [
             information_gain(self.dynamics, *piece, noise=noise, step_size=self.step_size)
-            for piece in self._pieces(observation, action, following)
+            for piece in pieces(replicas, observation, action, following)
         ]
-        gain = torch.cat(pieces, -1)[..., :count]
+        gain = torch.cat(gains, -1)[..., :count]
         is_predicted = predicted.squeeze(-1)
         if self.normalize:
             median = self.median.update(gain, is_predicted).unsqueeze(-1)
@@ -272,15 +263,6 @@ class VIMEReward(Transform):
             [bonus.double().cumsum(-1)[..., -1], valid.squeeze(-1).sum(-1).double()]
         )
         return bonus
-
-    def _pieces(self, *entries: Tensor) -> Iterator[list[Tensor]]:
-        """Yields entries [*replicas, rows, *] some rows at a time; see ``_PIECE``."""
-        if prod(self.dynamics.replicas) > 1:
-            missing = -entries[0].shape[-2] % _PIECE
-            entries = tuple(F.pad(entry, (0, 0, 0, missing)) for entry in entries)
-        yield from (
-            list(piece) for piece in zip(*(e.split(_PIECE, -2) for e in entries), strict=True)
-        )
 
     def _noise(self) -> Tensor:
         """Returns standard normal noise for a weight draw, [*replicas, P]."""
@@ -308,8 +290,6 @@ class VIMEReward(Transform):
             return out.set(reward_key, torch.add(reward, bonus, alpha=eta))
         eta = eta.to(reward.dtype).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))
         return out.set(reward_key, torch.addcmul(reward, bonus, eta))
-
-    # -- not in environments ----------------------------------------------------------------
 
     def set_container(self, container: Transform | EnvBase) -> None:
         """Raises ValueError where the container is, or belongs to, an environment."""

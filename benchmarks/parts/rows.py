@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from bbq_torchrl.evaluation.markdown import table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
 HEAD = ("what", "unit", "measured", "to reach", "reached")
@@ -98,31 +98,3 @@ def keep(file: Path, version: str, rows: Sequence[Row]) -> None:
                 measured = f"{float(format(row.measured, '.4g')):g}"
                 told = (row.better, "yes" if row.is_bound else "", row.remark)
                 writer.writerow((name, row.part, row.what, row.unit, measured, target, *told))
-
-
-def merge(
-    file: Path,
-    head: Sequence[str],
-    keys: int,
-    lines: Sequence[Sequence[object]],
-    *,
-    key: Callable[[Sequence[str]], Any] | None = None,
-) -> None:
-    """Writes lines of a CSV file in the place of earlier ones with the same first columns.
-
-    Args:
-        file: where they are kept.
-        head: the columns' names.
-        keys: how many of the columns say what a line is of.
-        lines: the new ones.
-        key: orders the lines; None: new ones come last.
-    """
-    kept: dict[tuple[str, ...], list[str]] = {}
-    if file.is_file():
-        with file.open(newline="", encoding="utf-8") as opened:
-            kept = {tuple(line[:keys]): line for line in list(csv.reader(opened))[1:]}
-    for line in ([*map(str, line)] for line in lines):
-        kept[tuple(line[:keys])] = line
-    with file.open("w", newline="", encoding="utf-8") as opened:
-        written = kept.values() if key is None else sorted(kept.values(), key=key)
-        csv.writer(opened, lineterminator="\n").writerows([head, *written])

@@ -7,17 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from scripts.docs_blocks import (
-    claims,
-    config,
-    domain,
-    house,
-    learning,
-    results,
-    speed,
-    study,
-    tables,
-)
+from scripts.docs_blocks import claims, config, domain, house, learning, results, speed, tables
 from scripts.docs_blocks.common import BLOCKS
 
 if TYPE_CHECKING:
@@ -28,5 +18,5 @@ __all__ = ["BLOCKS", "claims", "config", "domain", "draw_figures", "learning", "
 
 def draw_figures() -> list[Path]:
     """Draws, or copies, every figure that is made from results; returns the files."""
-    drawn = [*results.draw_figures(), speed.draw_growth(), house.draw_house()]
-    return [*drawn, *study.copy_figures()]
+    made = [speed.draw_growth(), house.draw_house(), *tables.copy_figures()]
+    return [*results.draw_figures(), *made]

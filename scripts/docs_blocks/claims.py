@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.evaluation.pairs import pair
 from bbq_torchrl.evaluation.table1 import NOT_RUN, PAPER, comparisons, verdict
 from scripts.docs_blocks.common import block, table
-from scripts.docs_blocks.results import DOMAINS, EXPERIMENTS, groups, table1_groups
+from scripts.docs_blocks.results import DOMAINS, EXPERIMENTS, groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -55,7 +55,7 @@ def _all() -> Iterator[Claim]:
     for env, title in DOMAINS.items():
         rates = {name: cell.success_rate for name, cell in PAPER[env].items()}
         for quantity, verb in VERBS.items():
-            for item in comparisons(table1_groups(), env, quantity):
+            for item in comparisons(groups("table1"), env, quantity):
                 if item.other in RIVALS:
                     ends = quantity == "final_success"
                     paper = rates[FIRST] - rates[item.other] if ends else None

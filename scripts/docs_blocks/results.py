@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.runs import Run
 
-__all__ = ["DOMAINS", "EXPERIMENTS", "command", "draw_figures", "groups", "table1_groups"]
+__all__ = ["DOMAINS", "EXPERIMENTS", "command", "draw_figures", "groups"]
 
 DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
 """Environment -> what it is called."""
@@ -62,11 +62,6 @@ def groups(experiment: str) -> list[Group]:
     return read_groups(sorted(file.parent for file in files))
 
 
-def table1_groups() -> list[Group]:
-    """Returns what is kept of Table 1: ``results/table1/<domain>/<agent>/seed<n>``."""
-    return groups("table1")
-
-
 def command(run: Run) -> str:
     """Returns the command that made a run."""
     overrides = yaml.safe_load((run.folder / "overrides.yaml").read_text(encoding="utf-8"))
@@ -81,7 +76,7 @@ def _commands(kept: Iterable[Group]) -> str:
 def draw_figures() -> list[Path]:
     """Draws the learning curves of every experiment, and writes table1.csv; returns the files."""
     common.FIGURES.mkdir(exist_ok=True)
-    of_table1 = table1_groups()
+    of_table1 = groups("table1")
     figures = {env: common.FIGURES / f"table1_{env}.png" for env in PAPER}
     drawn = [file for env, file in figures.items() if draw_table1(of_table1, env, file)]
     if drawn:
@@ -100,7 +95,7 @@ def draw_figures() -> list[Path]:
 @block("results.table1")
 def _table1() -> str:
     """Returns the report on Table 1, its figures, and the commands of what was run."""
-    kept = table1_groups()
+    kept = groups("table1")
     if not kept:
         return "No cell has been run with the present defaults yet."
     text = table1_text(kept).partition("\n\n")[2].strip()  # its first line is the page's heading
@@ -129,7 +124,7 @@ for _name in EXPERIMENTS:
 @block("results.readme")
 def _readme() -> str:
     """Returns the final success of BBQN-MAP and DQN wherever both were trained, by pairs."""
-    cells = {title: find_cells(table1_groups(), env) for env, title in DOMAINS.items()}
+    cells = {title: find_cells(groups("table1"), env) for env, title in DOMAINS.items()}
     compared = [
         (f"{title}, our corpus", [found["BBQN-MAP"], found["DQN"]])
         for title, found in cells.items()

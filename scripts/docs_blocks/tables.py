@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
+import shutil
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.shipped import PREFIX, SHIPPED, shipped_agents
-from scripts.docs_blocks.common import ROOT, block, code, read_csv, read_json, table
+from scripts.docs_blocks.common import (
+    FIGURES,
+    RESULTS,
+    ROOT,
+    block,
+    code,
+    read_csv,
+    read_json,
+    table,
+)
 
-__all__ = ["success_rate"]
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["copy_figures", "success_rate"]
 
 EXAMPLES = ROOT / "examples"
 
@@ -154,3 +168,19 @@ def _extending(name: str) -> str:
 
 for _name in ("ucb_policy", "ucb", "langevin", "visits", "chain"):
     block(f"extending.{_name}", _name)(_extending)
+
+
+@block("study.simulated")
+def _simulated() -> str:
+    """Returns the report of the study with simulated users, a level deeper."""
+    text = (RESULTS / "study" / "report.md").read_text(encoding="utf-8")
+    text = re.sub(r"\]\((\w+)\.png\)", r"](figures/study_simulated_\1.png)", text)
+    return re.sub("^#", "###", text, count=1).replace("\n## ", "\n#### ")
+
+
+def copy_figures() -> list[Path]:
+    """Copies that report's figures to the documentation's; returns the files."""
+    return [
+        shutil.copyfile(RESULTS / "study" / f"{name}.png", FIGURES / f"study_simulated_{name}.png")
+        for name in ("success", "ratings")
+    ]

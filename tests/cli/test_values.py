@@ -36,43 +36,55 @@ SHRUNKEN = (
     "agent.hidden=[8,8]",
     "env.max_turn=8",
 )
-MC = ("agent=bbqn", "agent.target=mc")
+# Keys that one training can have side by side share it: a replica whose values are not its own in
+# any of them differs.
 CASES: dict[str, tuple[tuple[str, ...], dict[str, list[float]]]] = {
-    "prior_std": (MC, {"agent.prior_std": [0.05, 0.4]}),
-    "prior_std, held draws": (
-        (*MC, "explore.per=episode", "agent.kl=sampled"),
+    "BBQN-MC": (
+        ("agent=bbqn", "agent.target=mc"),
+        {
+            "agent.prior_std": [0.05, 0.4],
+            "agent.std_init": [0.02, 0.2],
+            "agent.noise_std": [0.3, 3.0],
+            "agent.kl_temperature": [0.5, 2.0],
+            "agent.gamma": [0.5, 0.95],
+        },
+    ),
+    "BBQN-MC, no KL": (("agent=bbqn", "agent.target=mc"), {"agent.kl_temperature": [0.0, 2.0]}),
+    "BBQN-MC, held draws": (
+        ("agent=bbqn", "agent.target=mc", "explore.per=episode", "agent.kl=sampled"),
         {"agent.prior_std": [0.05, 0.4]},
     ),
-    "prior_std, extension": (
-        ("agent=bbqn", "env=domain_ext", "env.start=1", "env.every=1", "agent.std_init=.02"),
-        {"agent.prior_std": [0.05, 0.4]},
+    "BBQN-MAP, extension": (
+        (
+            *("agent=bbqn", "agent.std_init=.02", "env=domain_ext", "env.start=1", "env.every=1"),
+            *("explore=thompson_epsilon", "explore.anneal_fraction=1"),
+        ),
+        {"agent.prior_std": [0.05, 0.4], "explore.eps_init": [0.9, 0.3]},
     ),
-    "std_init": (MC, {"agent.std_init": [0.02, 0.2]}),
-    "noise_std": (MC, {"agent.noise_std": [0.3, 3.0]}),
-    "kl_temperature": (MC, {"agent.kl_temperature": [0.0, 2.0]}),
-    "gamma": (("agent=bbqn",), {"agent.gamma": [0.5, 0.95]}),
-    "gamma, heads": (("agent=bootstrap",), {"agent.gamma": [0.5, 0.95]}),
-    "gamma, noisy": (
+    "bootstrap": (("agent=bootstrap",), {"agent.gamma": [0.5, 0.95]}),
+    "noisy": (
         ("agent=dqn", "explore=noisy", "agent.noisy=true", "agent.dropout=0"),
         {"agent.gamma": [0.5, 0.95]},
     ),
-    "lr": (("agent=dqn",), {"agent.lr": [1e-3, 0.03]}),
-    "lr, vime": (("agent=bbqn", "intrinsic=vime"), {"agent.lr": [1e-3, 0.03]}),
-    "eta": (
-        ("agent=dqn", "intrinsic=vime", "intrinsic.weights=mc"),
-        {"intrinsic.eta": [0.0, 3.0]},
-    ),
-    "epsilon": (
+    "DQN": (
         ("agent=dqn", "explore.anneal_fraction=1"),
-        {"explore.eps_init": [0.9, 0.3], "explore.eps_end": [0.2, 0.3]},
+        {
+            "agent.lr": [1e-3, 0.03],
+            "explore.eps_init": [0.9, 0.3],
+            "explore.eps_end": [0.2, 0.3],
+        },
     ),
-    "epsilon, one end": (
-        ("agent=bbqn", "explore=thompson_epsilon", "explore.anneal_fraction=1"),
-        {"explore.eps_init": [0.9, 0.3]},
-    ),
-    "temperature": (
-        ("agent=dqn", "explore=boltzmann", "explore.anneal_fraction=1"),
-        {"explore.temperature_init": [5.0, 0.5], "explore.temperature_end": [1.0, 0.1]},
+    "VIME-MAP": (("agent=bbqn", "intrinsic=vime"), {"agent.lr": [1e-3, 0.03]}),
+    "VIME-MC, Boltzmann": (
+        (
+            *("agent=dqn", "intrinsic=vime", "intrinsic.weights=mc"),
+            *("explore=boltzmann", "explore.anneal_fraction=1"),
+        ),
+        {
+            "intrinsic.eta": [0.0, 3.0],
+            "explore.temperature_init": [5.0, 0.5],
+            "explore.temperature_end": [1.0, 0.1],
+        },
     ),
 }
 

@@ -44,10 +44,15 @@ def test_a_run_of_a_version_without_intrinsic_rewards_has_none(tmp_path):
     assert load_config(file).intrinsic.name == "none"
 
 
+@pytest.fixture(scope="module")
+def five_rounds():
+    return compose(["agent=dqn", "protocol.rounds=5"])
+
+
 class TestResume:
     @pytest.fixture
-    def folder(self, tmp_path):
-        save_config(compose(["agent=dqn", "protocol.rounds=5"]), tmp_path / "config.yaml")
+    def folder(self, five_rounds, tmp_path):
+        save_config(five_rounds, tmp_path / "config.yaml")
         return tmp_path
 
     def resume(self, folder, *overrides):

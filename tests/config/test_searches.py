@@ -14,18 +14,11 @@ from bbq_torchrl.options import ConfigError
 FLOAT = {"type": "float", "low": 0.1, "high": 1.0}
 
 
-@pytest.mark.parametrize("name", options("search"))
-def test_a_search_of_ours_can_be_run_at_every_bound(name):
-    search = compose_search([f"search={name}"])
-    assert search.space
-    assert search.folder.name == f"search_{name}"
-
-
-def test_each_agent_is_searched_over_what_it_has():
-    spaces = {
-        name: {item.name for item in compose_search([f"search={name}"]).space}
-        for name in options("search")
-    }
+def test_our_searches_can_be_run_at_every_bound_and_vary_what_each_agent_has():
+    searches = {name: compose_search([f"search={name}"]) for name in options("search")}
+    spaces = {name: {item.name for item in found.space} for name, found in searches.items()}
+    assert all(spaces.values())
+    assert all(found.folder.name == f"search_{name}" for name, found in searches.items())
     assert spaces["bbqn"] == {
         "agent.mean_init",
         "agent.std_init",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,11 +16,18 @@ from bbq_torchrl.cli.sweeps import table_of_runs
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bbq_torchrl.options import Config
+
+
+@cache
+def five_rounds() -> Config:
+    return compose(["protocol.rounds=5"])
+
 
 def make_run(folder: Path, overrides: list[str], result: str | None = None) -> None:
     (folder / ".hydra").mkdir(parents=True)
     (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
-    save_config(compose(["protocol.rounds=5"]), folder / "config.yaml")
+    save_config(five_rounds(), folder / "config.yaml")
     if result is not None:
         (folder / "result.json").write_text(result)
         (folder / "curve.png").touch()

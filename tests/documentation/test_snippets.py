@@ -48,13 +48,16 @@ def _is_composed(arguments: list[str]) -> bool:
     return not shows_help and not any(item.startswith("resume=") for item in arguments)
 
 
-def _distinct(found: list[tuple[str, list[str]]], *alike: str) -> list[tuple[str, list[str]]]:
-    """Returns one of the commands that differ only in the values of some keys."""
-    kept = {}
+def _telling(found: list[tuple[str, list[str]]], *alike: str) -> list[tuple[str, list[str]]]:
+    """Returns the commands with a word that none before has; any value will do for some keys."""
+    known: set[str] = set()
+    kept = []
     for page, arguments in found:
-        told = frozenset(item for item in arguments if item.partition("=")[0] not in alike)
-        kept.setdefault(told, (page, arguments))
-    return list(kept.values())
+        words = {item for item in arguments if item.partition("=")[0] not in alike}
+        if words - known:
+            kept.append((page, arguments))
+            known |= words
+    return kept
 
 
 TRAININGS = [item for item in commands("train.py") if _is_composed(item[1])]
@@ -62,7 +65,7 @@ EVALUATIONS = commands("-m bbq_torchrl.evaluate")
 
 
 @pytest.mark.parametrize(
-    ("page", "arguments"), _distinct(TRAININGS, "seed", "replicas", "threads", "hydra.run.dir")
+    ("page", "arguments"), _telling(TRAININGS, "seed", "replicas", "threads", "hydra.run.dir")
 )
 def test_documented_training_is_accepted(page: str, arguments: list[str], tmp_path: Path) -> None:
     overrides = _arguments(arguments, tmp_path)
@@ -83,13 +86,13 @@ def _first(argument: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("page", "arguments"), _distinct(EVALUATIONS, "policy", "dialogues", "batch", "log")
+    ("page", "arguments"), _telling(EVALUATIONS, "policy", "dialogues", "batch", "log")
 )
 def test_documented_evaluation_is_accepted(page: str, arguments: list[str], tmp_path: Path) -> None:
     compose(_arguments(arguments, tmp_path), EvaluateConfig)
 
 
-@pytest.mark.parametrize(("page", "arguments"), commands("-m bbq_torchrl.search"))
+@pytest.mark.parametrize(("page", "arguments"), _telling(commands("-m bbq_torchrl.search")))
 def test_documented_search_is_accepted(page: str, arguments: list[str], tmp_path: Path) -> None:
     compose_search([item for item in _arguments(arguments, tmp_path) if item != "&"])
 

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from bbq_torchrl import evaluate as command
+from bbq_torchrl import load_run
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.metrics import read_metrics
@@ -122,6 +123,9 @@ def test_the_best_network_plays_as_it_did(small, tmp_path):
     trainer, parts = build_trainer(dataclasses.replace(config, resume="x"), tmp_path)
     trainer.begin(resume=True)
     trainer.evaluator.best.put_back()
+    loaded = load_run(tmp_path, dialogues=15, weights="best").policy
+    for ours, theirs in zip(parts.actor.parameters(), loaded.parameters(), strict=True):
+        assert torch.equal(ours, theirs)
     for replica, entry in enumerate(result.per_replica):
         found = entry.while_training
         rates = metrics["eval_success_rate"][:, replica]

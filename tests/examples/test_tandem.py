@@ -16,6 +16,7 @@ from bbq_torchrl.evaluation import read_metrics
 SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "tandem.py"
 TINY = (
     "replicas=2",
+    "agent.hidden=[16]",
     "protocol.rounds=2",
     "protocol.dialogues=6",
     "protocol.epochs=1",

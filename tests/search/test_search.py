@@ -84,10 +84,14 @@ class Training:
         return [(folder, 0)] if (folder / "rounds.json").exists() else []
 
 
+@pytest.fixture(scope="module")
+def plain():
+    return compose(["agent=dqn", f"protocol.rounds={ROUNDS}"])
+
+
 @pytest.fixture(autouse=True)
-def composed_once(monkeypatch):
+def composed_once(plain, monkeypatch):
     """Composing takes longer than all else here, and is tested in tests/config."""
-    plain = compose(["agent=dqn", f"protocol.rounds={ROUNDS}"])
 
     def config(self, values):
         changed = copy.deepcopy(plain)

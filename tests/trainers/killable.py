@@ -1,8 +1,8 @@
 """Trainings in processes of their own that kill themselves (SIGKILL) at a chosen moment.
 
 Run as a program, this is a server: it imports everything once and forks a process for every line
-of JSON on its standard input, ``{"folder": ..., "moment": ..., "delay": ...}``; when the process is
-over it answers ``exit <code>``. Importing torch and torchrl anew for every kill takes seconds.
+of JSON on its standard input, ``{"folder": ..., "moment": ...}``; when the process is over it
+answers ``exit <code>``. Importing torch and torchrl anew for every kill takes seconds.
 """
 
 from __future__ import annotations
@@ -10,10 +10,8 @@ from __future__ import annotations
 import json
 import logging
 import os
-import random
 import signal
 import sys
-import threading
 import traceback
 import zipfile
 from pathlib import Path
@@ -44,12 +42,11 @@ MOMENTS: dict[str, tuple[object, str, int]] = {
     "while the first checkpoint is staged": (StateDictCheckpointAdapter, "save", 3),
     "before the first checkpoint is published": (os, "replace", 1),
     "in the first round": (ReplicaReplay, "extend", 2),
-    "while dialogues are stored": (ReplicaReplay, "extend", 6),
     "in the middle of an epoch": (ReplicaAdam, "step", 70),
     "while a checkpoint is staged": (StateDictCheckpointAdapter, "save", 12),
     "while a checkpoint is written": (zipfile.ZipFile, "write", 130),
     "before a checkpoint is published": (os, "replace", 3),
-    "before the older checkpoint goes": (checkpoint, "_force_to_disk", 7),
+    "before the older checkpoint goes": (checkpoint, "force_to_disk", 7),
     "while the last checkpoint is published": (os, "replace", 6),
     "before a round's metrics are written": (MetricsFile, "append", 5),
 }
@@ -102,11 +99,9 @@ def build(folder: Path) -> RoundTrainer:
     )
 
 
-def train(folder: str, moment: str | None, delay: float | None = None) -> None:
-    """Goes on with the training, or begins it, and dies at the moment or after the delay."""
+def train(folder: str, moment: str | None) -> None:
+    """Goes on with the training, or begins it, and dies at the moment."""
     logging.getLogger("torchrl").setLevel(logging.ERROR)
-    if delay is not None:
-        threading.Timer(delay * random.random(), die).start()
     trainer = build(Path(folder))
     if moment == "within a line of the metrics":
         die_within_a_line(5)
@@ -126,7 +121,7 @@ def serve() -> None:
             except BaseException:
                 traceback.print_exc()
                 os._exit(1)
-            os._exit(0)  # at once: a timer that still waits must not turn success into death
+            os._exit(0)
         _, status = os.waitpid(child, 0)
         print("exit", os.waitstatus_to_exitcode(status), flush=True)
 

@@ -30,20 +30,11 @@ SHRUNKEN = (
     "env.max_turn=16",
     "replicas=3",
 )
+# Every loss, and both weights of VIME's dynamics; how an agent explores is no part of an update.
 AGENTS = {
     **{
         name: (f"+experiment=agents/{name}",)
-        for name in (
-            "bbqn_map",
-            "bbqn_mc",
-            "bbqn_vime_map",
-            "bbqn_vime_mc",
-            "dqn",
-            "dqn_boltzmann",
-            "dqn_bootstrap",
-            "dqn_vime_map",
-            "dqn_vime_mc",
-        )
+        for name in ("bbqn_map", "bbqn_mc", "bbqn_vime_mc", "dqn", "dqn_bootstrap", "dqn_vime_map")
     },
     "noisy_dqn": ("+experiment=baselines/noisy_dqn",),
     "double_dqn": ("+experiment=baselines/double_dqn",),

@@ -49,8 +49,10 @@ def nan_weights(trainer: RoundTrainer) -> None:
         trainer.optimizer.parameters[0][0, 1, 1] = torch.nan
 
 
-@pytest.mark.parametrize("change", [other_weights, never_ends_early, other_rewards])
-@pytest.mark.parametrize("capacity", [70, 1000])
+@pytest.mark.parametrize(
+    ("change", "capacity"),
+    [(other_weights, 1000), (never_ends_early, 70), (never_ends_early, 1000), (other_rewards, 70)],
+)
 def test_what_one_replica_does_leaves_the_others_bitwise_alone(
     tmp_path, change: Callable[[RoundTrainer], None], capacity: int
 ):

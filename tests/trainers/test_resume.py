@@ -32,9 +32,9 @@ class Processes:
             text=True,
         )
 
-    def run(self, folder: Path, moment: str | None = None, delay: float | None = None) -> int:
+    def run(self, folder: Path, moment: str | None = None) -> int:
         """Returns the exit code: 0, or the negative number of the signal that ended it."""
-        request = {"folder": str(folder), "moment": moment, "delay": delay}
+        request = {"folder": str(folder), "moment": moment}
         self._server.stdin.write(json.dumps(request) + "\n")
         self._server.stdin.flush()
         for line in self._server.stdout:
@@ -117,20 +117,6 @@ def test_a_training_killed_at_the_worst_moment_ends_the_same(
 
     assert_same_training(folder, reference)
     assert not [path for path in (folder / "checkpoint").iterdir() if path.name.startswith(".")]
-
-
-def test_a_training_killed_again_and_again_at_random_ends_the_same(tmp_path, processes, reference):
-    folder = tmp_path / "run"
-    delay, kills = 0.25, 0
-
-    # The delay grows until a process lives long enough to finish.
-    while (exit_code := processes.run(folder, delay=delay)) != 0:
-        assert exit_code == -signal.SIGKILL
-        kills += 1
-        delay *= 1.2
-
-    assert kills > 0
-    assert_same_training(folder, reference)
 
 
 def test_resuming_a_finished_training_changes_nothing(tmp_path):

@@ -1,0 +1,37 @@
+"""What the agent gets for a turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+__all__ = ["Rewards"]
+
+
+@dataclass(frozen=True)
+class Rewards:
+    """What the agent gets for a turn (Lipton et al., 2018).
+
+    Args:
+        success: for the turn that ends a dialogue in success.
+        failure: for the turn that ends a dialogue otherwise, running out of turns included.
+        turn: for every other turn.
+    """
+
+    success: float = 40.0
+    failure: float = -10.0
+    turn: float = -1.0
+
+    def of(
+        self, was_done: torch.Tensor, is_done: torch.Tensor, success: torch.Tensor
+    ) -> torch.Tensor:
+        """Returns the reward of a turn, float32 ``[*B]``; 0 where the dialogue was over before.
+
+        Args:
+            was_done: bool ``[*B]``, before the turn.
+            is_done: bool ``[*B]``, after it.
+            success: bool ``[*B]``, where it ends in success.
+        """
+        at_end = torch.where(success, self.success, self.failure)
+        return torch.where(was_done, 0.0, torch.where(is_done, at_end, self.turn))
