@@ -25,6 +25,7 @@ def evaluate(
     *,
     seed: int = 0,
     max_steps: int = 1000,
+    exploration: ExplorationType = ExplorationType.DETERMINISTIC,
 ) -> EpisodeStats:
     """Plays exactly so many dialogues, each to its end, and returns how they went.
 
@@ -36,11 +37,14 @@ def evaluate(
         dialogues: for each replica.
         seed: of everything random in them.
         max_steps: the most turns of a dialogue; one that is longer is an error.
+        exploration: what the policy finds as ``exploration_type()``.
 
     Returns:
         success (bool), reward (float64) and turns (int64), each of shape [*replicas, dialogues].
     """
-    rollouts = evaluation_rollouts(env, policy, dialogues, seed=seed, max_steps=max_steps)
+    rollouts = evaluation_rollouts(
+        env, policy, dialogues, seed=seed, max_steps=max_steps, exploration=exploration
+    )
     played = [outcomes(rollout) for rollout in rollouts]
     return EpisodeStats(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))
 
@@ -52,6 +56,7 @@ def evaluation_rollouts(
     *,
     seed: int = 0,
     max_steps: int = 1000,
+    exploration: ExplorationType = ExplorationType.DETERMINISTIC,
 ) -> Iterator[TensorDictBase]:
     """Yields the dialogues that :func:`evaluate` counts, a batch at a time.
 
@@ -60,7 +65,4 @@ def evaluation_rollouts(
     """
     torch.manual_seed(derive_seed(seed, "torch", "evaluate"))
     env.set_seed(derive_seed(seed, "env", "evaluate"))
-    deterministic = ExplorationType.DETERMINISTIC
-    yield from play_dialogues(
-        env, policy, dialogues, max_steps=max_steps, exploration=deterministic
-    )
+    yield from play_dialogues(env, policy, dialogues, max_steps=max_steps, exploration=exploration)
