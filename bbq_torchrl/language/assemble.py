@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.domains import NO_MATCH, RESERVED_TEXT
 from bbq_torchrl.language.frames import ANY, Frame, Unclear
 from bbq_torchrl.language.quantities import (
+    COUNT_WORDS,
     DAY_WORDS,
     MONTH_WORDS,
     NUMBER_WORDS,
     ORDINAL_WORDS,
     PART_WORDS,
 )
-from bbq_torchrl.language.tagger import spans_of
+from bbq_torchrl.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
@@ -43,8 +44,11 @@ _CORRECTS = frozenset(
         "wrong",
     ]
 )
-_CONCLUDES = frozenset(("so", "let's", "lets", "makes", "otherwise", "prefer", "better", "please"))
-_NOT = frozenset(("not", "isn't", "isnt", "except", "but"))
+_CONCLUDES = frozenset(
+    "so let's lets makes otherwise prefer better please but now want wants need then".split()
+)
+_REASONS = frozenset(("since", "because", "although", "though", "unless", "cause", "cuz", "as"))
+_NOT = frozenset(("not", "isn't", "isnt", "except", "anything"))
 _ORDER = {
     "first": 0,
     "former": 0,
@@ -63,12 +67,17 @@ _ORDER = {
     "one": 0,
     "two": 1,
 }
+_COUNTS = NUMBER_WORDS | frozenset("me i with alone myself couple pair both dozen".split())
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
 _NO_MATCH = RESERVED_TEXT[NO_MATCH]
 _SHORT = 4
 _SURE = 0.95
 _FAIR = 0.85
 _LONGEST = 8
+_LIKELY = 0.85
+_LEAST = 0.4
+_ALSO = 0.7  # "what is there in the evening?" tells the time and asks for it
+_RATHER = 0.1
 _SURE_ACT = -0.25  # log-probability
 _ANY = frozenset(("any", "anything", "whatever", "either"))
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
@@ -129,19 +138,31 @@ def assemble(
     offered = chosen(words, question, lexicon)
     if offered is not None and question is not None:
         return Frame("inform", {question.requests[0]: offered}), ()
-    informs, unclear = _values(words, reading, lexicon)
-    if (short := _short_answer(words, question, lexicon)) is not None:
+    act = domain.acts[int(reading.acts.argmax())]
+    informs, unclear = _values(words, reading, question, lexicon)
+    asks = act == "request" and "?" in words  # "comedies?" is more than a name
+    if not asks and (short := _short_answer(words, reading, question, lexicon)) is not None:
         return Frame("inform", short), ()
     if not (informs or unclear):
         unclear = _ties(words, question, lexicon)
+        if act == "inform" and not unclear:
+            informs = _named(words, question, lexicon)
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
         return Frame("inform", dict(checked)), ()
     is_open = [slot for slot in domain.slots if slot not in informs]
     chances = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
-    informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
+    if reading.unknown < 1.0:  # Words that nobody has heard of say nothing.
+        informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
+    if act == "inform" and question is not None and not (informs or unclear):
+        # Who answers and names nothing does not care, if that is at all likely.
+        likely = max(lexicon.slots, key=lambda slot: chances[slot])
+        if chances[likely] > _RATHER and reading.unknown < 1.0:
+            informs = {likely: ANY}
     asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
-    requests = [slot for slot, chance in asked.items() if chance > 0.5 and slot not in informs]
+    requests = [
+        slot for slot, chance in asked.items() if chance > (_ALSO if slot in informs else 0.5)
+    ]
     # Who says thanks, or bye, may add that something does not matter.
     told = [slot for slot, value in informs.items() if value != ANY]
     by_chance = [domain.acts[index] for index in reading.acts.argsort(descending=True).tolist()]
@@ -179,12 +200,16 @@ def assemble(
 
 
 def _short_answer(
-    words: Sequence[str], question: Frame | None, lexicon: Lexicon
+    words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
 ) -> dict[str, str] | None:
     """Returns the value of the slot asked for, if the words are just one of its names."""
     if question is None or not question.requests or len(words) > _SHORT:
         return None
     slot = question.requests[0]
+    if lexicon.kinds.get(slot) == "count" and (
+        "?" in words or not {OUTSIDE, slot}.issuperset(reading.tags)
+    ):
+        return None  # "four, on saturday" has one number, and more than it.
     if slot in lexicon.slots and words[0] in _ANY and len(words) == 1:
         return {slot: ANY}
     link = lexicon.link(slot, " ".join(words)) if slot in lexicon.slots else None
@@ -206,6 +231,23 @@ def _ties(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> tup
     return (Unclear(slot, text, link.values),)
 
 
+def _named(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> dict[str, str]:
+    """Returns the value of the slot asked for whose name, or amount, is somewhere in an answer."""
+    if question is None or question.requests[:1] == () or question.requests[0] not in lexicon.slots:
+        return {}
+    slot = question.requests[0]
+    is_count = lexicon.kinds[slot] == "count"
+    for size in range(min(len(words), _LONGEST), 0, -1):
+        for start in range(len(words) - size + 1):
+            own = words[start : start + size]
+            if is_count and not (COUNT_WORDS.issuperset(own) and _COUNTS.intersection(own)):
+                continue  # "depends on my sister" tells no number.
+            link = lexicon.link(slot, " ".join(own))
+            if link.score == 1.0 and len(link.values) == 1:
+                return {slot: link.values[0]}
+    return {}
+
+
 def _accepts(words: Sequence[str], question: Frame | None, domain: Domain) -> bool:
     """Returns whether a booking is offered, and the sentence begins by agreeing to it."""
     if question is None or question.informs.get(domain.complete_slot, _NO_MATCH) == _NO_MATCH:
@@ -218,27 +260,43 @@ def _is_offer(question: Frame | None, domain: Domain) -> bool:
 
 
 def _values(
-    words: Sequence[str], reading: Reading, lexicon: Lexicon
+    words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
     """Returns slot to value, and what is unclear."""
+    asked = question.requests[0] if question is not None and question.requests else None
     found: dict[str, list[tuple[str, tuple[str, ...], float, bool]]] = {}
     first: dict[str, int] = {}
     concluded: set[str] = set()
     for slot, start, end in spans_of(reading.tags):
         text = " ".join(words[start:end])
+        if lexicon.kinds[slot] == "count" and words[start - 1 : start] in (["with"], ["/"]):
+            end += words[end : end + 1] == ["friends"]
+            text = f"with {' '.join(words[start:end])}"  # "with 5 friends" are six
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
         parts = [(text, link)] if link.values else _within(slot, words[start:end], lexicon)
         if not link.values and lexicon.kinds[slot] != "text" and not _is_quantity(words[start:end]):
             continue  # No number, day or clock in it: a word that only stood where one could.
+        if lexicon.kinds[slot] == "text" and link.score < 1.0:
+            inside = _within(slot, words[start:end], lexicon)
+            if exact := [part for part in inside if part[1].score == 1.0]:
+                parts = exact  # "one drama"
+            elif slot != asked and min(reading.each_chance[start:end]) < (
+                _LIKELY if end - start == 1 or link.score < _FAIR else _LEAST
+            ):
+                continue  # Words that are no more than like a name are often none.
         before = set(words[max(0, start - 2) : start])
         if slot in first and not _CONCLUDES.isdisjoint(words[first[slot] : start]):
             concluded.add(slot)
+        elif slot in first and not _REASONS.isdisjoint(words[first[slot] : start]):
+            continue  # "Thursday night, since Friday is a holiday"
         first.setdefault(slot, end)
         found.setdefault(slot, []).extend(
             (part, link.values, link.score, bool(before & _NOT)) for part, link in parts
         )
+        if (other_name := _or(slot, words, start, end, lexicon)) is not None:
+            found[slot].append((*other_name, False))
     corrects = bool(_CORRECTS & set(words))
     informs: dict[str, str] = {}
     unclear: list[Unclear] = []
@@ -260,6 +318,21 @@ def _values(
         else:
             unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
     return informs, tuple(unclear)
+
+
+def _or(
+    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
+) -> tuple[str, tuple[str, ...], float] | None:
+    """Returns the other name of "this or that", of which one may not have been tagged."""
+    for size in range(_SHORT, 0, -1):
+        for at, own in (
+            (end, words[end + 1 : end + 1 + size]),
+            (start - 1, words[max(start - 1 - size, 0) : max(start - 1, 0)]),
+        ):
+            link = lexicon.link(slot, " ".join(own)) if words[at : at + 1] == ["or"] else None
+            if link is not None and len(link.values) == 1 and link.score == 1.0:
+                return " ".join(own), link.values, link.score
+    return None
 
 
 def _is_quantity(words: Sequence[str]) -> bool:

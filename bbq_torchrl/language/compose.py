@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.frames import ANY, Frame
-from bbq_torchrl.language.templates import Piece, Template, expand, is_possible
+from bbq_torchrl.language.templates import Piece, Template, expand, is_possible, plain
 from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ __all__ = ["Composer"]
 
 _TRIES = 8
 _ASIDES = 0.2
+_LISTS = 0.4
 _MARKS = (". ", ", ", " ", " and ", ". ", ", ")
 _AFTER_ASIDE = (", ", ". ", " so ", ", so ", " and ", "! ", " but ", ". ")
 _BEFORE_ASIDE = (", ", ". ", "! ", ", ", " because ", " since ", " as ", " and ")
@@ -158,12 +159,26 @@ class Composer:
 
     def _questions(self, requests: Sequence[str], turn: _Turn) -> list[list[Piece]]:
         asked = []
+        if len(requests) > 1 and not self._owners and turn.rng.random() < _LISTS:
+            # "When and where", "the price, the time and the theater".
+            said = [self._short(slot, turn) for slot in requests]
+            return [_join([_join(said[:-1], turn.rng, [", "]), said[-1]], turn.rng, [" and "])]
         for slot in requests:
             phrases = self._phrases.slots[slot].phrases
             was_asked = turn.question is not None and slot in turn.question.requests
             use = "options" if was_asked and turn.rng.random() < 0.5 else "want"
             asked.append(self._fill(phrases[use], turn, slot))
         return asked
+
+    def _short(self, slot: str, turn: _Turn) -> list[Piece]:
+        """Returns a question in a word or two, or the slot's name."""
+        entry = self._phrases.slots[slot]
+        plainest = [t for t in entry.phrases["want"] if is_possible(t, {}, self._rules)]
+        for _ in range(_TRIES):
+            said = expand(turn.rng.choice(plainest), {}, self._rules, turn.rng)
+            if len(plain(said).split()) < 3:
+                return said
+        return [Piece(turn.rng.choice(("the ", "")) + entry.name)]
 
     def _tell(self, cares: list[str], turn: _Turn) -> list[list[Piece]]:
         """Returns an answer, a correction or a statement, then the other values."""

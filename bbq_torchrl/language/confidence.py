@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["cues_of", "fit_confidence", "probability"]
 
-_PEOPLE = 30.0  # how much of the grammar's weights people's sentences must outweigh
+_PEOPLE = 10.0  # how much of the grammar's weights people's sentences must outweigh
 _GRAMMAR = 1.0
 
 

@@ -248,8 +248,10 @@ class _Frames:
         kind = rng.random()
         count = rng.choices((0, 1, 2, 3, 4, 5), (2, 5, 6, 5, 3, 1))[0]
         if kind < 0.62:
-            requests = self._requests(rng, rng.choices((1, 2), (9, 1))[0])
+            requests = self._requests(rng, rng.choices((1, 2, 3), (16, 3, 1))[0])
             return Frame("request", self._values(rng, count, requests), requests)
+        if kind < 0.66 and "confirm_question" in self._slotless:
+            return Frame("confirm_question", self._values(rng, rng.randint(1, 3)))
         if kind < 0.9:
             return Frame("inform", self._values(rng, max(count, 1)))
         return (
@@ -310,13 +312,14 @@ class _Frames:
         if kind < 0.29:
             return Frame("thanks")
         if kind < 0.46:
-            return Frame("thanks", {}, self._requests(rng, 1))
+            return Frame("thanks", {}, self._requests(rng, rng.choice((1, 1, 1, 2))))
         if kind < 0.62:
             return Frame("deny")
         if kind < 0.82:
             slots = [slot for slot in question.informs if slot in self._valued]
             slot = rng.choice(slots)
-            return Frame("inform", {slot: self._value(slot, rng)})
+            is_any = slot in self._asked and rng.random() < 0.2
+            return Frame("inform", {slot: ANY if is_any else self._value(slot, rng)})
         if kind < 0.88:
             requests = self._requests(rng, 1)
             return Frame("request", self._values(rng, rng.choice((0, 1)), requests), requests)

@@ -7,11 +7,13 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.quantities import (
+    COUNT_WORDS,
     DAY_WORDS,
     MONTH_WORDS,
     NUMBER_WORDS,
     ORDINAL_WORDS,
     PART_WORDS,
+    READERS,
     RELATION_WORDS,
 )
 from bbq_torchrl.language.tagger import OUTSIDE, spans_of
@@ -23,10 +25,13 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.frames import Frame
     from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.phrases import Phrases
+    from bbq_torchrl.language.quantities import Kind
 
 __all__ = ["Features"]
 
 _LONGEST = 9
+_LONGEST_QUANTITY = 6
+QUANTITIES = ("time", "date", "count")
 UNKNOWN = "<unknown>"
 
 
@@ -94,6 +99,7 @@ class Features:
         spelled = [self.spelled(word) for word in words]
         classes = [_class(word) for word in spelled]
         found = self._windows(spelled)
+        self._quantities(words, found)
         asked = _question(question)
         own = []
         for at, (word, kind) in enumerate(zip(spelled, classes, strict=True)):
@@ -130,6 +136,29 @@ class Features:
             ]
             rows.append(row)
         return rows
+
+    def _quantities(self, words: Sequence[str], found: list[list[str]]) -> None:
+        """Adds for each word of which kinds it begins, or goes on, a quantity."""
+        starts = [
+            at
+            for at, word in enumerate(words)
+            if word in _STARTS or word[0].isdigit() or word[1:].isdecimal()
+        ]
+        for kind in QUANTITIES:
+            end = 0
+            for start in starts:
+                if start < end:
+                    continue
+                for stop in range(min(start + _LONGEST_QUANTITY, len(words)), start, -1):
+                    # "night at 7" has begun a word before: "friday night at 7".
+                    is_part = kind == "time" and stop > start + 1 and words[start] in PART_WORDS
+                    if is_part or words[stop - 1] in _ENDS:
+                        continue
+                    if _is_read(kind, " ".join(words[start:stop])):
+                        end = stop
+                        for at in range(start, stop):
+                            found[at].append(f"{kind}:{'I' if at > start else 'B'}")
+                        break
 
     def _windows(self, words: Sequence[str]) -> list[list[str]]:
         """Returns for each word of which slots it begins, or goes on, a name."""
@@ -210,6 +239,13 @@ class Features:
         return items
 
 
+@lru_cache(maxsize=100_000)
+def _is_read(kind: Kind, text: str) -> bool:
+    if kind == "count" and not all(w in COUNT_WORDS or w[0].isdigit() for w in text.split()):
+        return False  # Any one number in it makes words a count.
+    return READERS[kind](text) is not None
+
+
 def _question(question: Frame | None) -> list[str]:
     if question is None:
         return ["none"]
@@ -232,6 +268,17 @@ def _class(word: str) -> str:
             return name
     return "mark" if not compact(word) else "word"
 
+
+_STARTS = (
+    NUMBER_WORDS
+    | ORDINAL_WORDS
+    | DAY_WORDS
+    | MONTH_WORDS
+    | PART_WORDS
+    | RELATION_WORDS
+    | frozenset("b4 next this me my i just only with half a both alone solo couple".split())
+)
+_ENDS = frozenset("at the in of on for , . and it is a by or i with".split())  # end no quantity
 
 _CLASSES = (
     ("number", NUMBER_WORDS),

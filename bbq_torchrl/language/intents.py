@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["IntentNet", "train_intents"]
 
 _WIDTH = 48
-_BATCH = 64
-_LEFT_OUT = 0.15
+_BATCH = 256
+_RATE = 0.012
+_LEFT_OUT = 0.4
 
 
 class IntentNet(nn.Module):
@@ -120,7 +121,7 @@ def train_intents(
         net = IntentNet([name for name, _ in ranked[:most]], *names)
         bags = [torch.tensor(net.encode(sentence), dtype=torch.long) for sentence in sentences]
         target = torch.tensor(acts)
-        optimizer = torch.optim.Adam(net.parameters(), lr=4e-3, fused=True)
+        optimizer = torch.optim.Adam(net.parameters(), lr=_RATE, fused=True)
         steps = epochs * (-(-len(bags) // _BATCH))
         schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, steps)
         for _ in range(epochs):

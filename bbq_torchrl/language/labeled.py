@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.surfaces import Surfaces
 
 __all__ = [
-    "HEARD_FILE",
     "LEARNED_FILE",
     "Line",
     "as_examples",
@@ -29,9 +28,6 @@ __all__ = [
     "read_lines",
     "varied",
 ]
-
-HEARD_FILE = "heard.txt"
-"""Labeled lines in a domain's folder that the confidence is fitted to."""
 
 LEARNED_FILE = "learned.txt"
 """Labeled lines in a domain's folder that are learned beside the grammar's."""
@@ -89,15 +85,14 @@ def read_lines(path: str | Path, domain: Domain) -> list[Line]:
     return lines
 
 
-def domain_lines(domain: Domain, folder: str | Path | None, name: str) -> list[Line]:
-    """Returns the labeled lines of a file in a domain's folder, none where there is no such file.
+def domain_lines(domain: Domain, folder: str | Path | None) -> list[Line]:
+    """Returns the labeled lines in a domain's folder, none where it has no :data:`LEARNED_FILE`.
 
     Args:
         domain: whose acts and slots the labels may name.
         folder: where the file is looked for.
-        name: :data:`HEARD_FILE` or :data:`LEARNED_FILE`.
     """
-    path = None if folder is None else Path(folder).expanduser() / name
+    path = None if folder is None else Path(folder).expanduser() / LEARNED_FILE
     return read_lines(path, domain) if path is not None and path.is_file() else []
 
 

@@ -6,7 +6,7 @@ import math
 import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
@@ -111,6 +111,11 @@ class Lexicon:
             for group in self._group[slot].items():
                 names.setdefault(*group)
             self._names[slot] = {name: key for name, key in names.items() if key in keys}
+        self._exact = {
+            slot: {(compact(value), fold(value)): value for value in reversed(values)}
+            for slot, values in self._values.items()
+        }
+        self.link = lru_cache(maxsize=50_000)(self._link)
 
     @property
     def slots(self) -> tuple[str, ...]:
@@ -172,16 +177,15 @@ class Lexicon:
         key = self.key(slot, value)
         return self.spelling(slot, key) if key in self._by_key.get(slot, {}) else value
 
-    def link(self, slot: str, text: str) -> Link:
+    def _link(self, slot: str, text: str) -> Link:
         """Returns the value, or the values, that ``text`` names."""
         name = compact(text)
         if not name:
             return Link((), 0.0)
         if self.kinds[slot] == "count" and _NEGATIVE.search(text):
             return Link((), 0.0)
-        for value in self._values[slot]:
-            if compact(value) == name and fold(value) == fold(text):
-                return Link((value,), 1.0)
+        if (value := self._exact[slot].get((name, fold(text)))) is not None:
+            return Link((value,), 1.0)
         if name in self._names[slot]:
             exact = [v for v in self._by_key[slot][self._names[slot][name]] if compact(v) == name]
             key = self._names[slot][name]
@@ -257,7 +261,12 @@ class _Names:
             word: (0.15 if word in _SMALL else 1.0) * math.log(1 + total / n)
             for word, n in count.items()
         }
+        self._like = lru_cache(maxsize=20_000)(self._likeness)
         self._unknown = 0.6 * math.log(1 + total)
+        self._having: dict[str, list[int]] = defaultdict(list)
+        for index, words in enumerate(self._words):
+            for word in words:
+                self._having[word].append(index)
         self._named = [sum(self._weight[word] for word in words) for words in self._words]
 
     @classmethod
@@ -288,10 +297,11 @@ class _Names:
         )
         if not total:
             return scored
-        for key, words, named in zip(self._keys, self._words, self._named, strict=True):
+        near = {index for _, like in likenesses for word in like for index in self._having[word]}
+        for index in sorted(near):
+            key, words, named = self._keys[index], self._words[index], self._named[index]
             shared = taken = 0.0
             for _, like in likenesses:
-                # Python's loop over a slot's names: the few words of a span against sets.
                 if hits := [(share, other) for other, share in like.items() if other in words]:
                     share, other = max(hits)
                     shared += share * self._weight[other]
@@ -301,7 +311,7 @@ class _Names:
                 scored[key] = min(score, 1.0) * 0.98
         return scored
 
-    def _like(self, word: str) -> dict[str, float]:
+    def _likeness(self, word: str) -> dict[str, float]:
         """Returns the words of names that ``word`` may be, and how likely."""
         if word in self._weight:
             return {word: 1.0}

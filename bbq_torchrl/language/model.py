@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.language.features import Features
+from bbq_torchrl.language.frames import Frame
 from bbq_torchrl.language.intents import IntentNet, train_intents
 from bbq_torchrl.language.tagger import OUTSIDE, Tagger
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.corpus import Example
-    from bbq_torchrl.language.frames import Frame
     from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.phrases import Phrases
 
@@ -36,6 +36,7 @@ class Reading:
     Attributes:
         tags: the best tag of each word.
         tags_chance: their probability.
+        each_chance: the probability of each.
         acts: the log-probability of each act, ``[A]``.
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
@@ -44,6 +45,7 @@ class Reading:
 
     tags: list[str]
     tags_chance: float
+    each_chance: list[float]
     acts: torch.Tensor
     requests: torch.Tensor
     dont_care: torch.Tensor
@@ -61,7 +63,7 @@ class Model:
     @torch.no_grad()
     def read(self, words: Sequence[str], question: Frame | None) -> Reading:
         """Returns the reading of a sentence of one word or more."""
-        tags, chance = self.tagger(self.features.of_words(words, question))
+        tags, chance, each = self.tagger(self.features.of_words(words, question))
         parts = [(words, tags), *_clauses(words, tags)]
         named = [self.features.of_sentence(*part, question) for part in parts]
         bags = [self.net.encode(names) for names in named]
@@ -70,6 +72,7 @@ class Model:
         return Reading(
             tags,
             chance,
+            each,
             acts[0].log_softmax(-1),
             _united(_of_slots(requests[0], asked), [_of_slots(row, None) for row in requests[1:]]),
             _of_slots(dont_care[0], asked),
@@ -142,9 +145,11 @@ def fit(
     )
     known = [word for word, count in words.items() if count > 1]
     features = Features(lexicon, phrases, known, domain.complete_slot)
+    # "Friday or Saturday" informs of neither, which is not to be learned of the names.
+    named = [e for e in examples if e.frame != Frame("inform")]
     tagger = Tagger.train(
-        [features.of_words(e.words, e.question) for e in examples],
-        [e.tags for e in examples],
+        [features.of_words(e.words, e.question) for e in named],
+        [e.tags for e in named],
         steps,
     )
     slots = domain.slots

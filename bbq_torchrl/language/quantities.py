@@ -39,6 +39,12 @@ _DAY = {day[:length]: day for day in _DAYS for length in (3, len(day))} | {
     "weds": "wednesday",
     "thur": "thursday",
     "thurs": "thursday",
+    "wensday": "wednesday",
+    "wendsday": "wednesday",
+    "wednsday": "wednesday",
+    "thirsday": "thursday",
+    "saterday": "saturday",
+    "tusday": "tuesday",
 }
 _MONTH = {
     name.lower(): number
@@ -72,33 +78,47 @@ _RELATIONS = (
     ("about", "around"),
     ("near", "around"),
     ("approximately", "around"),
+    ("more or less", "around"),
+    ("roughly", "around"),
+    ("like", "around"),
     ("circa", "around"),
     ("ish", "around"),
 )
 _TIME_FILLERS = frozenset(
     (
-        "at the in o clock o'clock oclock sharp somewhere of on for hours hour hrs , . and it is"
+        "at the in o clock o'clock oclock sharp somewhere of on for hours hour hrs , . and it is "
+        "exactly latest"
     ).split()
 )
 NUMBER_WORDS = frozenset(_NUMBERS)
 ORDINAL_WORDS = frozenset(_ORDINALS)
-DAY_WORDS = frozenset({*_DAY, *_TOMORROW, "today", "tonight", "weekend", "week"})
+DAY_WORDS = frozenset({*_DAY, *_TOMORROW, "today", "tonight", "weekend", "wknd", "week"})
 MONTH_WORDS = frozenset(_MONTH)
 PART_WORDS = frozenset({*_PART, "midnight", "matinee", "midday"})
 RELATION_WORDS = frozenset(
     ("after", "before", "around", "about", "past", "quarter", "half", "until")
 )
 
-_ALONE = {"alone", "myself", "single", "solo"}
+_ALONE = {"alone", "myself", "single", "solo", "1x"}
 _COMPANIONS = frozenset(
     (
         "wife husband girlfriend boyfriend partner friend brother sister mother father mom dad son "
         "mum daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
-        "grandmother neighbor"
+        "grandmother neighbor neighbour gf bf hubby wifey bestie bro sis nephew niece grandpa "
+        "grandfather grandson granddaughter kid child mate pal roomie flatmate lady"
     ).split()
 )
+_PAIRS = frozenset(("parents", "grandparents", "folks", "twins"))
 _COMPANIES = frozenset(
-    ("friends buddies colleagues pals mates kids children sons daughters others more").split()
+    (
+        "friends buddies colleagues pals mates kids children sons daughters others more boys girls "
+        "brothers sisters cousins coworkers nephews nieces neighbors roommates"
+    ).split()
+)
+COUNT_WORDS = frozenset(
+    {*_NUMBERS, *_ALONE, *_COMPANIONS, *_COMPANIES, *_PAIRS}
+    | set("me my i our and & + plus n of us a couple pair both dozen half just only with".split())
+    | set(", w / go".split())
 )
 _CLOCK = re.compile(r"(\d{1,2})[:.h](\d\d)")
 
@@ -120,14 +140,17 @@ def read_time(text: str) -> str | None:
         >>> [read_time(t) for t in ("7:30 pm", "half past seven", "1930", "after 6pm", "25:99")]
         ['at 19:30', 'at 19:30?', 'at 19:30', 'after 18:00', None]
     """
-    words = tokenize(text)
-    joined = " ".join(words)
+    joined = " ".join(tokenize(text))
+    joined = re.sub(r"\bb4\b", "before", joined)
+    joined = re.sub(r"\b(?:around )?([\w:.]+?) ?-? ?ish\b", r"around \1", joined)
     relation = "at"
     for phrase, name in _RELATIONS:
         if re.search(
             rf"(^|\b(at|in|somewhere|something|anything|only|a bit|is) ){phrase}\b", joined
         ):
             relation, joined = name, joined.replace(phrase, " ", 1)
+            if relation == "after":
+                joined = re.sub(r"\b(about|around)\b", " ", joined)  # "from about 6"
             break
     words = [word for word in joined.split() if word not in _TIME_FILLERS]
     if relation == "after" and words[-1:] == ["on"]:
@@ -191,7 +214,7 @@ def _clock(words: list[str]) -> tuple[int, int, bool] | None:
             if match[2] in ("past", "after")
             else ((hour - 1) % 12 or 12, 60 - minutes, False)
         )
-    if match := re.fullmatch(r"(?:half (\w+)|(\w+) and (?:a )?half)", joined):
+    if match := re.fullmatch(r"(?:half (\w+)|(\w+) (?:a )?half)", joined):
         hour = number_of(match[1] or match[2])
         return None if hour is None else (hour, 30, False)
     hour = number_of(words[0]) if words else None
@@ -231,7 +254,7 @@ def read_date(text: str) -> str | None:
     joined = " ".join(words)
     if joined in ("after tomorrow",) or re.fullmatch(r"after (tomorrow|tmrw)", joined):
         return "after tomorrow"
-    joined = re.sub(r"\bweek end\b", "weekend", joined)
+    joined = re.sub(r"\b(week end|week-end|week - end|wknd|weeknd)\b", "weekend", joined)
     words = joined.split()
     part = ""
     if len(words) > 1 and words[-1] in _PART:
@@ -294,6 +317,8 @@ def read_count(text: str) -> str | None:
         ['2', '2', '4', None]
     """
     words = tokenize(text.replace("-", " ") if not re.search(r"-\s*\d", text) else text)
+    words = ["with" if word == "w" else word for word in words]
+    words = [re.sub(r"^x(?=\d+$)|(?<=\d)x$", "", word) for word in words]  # "2x", "x2"
     numbers = [number for word in words if (number := number_of(word)) is not None]
     if any(
         re.fullmatch(r"-\d+", word) or (word.isdecimal() and number_of(word) is None)
@@ -306,14 +331,15 @@ def read_count(text: str) -> str | None:
     if len(numbers) > 1:
         return None
     if numbers:
-        is_plus = (
+        is_plus = has_me and bool({"+", "plus"} & set(words))
+        is_plus |= (
             bool(_COMPANIES & set(words)) and (has_me or "with" in words) and "us" not in words
         )
-        total = numbers[0] + is_plus
+        total = numbers[0] + is_plus * (1 + sum(word in _COMPANIONS for word in words))
         return str(total) if 0 < total <= 99 else None
     if {"couple", "pair", "both"} & set(words):
         return "2"
-    companions = sum(word in _COMPANIONS for word in words)
+    companions = sum((word in _COMPANIONS) + 2 * (word in _PAIRS) for word in words)
     if companions and (has_me or "with" in words or words[:1] == ["a"]):
         return str(1 + companions)
     if _ALONE & set(words) or " ".join(words) in (

@@ -64,12 +64,13 @@ class Tagger:
             trainer.train(str(path))
             return cls(path.read_bytes())
 
-    def __call__(self, rows: Sequence[Sequence[str]]) -> tuple[list[str], float]:
-        """Returns the best tags of one sentence, and their probability."""
+    def __call__(self, rows: Sequence[Sequence[str]]) -> tuple[list[str], float, list[float]]:
+        """Returns the best tags of one sentence, their probability, and that of each tag."""
         if not rows:
-            return [], 1.0
+            return [], 1.0, []
         tags = self._tagger.tag(rows)
-        return tags, self._tagger.probability(tags)
+        each = [self._tagger.marginal(tag, at) for at, tag in enumerate(tags)]
+        return tags, self._tagger.probability(tags), each
 
 
 def spans_of(tags: Sequence[str]) -> list[Span]:

@@ -16,13 +16,7 @@ from bbq_torchrl.language.corpus import make_examples, spoiled
 from bbq_torchrl.language.features import Features
 from bbq_torchrl.language.frames import Understood
 from bbq_torchrl.language.intents import IntentNet
-from bbq_torchrl.language.labeled import (
-    HEARD_FILE,
-    LEARNED_FILE,
-    as_examples,
-    domain_lines,
-    varied,
-)
+from bbq_torchrl.language.labeled import as_examples, domain_lines, varied
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.model import Model, fit
 from bbq_torchrl.language.noise import DROPPED
@@ -44,8 +38,8 @@ __all__ = ["Understander"]
 _VERSION = 3
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
-_COPIES = 3  # of each of people's sentences, with other values
-_PLAYED = 4  # sentences of simulated users to one of the grammar's own
+_COPIES = 4  # at most, of each of people's sentences, with other values
+_FOLD = 3  # one in so many of people's sentences is set aside, to learn how sure to be
 _CUES = 7
 
 
@@ -88,7 +82,7 @@ class Understander:
         domain: Domain,
         folder: str | Path | None = None,
         *,
-        sentences: int = 6_000,
+        sentences: int = 5_000,
         seed: int = 0,
         labeled: Sequence[Example] = (),
         threshold: float = 0.7,
@@ -100,10 +94,10 @@ class Understander:
         Args:
             domain: what is spoken of.
             folder: where the domain's ``language.yaml`` is, if it has one, with labeled lines of
-                people: ``learned.txt``, learned beside the own sentences, and ``heard.txt``,
-                which the confidence is fitted to.
-            sentences: how many to learn from; the net learns from four times as many of
-                simulated users.
+                people, ``learned.txt``, which are learned beside the own sentences. The
+                confidence is fitted to a third of them, as they are understood by a model that
+                has not learned from these.
+            sentences: how many to learn from; the net learns from as many of simulated users.
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
             threshold: the confidence below which the caller should ask again.
@@ -114,24 +108,27 @@ class Understander:
         torch.set_num_threads(1)
         try:
             said = make_examples(domain, phrases, lexicon, sentences, seed)
-            played = make_examples(
-                domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
-            )
-            own_lines = as_examples(domain_lines(domain, folder, LEARNED_FILE), lexicon)
+            played = make_examples(domain, phrases, lexicon, sentences, seed, simulated=True)
             surfaces = Surfaces(lexicon, domain.free_slots)
-            learned = spoiled(varied(own_lines, lexicon, surfaces, _COPIES, seed), seed)
-            given = [*said, *learned, *labeled]
-            model = fit(domain, phrases, lexicon, given, played, seed=seed, steps=60, epochs=14)
+            people = [*as_examples(domain_lines(domain, folder), lexicon), *labeled]
+            copies = min(_COPIES, sentences // max(len(people), 1))
+
+            def learned(examples: Sequence[Example]) -> Model:
+                lines = spoiled(varied(examples, lexicon, surfaces, copies, seed), seed)
+                given = [*said, *lines]
+                return fit(domain, phrases, lexicon, given, played, seed=seed, steps=60, epochs=20)
+
+            model = learned(people)
+            # How sure to be is learned of sentences that were not learned from.
+            apart = people[::_FOLD]
+            rest = [example for at, example in enumerate(people) if at % _FOLD]
+            blind = cls(domain, phrases, learned(rest) if apart else model, np.zeros(_CUES))
             others = make_examples(
                 domain, phrases, lexicon, max(sentences // 5, 200), seed + 1, noise=_CALM
             )
-            own = cls(domain, phrases, model, np.zeros(_CUES))
-            grammar = own._judged([(e.words, e.question, e.frame) for e in others])
-            heard = [
-                (tokenize(clean(text)), question, frame)
-                for question, text, frame in domain_lines(domain, folder, HEARD_FILE)
-            ]
-            calibration = fit_confidence(grammar, own._judged(heard) if heard else None)
+            calibration = fit_confidence(
+                blind._judged(others), blind._judged(apart) if apart else None
+            )
         finally:
             torch.set_num_threads(threads)
         return cls(domain, phrases, model, calibration, threshold)
@@ -170,15 +167,13 @@ class Understander:
             is_steady = same_frame(frame, other, self.lexicon)
         return frame, unclear, cues_of(reading, unclear, is_steady)
 
-    def _judged(
-        self, sentences: Sequence[tuple[Sequence[str], Frame | None, Frame]]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _judged(self, sentences: Sequence[Example]) -> tuple[np.ndarray, np.ndarray]:
         """Returns the cues ``[N, 7]`` of sentences, and whether their frames are right ``[N]``."""
         rows, right = [], []
-        for words, question, meant in sentences:
-            frame, _, cues = self._hear(words, question)
+        for example in sentences:
+            frame, _, cues = self._hear(example.words, example.question)
             rows.append(cues)
-            right.append(same_frame(frame, meant, self.lexicon))
+            right.append(same_frame(frame, example.frame, self.lexicon))
         return np.array(rows), np.array(right)
 
     def save(self, path: str | Path) -> None:

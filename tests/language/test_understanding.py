@@ -155,7 +155,8 @@ def test_agreeing_to_a_booking_in_a_word_and_asking_is_thanks(understand, offer,
     domain, words = movie_domain(), ["sure", ".", "price", "?"]
     acts = torch.tensor([0.0 if name == "request" else -9.0 for name in domain.acts])
     requests = torch.tensor([float(slot == "price") for slot in domain.slots])
-    reading = Reading([OUTSIDE] * 4, 1.0, acts, requests, torch.zeros(len(domain.slots)), 0.0)
+    no_care = torch.zeros(len(domain.slots))
+    reading = Reading([OUTSIDE] * 4, 1.0, [1.0] * 4, acts, requests, no_care, 0.0)
     question = Frame("inform", {"taskcomplete": offer})
     frame, _ = assemble(words, reading, question, domain, understand.lexicon)
     assert (frame.act, frame.requests) == (act, ("price",))
