@@ -39,6 +39,7 @@ _VERSION = 3
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
 _COPIES = 4  # at most, of each of people's sentences, with other values
+_PLAYED = 4  # sentences of simulated users to one of the grammar's own
 _FOLD = 3  # one in so many of people's sentences is set aside, to learn how sure to be
 _CUES = 7
 
@@ -97,7 +98,8 @@ class Understander:
                 people, ``learned.txt``, which are learned beside the own sentences. The
                 confidence is fitted to a third of them, as they are understood by a model that
                 has not learned from these.
-            sentences: how many to learn from; the net learns from as many of simulated users.
+            sentences: how many to learn from; the net learns from four times as many of
+                simulated users.
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
             threshold: the confidence below which the caller should ask again.
@@ -108,23 +110,31 @@ class Understander:
         torch.set_num_threads(1)
         try:
             said = make_examples(domain, phrases, lexicon, sentences, seed)
-            played = make_examples(domain, phrases, lexicon, sentences, seed, simulated=True)
+            played = make_examples(
+                domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
+            )
             surfaces = Surfaces(lexicon, domain.free_slots)
             people = [*as_examples(domain_lines(domain, folder), lexicon), *labeled]
             copies = min(_COPIES, sentences // max(len(people), 1))
 
-            def learned(examples: Sequence[Example]) -> Model:
+            def learned(examples: Sequence[Example], users: Sequence[Example]) -> Model:
                 lines = spoiled(varied(examples, lexicon, surfaces, copies, seed), seed)
                 given = [*said, *lines]
-                return fit(domain, phrases, lexicon, given, played, seed=seed, steps=60, epochs=20)
+                return fit(domain, phrases, lexicon, given, users, seed=seed, steps=60, epochs=14)
 
-            model = learned(people)
-            # How sure to be is learned of sentences that were not learned from.
+            model = learned(people, played)
+            # How sure to be is learned of people's sentences that were not learned from, which
+            # takes fewer of simulated users.
             apart = people[::_FOLD]
             rest = [example for at, example in enumerate(people) if at % _FOLD]
-            blind = cls(domain, phrases, learned(rest) if apart else model, np.zeros(_CUES))
+            blind = cls(
+                domain,
+                phrases,
+                learned(rest, played[::_PLAYED]) if apart else model,
+                np.zeros(_CUES),
+            )
             others = make_examples(
-                domain, phrases, lexicon, max(sentences // 5, 200), seed + 1, noise=_CALM
+                domain, phrases, lexicon, max(sentences // 10, 200), seed + 1, noise=_CALM
             )
             calibration = fit_confidence(
                 blind._judged(others), blind._judged(apart) if apart else None

@@ -69,6 +69,26 @@ def test_two_cities_are_asked_about(understand):
     assert understand.asks(heard)
 
 
+@pytest.mark.parametrize(
+    ("question", "text", "informs"),
+    [
+        ("city", "i used to live in boston but now i'm in reno", {"city": "reno"}),
+        ("date", "thursday night, since friday is a holiday", {"date": "thursday night"}),
+        ("genre", "i hate war, i want comedy", {"genre": "comedy"}),
+        ("numberofpeople", "my husband, our daughter and me", {"numberofpeople": "3"}),
+    ],
+)
+def test_of_values_set_against_each_other_the_meant_one_is_heard(
+    understand, question, text, informs
+):
+    assert understand(text, Frame("request", {}, (question,))).frame.informs == informs
+
+
+def test_a_name_that_is_asked_about_is_a_question(understand):
+    heard = understand("comedies?", Frame("request", {}, ("moviename",)))
+    assert heard.frame == Frame("request", {"genre": "comedy"}, ("moviename",))
+
+
 @pytest.mark.parametrize("text", ["-3 people", "25:99", "february 30", "9" * 400, "casablanca"])
 def test_what_the_domain_does_not_have_is_not_invented(understand, text):
     for slot in ("numberofpeople", "starttime", "date", "moviename"):
