@@ -78,6 +78,8 @@ _LIKELY = 0.85
 _LEAST = 0.4
 _ALSO = 0.7  # "what is there in the evening?" tells the time and asks for it
 _RATHER = 0.1
+_FAINT = 0.3
+_LEAST_LETTERS = 4
 _SURE_ACT = -0.25  # log-probability
 _ANY = frozenset(("any", "anything", "whatever", "either"))
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
@@ -145,7 +147,7 @@ def assemble(
         return Frame("inform", short), ()
     if not (informs or unclear):
         unclear = _ties(words, question, lexicon)
-        if act == "inform" and not unclear:
+        if act == "inform" and not unclear and reading.dont_care.max() < _FAINT:
             informs = _named(words, question, lexicon)
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
@@ -242,7 +244,10 @@ def _named(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> di
             own = words[start : start + size]
             if is_count and not (COUNT_WORDS.issuperset(own) and _COUNTS.intersection(own)):
                 continue  # "depends on my sister" tells no number.
-            link = lexicon.link(slot, " ".join(own))
+            name = " ".join(own)
+            if lexicon.kinds[slot] == "text" and len(name) < _LEAST_LETTERS:
+                continue  # "ok" is Oklahoma where it stands alone.
+            link = lexicon.link(slot, name)
             if link.score == 1.0 and len(link.values) == 1:
                 return {slot: link.values[0]}
     return {}
