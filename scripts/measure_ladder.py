@@ -1,8 +1,8 @@
 """Measures agents on the ladder from acts to text, and writes results/ladder.json.
 
 Every agent is played without errors, with the reference errors, with those counted in sentences,
-and in sentences, where the system asks again as it does in a chat, never, or cautiously: the scripted
-policies ``rule`` and ``careful`` and the agents of the full domain that come with the package.
+and in sentences, where the system asks again as it does in a chat, never, or cautiously. These are
+the scripted policies ``rule`` and ``careful`` and the shipped agents of the full domain.
 Commands and answers are kept; ``scripts/write_docs.py`` tabulates them.
 
     python scripts/measure_ladder.py                         everything, 10,000 dialogues each

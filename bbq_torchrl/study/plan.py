@@ -210,12 +210,11 @@ class _Reader:
 
     def _ask_below(self, agents: Mapping[str, str] | None) -> dict[str, float] | None:
         value = self._given.get("ask_below", {})
-        if isinstance(value, dict) and all(map(_is_probability, value.values())):
-            if agents is None or agents.keys() >= value.keys():
-                return {name: float(below) for name, below in value.items()}
+        is_known = isinstance(value, dict) and set(value) <= set(agents or value)
+        if is_known and all(map(_is_probability, value.values())):
+            return {name: float(below) for name, below in value.items()}
         self.faults.append(
-            "ask_below must map agents of the study to numbers between 0 and 1, "
-            f"got {shown(value)}"
+            f"ask_below must map agents of the study to numbers between 0 and 1, got {shown(value)}"
         )
         return None
 

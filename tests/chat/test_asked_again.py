@@ -5,7 +5,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
-import torch
 
 pytest.importorskip("pycrfsuite", reason="needs the extra language")
 

@@ -65,7 +65,7 @@ class DialogueOption(EnvOption):
     ask_below: float | None = setting(
         None,
         optional(PROBABILITY, "the understanding's own, .7"),
-        "confidence below which the system asks a user again, whose sentences these are; 0: never",
+        "with level=text: confidence below which the system asks a user again; 0: never",
     )
     max_turn: int = setting(40, integers(2), "turns of a dialogue, both sides counted")
     success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")
