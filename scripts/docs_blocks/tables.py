@@ -82,16 +82,16 @@ def _voices() -> str:
 def _ladder() -> str:
     """Returns each policy's success on every rung from acts to text."""
     entries = [entry for entry in read_json("ladder.json") if entry["rung"] in _LADDER]
-    policies, rungs = (dict.fromkeys(entry[key] for entry in entries) for key in ("policy", "rung"))
+    policies = dict.fromkeys(entry["policy"] for entry in entries)
     rates = {(entry["policy"], entry["rung"]): _rate(entry["result"], 3) for entry in entries}
-    rows = [(code(name), *(rates.get((name, rung), "–") for rung in rungs)) for name in policies]
+    rows = [(code(name), *(rates.get((name, rung), "–") for rung in _LADDER)) for name in policies]
     counts = {entry["result"]["dialogues"] for entry in entries}
     played = " to ".join(f"{count:,}" for count in sorted({min(counts), max(counts)}))
-    shown = table(("policy", *rungs), rows, numbers=len(rungs))
+    shown = table(("policy", *_LADDER), rows, numbers=len(_LADDER))
     return f"{shown}\n\n± one standard error; {played} dialogues each."
 
 
-_LADDER = ("no errors", "reference", "measured", "text")
+_LADDER = ("no errors", "reference", "measured", "text, never asking", "text")
 _ASKING = {"text, never asking": "never", "text": "below .7", "text, cautious": "below .9"}
 """Rungs that differ in when the system asks again."""
 
