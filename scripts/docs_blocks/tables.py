@@ -108,7 +108,7 @@ def _cautious() -> str:
                 rate, reward, turns = (result[k] for k in ("success_rate", "reward", "turns"))
                 # Each turn of the agent but the last costs 1, and so does each time it asks again.
                 again = 40 * rate - 10 * (1 - rate) - (turns - 1) - reward
-                shown = (_rate(result, 3), f"{reward:.1f}", f"{turns:.1f}", f"{again:.2f}")
+                shown = (_rate(result, 3), f"{reward:.1f}", f"{turns:.1f}", f"{abs(again):.2f}")
                 rows.append((code(policy), asks, *shown, f"{result['dialogues']:,}"))
     head = ("policy", "asks again", "success", "reward", "turns", "asked again", "dialogues")
     return table(head, rows, numbers=5)
