@@ -1,12 +1,13 @@
 """Measures agents on the ladder from acts to text, and writes results/ladder.json.
 
 Every agent is played without errors, with the reference errors, with those counted in sentences,
-and in sentences: the scripted policies ``rule`` and ``careful`` and the agents of the full domain
-that come with the package. Commands and answers are kept; ``scripts/write_docs.py`` tabulates them.
+and in sentences, where the system asks again as it does in a chat, never, or cautiously. These are
+the scripted policies ``rule`` and ``careful`` and the shipped agents of the full domain.
+Commands and answers are kept; ``scripts/write_docs.py`` tabulates them.
 
-    python scripts/measure_ladder.py                      everything, 10,000 dialogues each
-    python scripts/measure_ladder.py --rung text          this rung alone; what was measured stays
-    python scripts/measure_ladder.py --dialogues 2500     fewer
+    python scripts/measure_ladder.py                         everything, 10,000 dialogues each
+    python scripts/measure_ladder.py --rung text measured    these rungs alone; the others stay
+    python scripts/measure_ladder.py --dialogues 2500        fewer
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ RUNGS = {
     "reference": "",
     "measured": "env.errors=measured",
     "text": "env.level=text",
+    "text, never asking": "env.level=text env.ask_below=0",
+    "text, cautious": "env.level=text env.ask_below=.9",
 }
 """Rung -> what the command line says of it, from the easiest on."""
 
@@ -47,7 +50,7 @@ def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
 def main() -> None:
     """Measures, and keeps what was measured before and is not to be measured now."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--policy", choices=POLICIES, help="this one alone")
+    parser.add_argument("--policy", nargs="+", choices=POLICIES, help="these alone")
     parser.add_argument("--rung", nargs="+", choices=RUNGS, help="these rungs alone")
     parser.add_argument("--dialogues", type=int, default=10_000, help="of each measurement")
     given = parser.parse_args()
@@ -55,7 +58,7 @@ def main() -> None:
     known = {(entry["policy"], entry["rung"]): entry for entry in before}
     order = [(policy, rung) for policy in POLICIES for rung in RUNGS]
     for policy, rung in order:
-        if given.policy in (None, policy) and rung in (given.rung or RUNGS):
+        if policy in (given.policy or POLICIES) and rung in (given.rung or RUNGS):
             known[policy, rung] = measure(policy, rung, given.dialogues)
             sys.stdout.write(f"{policy}, {rung}: {known[policy, rung]['result']}\n")
             entries = [known[item] for item in order if item in known]

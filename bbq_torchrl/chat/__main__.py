@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import io
+import math
 import os
 import sys
 from pathlib import Path
@@ -10,10 +12,9 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl import output
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.text import sentence
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Callable, Sequence
 
     from bbq_torchrl.language import Endpoint
@@ -46,6 +47,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--replica", type=int, default=0, help="which replica of the run talks")
     parser.add_argument("--mode", help="mean, average, draw or thompson, for a Bayesian agent")
     parser.add_argument("--weights", choices=("last", "best"), default="last")
+    parser.add_argument(
+        "--ask-below",
+        type=_probability,
+        metavar="P",
+        help="confidence below which it asks you again; 0: never",
+    )
     parser.add_argument("--plain", action="store_true", help="read lines of standard input")
     parser.add_argument(
         "--understander", type=Path, help="file of `bbq language train`; trained unless given"
@@ -58,6 +65,16 @@ def _parser() -> argparse.ArgumentParser:
         "--model", help=f"the endpoint's; its key, if any, in the environment variable {_KEY}"
     )
     return parser
+
+
+def _probability(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"must be between 0 and 1, got {shown(text)}")
+    return value
 
 
 def _chat(given: argparse.Namespace) -> None:
@@ -92,7 +109,7 @@ def _chat(given: argparse.Namespace) -> None:
     mouth = make_mouth(agent.domain, agent.folder, endpoint if given.nlg == "endpoint" else None)
     phrases = load_phrases(agent.domain, agent.folder)
     names = {slot: entry.name for slot, entry in phrases.slots.items()}
-    partner = Partner(agent, ears, mouth, spelling)
+    partner = Partner(agent, ears, mouth, spelling, ask_below=given.ask_below)
     Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -13,6 +13,7 @@ from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.chat.tracking import Tracking
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.language import Frame, TextError, Understood
+from bbq_torchrl.language.asking import Asking
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Answer", "Ears", "Mouth", "Partner"]
 
-_ASKS_IN_A_ROW = 2
 _FLAGS = ("heard_requests", "open_requests", "agent_requests")
 
 
@@ -83,28 +83,22 @@ class _Memory:
 
     Attributes:
         state: of the tracking; ``None`` before the first act heard.
-        waiting: what was understood of a text that the agent had to ask about.
-        slot: what it asked for then.
-        choices: and between which values.
-        asks: how often it asked again in a row.
+        asking: what was asked again since the agent last acted.
         texts: how many there have been.
     """
 
     state: TensorDict | None = None
-    waiting: Frame | None = None
-    slot: str = ""
-    choices: tuple[str, ...] = ()
-    asks: int = 0
+    asking: Asking = field(default_factory=Asking)
     texts: int = 0
 
     def text(self) -> str:
         """Returns it as JSON."""
-        content: dict[str, Any] = {"slot": self.slot, "choices": self.choices, "asks": self.asks}
-        content["texts"] = self.texts
+        asking = self.asking
+        content: dict[str, Any] = {"slot": asking.slot, "choices": asking.choices}
+        content |= {"asks": asking.times, "texts": self.texts}
         if self.state is not None:
             content["state"] = {key: value.tolist() for key, value in self.state.items()}
-        if self.waiting is not None:
-            waiting = self.waiting
+        if (waiting := asking.waiting) is not None:
             content["waiting"] = [waiting.act, dict(waiting.informs), waiting.requests]
         return json.dumps(content)
 
@@ -124,13 +118,9 @@ class _Memory:
         if "waiting" in content:
             act, informs, requests = content["waiting"]
             waiting = Frame(act, informs, tuple(requests))
+        choices = tuple(content["choices"])
         return cls(
-            state,
-            waiting,
-            content["slot"],
-            tuple(content["choices"]),
-            content["asks"],
-            content["texts"],
+            state, Asking(content["asks"], waiting, content["slot"], choices), content["texts"]
         )
 
 
@@ -142,6 +132,8 @@ class Partner:
         ears: who understands.
         mouth: who speaks.
         spelling: of values; ``None`` for that of the agent's own domain and phrases.
+        ask_below: the confidence below which it asks again, between 0 (never) and 1; ``None`` for
+            what is usual to who understands.
 
     Attributes:
         agent: who decides.
@@ -156,9 +148,15 @@ class Partner:
     """
 
     def __init__(
-        self, agent: TrainedAgent, ears: Ears, mouth: Mouth, spelling: Spelling | None = None
+        self,
+        agent: TrainedAgent,
+        ears: Ears,
+        mouth: Mouth,
+        spelling: Spelling | None = None,
+        *,
+        ask_below: float | None = None,
     ) -> None:
-        self.agent = agent
+        self.agent, self._ask_below = agent, ask_below
         self._ears, self._mouth = ears, mouth
         self._spelling = spelling or Spelling(agent.domain, agent.folder)
         self.domain = self._spelling.domain
@@ -176,16 +174,17 @@ class Partner:
         """
         before = _Memory.of(memory)
         now = replace(before, texts=before.texts + 1)
-        question = self._question(before)
+        asking = before.asking
+        said = None if before.state is None else self._tracking.said(before.state)
         try:
-            understood = self._understood(text, question)
+            understood = self._understood(text, asking.question(said))
         except TextError as error:
-            return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.", before)
-        if self._asks(understood, before):
+            return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
+        if asking.asks(self._ears, understood, self._ask_below):
             sentence = self._mouth.clarify(understood, session=seed, turn=now.texts)
-            return self._ask_again(now, understood, sentence, before)
-        heard = _joined(before.waiting, understood.frame)
-        now = replace(now, waiting=None, slot="", choices=(), asks=0)
+            return self._ask_again(now, understood, sentence)
+        heard = asking.joined(understood.frame)
+        now = replace(now, asking=Asking())
         if heard.act == "greeting" and not (heard.informs or heard.requests):
             return self._say(now, understood, heard, Frame("greeting"), seed)
         if now.state is None:
@@ -201,7 +200,7 @@ class Partner:
         assert said is not None
         sentence = self._mouth.agent(said, self._tracking.held(state), session=seed, turn=now.texts)
         ended = "agent" if said.act in ("thanks", "closing") else ""
-        if not ended and int(after["turn"]) >= self.agent.simulator.max_turn:
+        if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
             ended = "turns"
         now = replace(now, state=after)
         return Answer(sentence, understood, heard, said, now.text(), acted=True, ended=ended)
@@ -230,39 +229,21 @@ class Partner:
         state = tracking.start(heard) if state is None else tracking.hear(state, heard)
         return tracking.observe(state)
 
-    def _question(self, memory: _Memory) -> Frame | None:
-        """Returns in the light of what a text is read."""
-        if memory.choices:
-            return Frame("multiple_choice", {}, (memory.slot,), memory.choices)
-        if memory.slot:
-            return Frame("request", {}, (memory.slot,))
-        return None if memory.state is None else self._tracking.said(memory.state)
-
     def _understood(self, text: str, question: Frame | None) -> Understood:
         """Returns what a text means, its values in the one spelling."""
         understood = self._ears(text, question)
         frame = understood.frame
         return replace(understood, frame=replace(frame, informs=self._spelling.of(frame.informs)))
 
-    def _asks(self, understood: Understood, memory: _Memory) -> bool:
-        if memory.asks >= _ASKS_IN_A_ROW:
-            return False  # better a mistake, which can be corrected, than no end
-        return self._ears.asks(understood)
-
-    def _ask_again(
-        self, now: _Memory, understood: Understood | None, sentence: str, before: _Memory
-    ) -> Answer:
+    def _ask_again(self, now: _Memory, understood: Understood | None, sentence: str) -> Answer:
         """Returns a question about a text; the state of the dialogue stays as it is."""
-        heard = Frame("not_sure")
-        now = replace(now, asks=before.asks + 1)
-        said = Frame("not_sure")
+        now = replace(now, asking=now.asking.again(understood))
+        heard = said = Frame("not_sure")
         if understood is not None:
             heard = understood.frame
             if understood.unclear:
                 unclear = understood.unclear[0]
-                waiting = _joined(before.waiting, heard)
                 said = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
-                now = replace(now, waiting=waiting, slot=unclear.slot, choices=unclear.candidates)
         return Answer(sentence, understood, heard, said, now.text())
 
     def _say(
@@ -278,12 +259,3 @@ class Partner:
         """Returns an act that is not the agent's decision: greeting back, and farewell."""
         sentence = self._mouth.agent(said, session=seed, turn=now.texts)
         return Answer(sentence, understood, heard, said, now.text(), ended=ended)
-
-
-def _joined(waiting: Frame | None, frame: Frame) -> Frame:
-    """Returns an act with what was understood of the text before, which was asked about."""
-    if waiting is None or not (frame.informs or frame.requests):
-        return frame
-    requests = tuple(dict.fromkeys((*waiting.requests, *frame.requests)))
-    informs = {**waiting.informs, **frame.informs}
-    return Frame("request" if requests else frame.act, informs, requests)

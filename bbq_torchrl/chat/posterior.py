@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from bbq_torchrl.bayes.kl import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
-from bbq_torchrl.networks import BootstrapMLP
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP
 from bbq_torchrl.networks.q_actor import split_actor
 
 if TYPE_CHECKING:
@@ -26,7 +26,8 @@ def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor 
 
     Of a Bayesian network they are rows of local reparameterization, which for one state have
     exactly the distribution of as many draws of all weights; of bootstrapped heads they are the
-    heads. ``None`` for a policy that is not uncertain.
+    heads; of a network that has learned with dropout they are draws of its units (Gal and
+    Ghahramani, 2016). ``None`` for a policy that is not uncertain.
 
     Args:
         policy: the policy that a run reports.
@@ -35,7 +36,7 @@ def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor 
     """
     if isinstance(policy, MajorityVote):
         return _mean_values(policy, inputs).squeeze(-3)
-    if not _is_bayesian(policy):
+    if not (_is_bayesian(policy) or _drops_units(policy)):
         return None
     rows = inputs.expand(*inputs.shape[:-2], draws, inputs.shape[-1])
     with weight_scope("local"):
@@ -89,6 +90,12 @@ def _is_bayesian(policy: TensorDictModuleBase) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _drops_units(policy: TensorDictModuleBase) -> bool:
+    return isinstance(policy, (EvaluationPolicy, Greedy)) and any(
+        isinstance(module, FlatMLP) and module.dropout > 0 for module in policy.modules()
+    )
 
 
 def _values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:

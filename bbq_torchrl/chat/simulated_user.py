@@ -9,6 +9,7 @@ import torch
 from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.domains import NO_MATCH, tensorize
 from bbq_torchrl.language import Frame, Generator
+from bbq_torchrl.language.asking import repeated
 from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.simulator import Simulator
 from bbq_torchrl.simulator.tracker import AgentTurn
@@ -71,8 +72,7 @@ class SimulatedUser:
         """Returns what it says to the agent's act; ``None`` begins the conversation."""
         meant = self._meant()
         if said is not None and (said.act == "not_sure" or _names_choices(said)):
-            asked = {slot: meant.informs[slot] for slot in said.requests if slot in meant.informs}
-            meant = Frame("inform", asked) if asked else meant
+            meant = repeated(meant, said.requests)
         elif said is not None:
             self._question = Frame(said.act, said.informs, said.requests)
             self._reply(said)

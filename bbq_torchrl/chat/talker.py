@@ -71,7 +71,8 @@ class AgentTalker:
                     f"the agent {name} of {source} is of the domain {agent.domain.name}, which is "
                     f"not the study's, {study.domain.name}"
                 )
-            self._partners[name] = Partner(agent, ears, mouth, spelling)
+            below = study.terms.ask_below.get(name)
+            self._partners[name] = Partner(agent, ears, mouth, spelling, ask_below=below)
         if faults:
             raise StudyError(str(study.path), faults)
 

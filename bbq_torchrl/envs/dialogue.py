@@ -313,8 +313,10 @@ class DialogueEnv(EnvBase):
                     f"the environment has {list(self.batch_size)}"
                 )
             # Saved before the tracker kept requests: then they were what the user waited for.
-            heard = dict.fromkeys(("heard_requests", "open_requests"), saved["pending"])
-            saved = TensorDict(heard | saved, batch_size=batch).to(self.device).clone()
+            # Saved before users were asked again: then they never were.
+            added = dict.fromkeys(("heard_requests", "open_requests"), saved["pending"])
+            added["repeats"] = torch.zeros_like(saved["turn"])
+            saved = TensorDict(added | saved, batch_size=batch).to(self.device).clone()
         self._dialogues = saved
         self._generator.set_state(state["generator"].cpu())
         self.set_round(state["round"])

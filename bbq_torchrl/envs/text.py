@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.language import Frame, Generator, TextError
+from bbq_torchrl.language import Frame, Generator, TextError, Understood
+from bbq_torchrl.language.asking import Asking, repeated
 from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.language.kept import kept_understander
 from bbq_torchrl.simulator import Utterance
@@ -33,20 +34,24 @@ class TextChannel:
     """The channel of sentences: what the user means is said in words, and understood from them.
 
     The sentence is made by the domain's grammar, in words that are drawn, and understood in the
-    light of the agent's act, as in a chat. The system never asks again: a value that is unclear is
-    not heard. A value in another spelling of the domain's ("7:30pm", "7:30 pm") is the one that was
-    said: that corpora spell values in several ways is no misunderstanding. What was understood once
-    of the same act after the same act of the agent in the same words is remembered and not
-    understood again. A loop over the dialogues: for evaluation.
+    light of the agent's act, as in a chat; and by the rule of the chat
+    (:class:`~bbq_torchrl.language.asking.Asking`) the system asks again. A user who is asked again
+    says the same in other words, or the one value that was asked about, and each time takes a turn.
+    A value in another spelling of the domain's ("7:30pm", "7:30 pm") is the one that was said: that
+    corpora spell values in several ways is no misunderstanding. What was understood once of the
+    same act after the same act of the agent in the same words is remembered and not understood
+    again. A loop over the dialogues: for evaluation.
 
     Args:
         domain: the domain's tensors.
         understand: who understands.
         speak: who says what users mean.
+        ask_below: the confidence below which the system asks again, between 0 (never) and 1;
+            ``None`` for what is usual to who understands.
 
     Attributes:
         coding: how frames are numbered.
-        asked: how many sentences there were.
+        acts: how many acts of users there were.
         understood: how many of them were not remembered.
     """
 
@@ -54,9 +59,15 @@ class TextChannel:
     draws: tuple[str, ...] = ("words",)
     mishears_all = True
 
-    def __init__(self, domain: DomainTensors, understand: Understander, speak: Generator) -> None:
-        self.asked = self.understood = 0
-        self._understand, self._speak = understand, speak
+    def __init__(
+        self,
+        domain: DomainTensors,
+        understand: Understander,
+        speak: Generator,
+        ask_below: float | None = None,
+    ) -> None:
+        self.acts = self.understood = 0
+        self._understand, self._speak, self._ask_below = understand, speak, ask_below
         self._act = domain.act
         self.coding = Coding(domain)
         self._heard: dict[bytes, torch.Tensor] = {}
@@ -82,22 +93,23 @@ class TextChannel:
         words = index_below(draws["words"], VARIANTS)
         # Value ids and variants fit into 32 bits.
         rows = torch.cat([words[..., None], *parts], -1).flatten(0, -2).int().cpu()
-        found = torch.zeros(len(rows), 1 + 2 * n_slots, dtype=torch.long)
+        found = torch.zeros(len(rows), 2 + 2 * n_slots, dtype=torch.long)
         for number in (~is_silent).flatten().nonzero().flatten().tolist():
             found[number] = self._recall(rows[number], n_slots)
         found = found.view(*shape, -1).to(said.act.device)
-        act, informs, requests = found.split([1, n_slots, n_slots], -1)
+        repeats, act, informs, requests = found.split([1, 1, n_slots, n_slots], -1)
         act = act.squeeze(-1)
         act = torch.where(act == _BEFORE, before, act)
         return Utterance(
             torch.where(is_silent, said.act, act),
             informs * active,
             torch.where(is_silent[..., None], said.requests, requests.bool() & active),
+            repeats.squeeze(-1),
         )
 
     def _recall(self, row: torch.Tensor, n_slots: int) -> torch.Tensor:
-        """Returns what is understood, long ``[1 + 2 S]``: act, informs, requests."""
-        self.asked += 1
+        """Returns what is understood, long ``[2 + 2 S]``: repeats, act, informs, requests."""
+        self.acts += 1
         key = row.numpy().tobytes()
         heard = self._heard.get(key)
         if heard is None:
@@ -116,11 +128,18 @@ class TextChannel:
 
     def _hear(self, frame: Frame, question: Frame | None, words: int) -> torch.Tensor:
         coding, key = self.coding, self._understand.lexicon.key
-        text = self._speak.user(frame, question, session=words)
-        try:
-            heard = self._understand(text, question).frame
-        except TextError:  # what cannot be read says nothing
-            heard = Frame("not_sure")
+        asking, said = Asking(), frame
+        while True:
+            text = self._speak.user(said, question, session=words, turn=asking.times)
+            try:
+                understood = self._understand(text, asking.question(question))
+            except TextError:  # what cannot be read says nothing
+                understood = Understood(Frame("not_sure"), 0.0)
+            if not asking.asks(self._understand, understood, self._ask_below):
+                break
+            asking = asking.again(understood)
+            said = repeated(frame, (asking.slot,) if understood.unclear else ())
+        heard = asking.joined(understood.frame)
         informs = dict(heard.informs)
         for slot, value in frame.informs.items():
             if slot in informs and key(slot, informs[slot]) == key(slot, value):
@@ -128,6 +147,7 @@ class TextChannel:
         act = coding.act(heard, question, "")
         return torch.tensor(
             [
+                asking.times,
                 self._act.get(act, _BEFORE),
                 *coding.ids(informs),
                 *coding.flags(heard.requests),
@@ -135,16 +155,18 @@ class TextChannel:
         )
 
 
-def text_channel(domain: Domain) -> TextChannel:
+def text_channel(domain: Domain, ask_below: float | None = None) -> TextChannel:
     """Returns the channel of sentences of a domain.
 
     Its understander is trained in about a minute where the user's cache folder has none.
 
     Args:
         domain: whose phrases are in its folder, or the generic ones.
+        ask_below: the confidence below which the system asks again; see :class:`TextChannel`.
 
     Raises:
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
     understand = kept_understander(domain, domain.folder)
-    return TextChannel(tensorize(domain), understand, Generator.of(domain, domain.folder))
+    speak = Generator.of(domain, domain.folder)
+    return TextChannel(tensorize(domain), understand, speak, ask_below)

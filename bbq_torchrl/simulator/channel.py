@@ -22,11 +22,14 @@ class Utterance:
         act: long ``[*B]``, the act.
         informs: long ``[*B, S]``, the values informed.
         requests: bool ``[*B, S]``, the slots that the user asks for.
+        repeats: long ``[*B]``, of what is heard: how often the user was asked to say it again;
+            ``None``: never.
     """
 
     act: torch.Tensor
     informs: torch.Tensor
     requests: torch.Tensor
+    repeats: torch.Tensor | None = None
 
 
 class Channel(Protocol):

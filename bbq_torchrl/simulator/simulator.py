@@ -59,7 +59,8 @@ class Simulator:
     ``agent_act``        long    ``*B``    the agent's last act, -1 before its first
     ``agent_informs``    long    ``*B, S``  the values the agent's last act informed
     ``agent_requests``   bool    ``*B, S``  the slot the agent's last act requested
-    ``turn``             long    ``*B``    0 at first, plus 2 each turn
+    ``turn``             long    ``*B``    0 at first, plus 2 each turn of the agent
+    ``repeats``          long    ``*B``    how often the user was asked to say something again
     ``done``             bool    ``*B``    the dialogue has ended
     ``success``          bool    ``*B``    it has ended in success
     ``reward``           float   ``*B``    for the last turn; 0 at first
@@ -67,6 +68,11 @@ class Simulator:
 
     Random choices are functions of uniform numbers that :meth:`draw_reset` and :meth:`draw_turn`
     draw up front; a turn is a pure function of state, action and draws.
+
+    A channel may ask users to say something again (:class:`~bbq_torchrl.simulator.Utterance`).
+    The agent takes no part in it, and ``turn`` does not count it, but it takes a turn: it has the
+    reward of one, paid with the agent's act before it (at the opening, with the first one), and the
+    dialogue ends so much sooner.
 
     Args:
         domain: the domain's tensors.
@@ -197,6 +203,7 @@ class Simulator:
                 "agent_informs": no_value,
                 "agent_requests": no_slot,
                 "turn": no_number,
+                "repeats": no_number if heard.repeats is None else heard.repeats,
                 "done": no,
                 "success": no,
                 "reward": no.float(),
@@ -225,7 +232,7 @@ class Simulator:
         was_done = state["done"]
         agent = self.tracker.complete(state["held"], action)
         turn = torch.where(was_done, state["turn"], state["turn"] + _ACTS_PER_TURN)
-        is_over = was_done | (turn > self.max_turn)
+        is_over = was_done | (turn + _ACTS_PER_TURN * state["repeats"] > self.max_turn)
         reply = self.user.reply(state, agent, is_over, draws)
         is_done = is_over | agent.is_end
         success = torch.where(
@@ -233,6 +240,12 @@ class Simulator:
         )
         said = Utterance(reply.act, reply.informs, reply.pending)
         heard = self.errors.transmit(said, agent, state["heard_act"], is_done, draws, active)
+        reward = self.rewards.of(was_done, is_done, success)
+        repeats = state["repeats"]
+        if heard.repeats is not None:
+            repeats = repeats + heard.repeats
+            unpaid = torch.where(state["agent_act"] < 0, repeats, heard.repeats)
+            reward = torch.where(was_done, reward, reward + self.rewards.turn * unpaid)
         is_kept = was_done[..., None]
         held = self.tracker.hear(self.tracker.hold(state["held"], agent), heard.informs)
         asked = open_ = heard.requests
@@ -265,9 +278,10 @@ class Simulator:
                 "agent_informs": torch.where(is_kept, state["agent_informs"], agent.informs),
                 "agent_requests": torch.where(is_kept, state["agent_requests"], agent.requests),
                 "turn": turn,
+                "repeats": repeats,
                 "done": is_done,
                 "success": success,
-                "reward": self.rewards.of(was_done, is_done, success),
+                "reward": reward,
             },
             batch_size=state.batch_size,
             device=self.device,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +51,8 @@ class Terms:
         goals: numbers of the domain's goals, from 1, that goal cards are drawn from.
         max_turns: messages of a person in a conversation.
         idle_minutes: after which an unfinished place is given to somebody else.
+        ask_below: name to the confidence below which this agent asks people again, between 0
+            (never) and 1; the others as their language layer does.
     """
 
     name: str
@@ -63,10 +65,11 @@ class Terms:
     goals: tuple[int, ...]
     max_turns: int
     idle_minutes: int
+    ask_below: Mapping[str, float] = field(default_factory=dict)
 
     def text(self) -> str:
         """Returns the terms as JSON."""
-        return json.dumps({field.name: getattr(self, field.name) for field in fields(self)})
+        return json.dumps({item.name: getattr(self, item.name) for item in fields(self)})
 
     @classmethod
     def of(cls, text: str) -> Terms:
@@ -144,7 +147,7 @@ class _Reader:
 
     def terms(self) -> Terms | None:
         """Returns the terms; ``None`` where some key could not be read."""
-        keys = [field.name for field in fields(Terms)]
+        keys = [item.name for item in fields(Terms)]
         self.faults += [
             f"{shown(key)} is not a key of a study; allowed are {', '.join(keys)}"
             for key in self._given
@@ -164,6 +167,7 @@ class _Reader:
             "sessions": self._count("sessions", max(1, len(agents or ()))),
             "max_turns": self._count("max_turns", 20),
             "idle_minutes": self._count("idle_minutes", 60),
+            "ask_below": self._ask_below(agents),
         }
         sessions = values["sessions"]
         if agents and sessions and sessions % len(agents):
@@ -202,6 +206,16 @@ class _Reader:
                 "agents must map one name or more to where the agent is, both text, "
                 f"got {shown(value)}"
             )
+        return None
+
+    def _ask_below(self, agents: Mapping[str, str] | None) -> dict[str, float] | None:
+        value = self._given.get("ask_below", {})
+        is_known = isinstance(value, dict) and set(value) <= set(agents or value)
+        if is_known and all(map(_is_probability, value.values())):
+            return {name: float(below) for name, below in value.items()}
+        self.faults.append(
+            f"ask_below must map agents of the study to numbers between 0 and 1, got {shown(value)}"
+        )
         return None
 
     def _pairs(self, agents: Mapping[str, str] | None) -> tuple[tuple[str, str], ...] | None:
@@ -267,6 +281,10 @@ class _Reader:
 
 def _is_text(value: object) -> bool:
     return isinstance(value, str) and bool(value.strip())
+
+
+def _is_probability(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 1
 
 
 def _pair_faults(pairs: list[Any], agents: Mapping[str, str] | None) -> Iterator[str]:

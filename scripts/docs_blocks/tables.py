@@ -81,14 +81,37 @@ def _voices() -> str:
 @block("language.ladder")
 def _ladder() -> str:
     """Returns each policy's success on every rung from acts to text."""
-    entries = read_json("ladder.json")
-    policies, rungs = (dict.fromkeys(entry[key] for entry in entries) for key in ("policy", "rung"))
+    entries = [entry for entry in read_json("ladder.json") if entry["rung"] in _LADDER]
+    policies = dict.fromkeys(entry["policy"] for entry in entries)
     rates = {(entry["policy"], entry["rung"]): _rate(entry["result"], 3) for entry in entries}
-    rows = [(code(name), *(rates.get((name, rung), "–") for rung in rungs)) for name in policies]
+    rows = [(code(name), *(rates.get((name, rung), "–") for rung in _LADDER)) for name in policies]
     counts = {entry["result"]["dialogues"] for entry in entries}
     played = " to ".join(f"{count:,}" for count in sorted({min(counts), max(counts)}))
-    shown = table(("policy", *rungs), rows, numbers=len(rungs))
+    shown = table(("policy", *_LADDER), rows, numbers=len(_LADDER))
     return f"{shown}\n\n± one standard error; {played} dialogues each."
+
+
+_LADDER = ("no errors", "reference", "measured", "text, never asking", "text")
+_ASKING = {"text, never asking": "never", "text": "below .7", "text, cautious": "below .9"}
+"""Rungs that differ in when the system asks again."""
+
+
+@block("language.cautious")
+def _cautious() -> str:
+    """Returns what each policy reaches in sentences by when the system asks again."""
+    entries = {(entry["policy"], entry["rung"]): entry for entry in read_json("ladder.json")}
+    rows = []
+    for policy in dict.fromkeys(policy for policy, _ in entries):
+        for rung, asks in _ASKING.items():
+            if entry := entries.get((policy, rung)):
+                result = entry["result"]
+                rate, reward, turns = (result[k] for k in ("success_rate", "reward", "turns"))
+                # Each turn of the agent but the last costs 1, and so does each time it asks again.
+                again = 40 * rate - 10 * (1 - rate) - (turns - 1) - reward
+                shown = (_rate(result, 3), f"{reward:.1f}", f"{turns:.1f}", f"{abs(again):.2f}")
+                rows.append((code(policy), asks, *shown, f"{result['dialogues']:,}"))
+    head = ("policy", "asks again", "success", "reward", "turns", "asked again", "dialogues")
+    return table(head, rows, numbers=5)
 
 
 @block("shipped")
@@ -168,6 +191,13 @@ def _extending(name: str) -> str:
 
 for _name in ("ucb_policy", "ucb", "langevin", "visits", "chain"):
     block(f"extending.{_name}", _name)(_extending)
+
+
+@block("study.uncertainty")
+def _uncertainty() -> str:
+    """Returns the table of how well uncertainty warns, of the study of several kinds of it."""
+    text = (RESULTS / "study" / "uncertainty" / "report.md").read_text(encoding="utf-8")
+    return text.split("\n## Does uncertainty predict failure?")[1].split("\n## ")[0]
 
 
 @block("study.simulated")

@@ -5,14 +5,15 @@ from __future__ import annotations
 import pytest
 import torch
 from scipy.stats import ks_2samp
+from torchrl.data import Categorical
 
 from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.bayes.kl import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.chat import TrainedAgent
 from bbq_torchrl.chat.posterior import q_draws
-from bbq_torchrl.exploration import EvaluationPolicy
-from bbq_torchrl.networks import q_actor
+from bbq_torchrl.exploration import EvaluationPolicy, Greedy
+from bbq_torchrl.networks import FlatMLP, q_actor
 
 
 @pytest.fixture
@@ -21,8 +22,6 @@ def observation(agents):
 
 
 def test_rows_of_local_noise_are_draws_of_the_weights(movie):
-    from torchrl.data import Categorical
-
     network = BayesMLP(6, 3, (8,), std_init=0.3, mean_init="kaiming")
     policy = EvaluationPolicy(q_actor(network, Categorical(3), action_mask_key=None), mode="mean")
     state = torch.rand(1, 6)
@@ -34,6 +33,21 @@ def test_rows_of_local_noise_are_draws_of_the_weights(movie):
         with torch.no_grad():
             assert ks_2samp(function(rows).numpy(), function(draws).numpy()).pvalue > 1e-3
     assert not torch.equal(rows[0], rows[1])
+
+
+def test_dropout_is_a_posterior(agents):
+    """Of a network with one hidden unit, the values with and without it are all there is."""
+    network = FlatMLP(2, 3, (1,), dropout=0.25)
+    with torch.no_grad():
+        network.weight.copy_(torch.tensor([1.0, 1.0, 0.0, 3.0, 6.0, 9.0, 0.5, 0.5, 0.5]))
+    policy = Greedy(q_actor(network, Categorical(3), action_mask_key=None)).eval()
+    draws = q_draws(policy, torch.tensor([[1.0, 1.0]]), 4_000)
+    on = 0.5 + torch.tensor([3.0, 6.0, 9.0]) * 2 / 0.75
+    is_on = (draws - on).abs().amax(-1) < 1e-4
+    assert torch.equal(draws[~is_on], torch.full_like(draws[~is_on], 0.5))
+    assert is_on.float().mean() == pytest.approx(0.75, abs=0.03)
+    network.dropout = 0.0
+    assert q_draws(policy, torch.tensor([[1.0, 1.0]]), 9) is None
 
 
 @pytest.mark.parametrize("name", ["bbqn", "bootstrap"])

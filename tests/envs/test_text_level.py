@@ -13,7 +13,7 @@ from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs import DialogueEnv, SequencePolicy, measured
 from bbq_torchrl.envs.text import TextChannel
-from bbq_torchrl.language import Frame
+from bbq_torchrl.language import Frame, Understood
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.simulator import MeasuredErrors
 
@@ -21,29 +21,38 @@ PLACES = 40
 
 
 class Letters:
-    """Says frames as transcripts write them, understands them, and forgets what it is told to."""
+    """Says frames as transcripts write them, understands them, and forgets what it is told to.
 
-    def __init__(self, domain, forgets=()):
+    ``unsure`` says of some words how often it mishears them, and knows that it does.
+    """
+
+    def __init__(self, domain, forgets=(), unsure=lambda words: 0):
         self.lexicon = SimpleNamespace(key=lambda slot, value: value.replace(" ", ""))
-        self.forgets = forgets
+        self.forgets, self.unsure = forgets, unsure
         self.domain = domain
         self.said = []
 
     def user(self, frame, question=None, *, session=0, turn=0):
         self.frame = frame
-        self.said.append((str(frame), str(question), session))
+        self.sure = 1.0 if turn >= self.unsure(session) else 0.5
+        self.said.append((str(frame), str(question), session, turn))
         return str(frame)
+
+    def asks(self, understood):
+        return understood.confidence < 0.7 or bool(understood.unclear)
 
     def __call__(self, text, question=None):
         assert text == str(self.frame)
         informs = {s: v for s, v in self.frame.informs.items() if s not in self.forgets}
         requests = tuple(s for s in self.frame.requests if s not in self.forgets)
-        return SimpleNamespace(frame=Frame(self.frame.act, informs, requests))
+        if self.sure < 1:
+            return Understood(Frame("deny", {}, ("zip",)), self.sure)
+        return Understood(Frame(self.frame.act, informs, requests), self.sure)
 
 
-def channel_of(domain, **settings):
+def channel_of(domain, ask_below=None, **settings):
     letters = Letters(domain, **settings)
-    return TextChannel(tensorize(domain), letters, letters), letters
+    return TextChannel(tensorize(domain), letters, letters, ask_below), letters
 
 
 def played(domain, channel, turns=12):
@@ -80,7 +89,7 @@ def test_a_sentence_is_not_understood_twice_in_one_context(movie):
     for _ in range(2):
         list(played(movie, channel, turns=3))
     assert len(letters.said) == len(set(letters.said)) == channel.understood
-    assert channel.asked > 2 * channel.understood  # the second time says what the first did
+    assert channel.acts > 2 * channel.understood  # the second time says what the first did
 
 
 def test_what_is_not_heard_is_not_held_but_stays_what_the_user_wants(movie):
@@ -121,12 +130,51 @@ def test_another_spelling_of_a_value_is_the_value_that_was_said(movie):
     pairs = [(t, t.replace(" ", "")) for t in spaced]
     said, other = next((a, b) for a, b in pairs if texts.ids({"starttime": b})[slot])
     letters.__class__ = type(
-        "Spells", (Letters,), {"__call__": lambda *_: SimpleNamespace(frame=other_frame)}
+        "Spells", (Letters,), {"__call__": lambda *_: Understood(other_frame, 1.0)}
     )
     other_frame = Frame("inform", {"starttime": other})
     heard = channel._hear(Frame("inform", {"starttime": said}), None, 0)
-    assert heard[1 + slot] == texts.ids({"starttime": said})[slot]
-    assert heard[1 + slot] != texts.ids({"starttime": other})[slot]
+    assert heard[2 + slot] == texts.ids({"starttime": said})[slot]
+    assert heard[2 + slot] != texts.ids({"starttime": other})[slot]
+
+
+def test_who_is_asked_again_is_understood_and_takes_turns(movie):
+    channel, letters = channel_of(movie, unsure=lambda words: words % 3)
+    env = DialogueEnv(movie, batch_size=(PLACES,), channel=channel, seed=1)
+    state, greeting = env.reset(), movie.action_index("greeting")
+    rewards = torch.zeros(PLACES)
+    for _ in range(env.max_agent_turns):
+        before = env.dialogues
+        assert torch.equal(before["user_informs"], before["meant_informs"])
+        assert torch.equal(before["heard_act"], before["user_act"])
+        state["action"] = torch.full((PLACES,), greeting)
+        after = env.step(state)["next"]
+        # A dialogue that nobody ends has an act of each side more than max_turn allows.
+        spent = before["turn"] + 2 * before["repeats"]
+        assert torch.equal(env.dialogues["done"], before["done"] | (spent + 2 > 40))
+        rewards += after["reward"].squeeze(-1)
+        state = after
+    repeats = env.dialogues["repeats"]
+    assert state["done"].all()
+    # All turns but the last cost 1, and so does what was asked again; failing costs 10.
+    assert torch.equal(rewards, -(state["turns"].squeeze(-1) - 1 + repeats + 10).float())
+    asked = {(words % 3, turn) for _, _, words, turn in letters.said}
+    assert asked == {(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)}
+
+
+def test_after_asking_twice_it_acts_on_what_it_has(movie):
+    channel, letters = channel_of(movie, unsure=lambda words: 3)
+    repeats, act, *_ = channel._hear(Frame("inform", {"city": "reno"}), None, 0).tolist()
+    assert repeats == 2
+    assert channel.coding.acts[act] == "deny"  # as misheard as it is
+    assert [turn for *_, turn in letters.said] == [0, 1, 2]
+
+
+def test_asking_below_0_is_never_asking(movie):
+    channel, letters = channel_of(movie, ask_below=0, unsure=lambda words: 3)
+    for state in played(movie, channel, turns=3):
+        assert not state["repeats"].any()
+    assert {turn for *_, turn in letters.said} == {0}
 
 
 def test_a_slot_that_is_not_active_is_not_heard(movie):
@@ -145,6 +193,8 @@ def test_a_slot_that_is_not_active_is_not_heard(movie):
         (["env.errors=measured", "env.slot_error_prob=.1"], r"env\.slot_error_prob must be null"),
         (["env.errors=measured", "env.intent_error_prob=.1"], r"env\.intent_error_prob must be 0"),
         (["env.errors=measured", "env.slot_error_mode=slot"], r"env\.slot_error_mode must be val"),
+        (["env.ask_below=.9"], r"env\.ask_below must be null with env\.level=act"),
+        (["env.ask_below=2"], r"env\.ask_below must be"),
         (["env.errors=counted"], r"env\.errors must be one of drawn, measured, got 'counted'"),
     ],
 )

@@ -44,6 +44,12 @@ def test_a_short_file_is_enough(write, restaurant):
     assert Terms.of(study.terms.text()) == study.terms
 
 
+def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
+    terms = load_study(write(agents="{one: runs/1, two: runs/1}", ask_below="{two: .9}")).terms
+    assert terms.ask_below == {"two": 0.9}
+    assert Terms.of(terms.text()) == terms
+
+
 def test_one_agent_needs_no_pair(write):
     assert load_study(write(agents="{one: runs/1}", pairs="[]")).terms.sessions == 1
 
@@ -79,6 +85,9 @@ def test_one_agent_needs_no_pair(write):
         ({"goals": "all"}, "goals must be attainable or a list of numbers"),
         ({"domain": "nowhere"}, "domain must be movie or a domain's folder: "),
         ({"domain": "7"}, "domain must be movie or a domain's folder, got 7"),
+        ({"ask_below": "{three: .9}"}, "ask_below must map agents of the study to numbers between"),
+        ({"ask_below": "{one: 2}"}, "ask_below must map agents of the study to numbers between"),
+        ({"ask_below": ".9"}, "ask_below must map agents of the study to numbers between 0 and 1"),
         ({"color": "red"}, "'color' is not a key of a study; allowed are name, consent"),
     ],
 )

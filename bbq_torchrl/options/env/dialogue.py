@@ -62,6 +62,11 @@ class DialogueOption(EnvOption):
         "of dialogue acts: drawn with the probabilities above, or as counted where users spoke in "
         "sentences",
     )
+    ask_below: float | None = setting(
+        None,
+        optional(PROBABILITY, "the understanding's own, .7"),
+        "with level=text: confidence below which the system asks a user again; 0: never",
+    )
     max_turn: int = setting(40, integers(2), "turns of a dialogue, both sides counted")
     success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")
     failure_reward: float = setting(-10.0, REWARD, "reward of a dialogue that fails")
@@ -95,6 +100,11 @@ class DialogueOption(EnvOption):
             )
         if is_text and self.compile_turns:
             raise ConfigError("env.compile_turns must be false with env.level=text, got true")
+        if not is_text and self.ask_below is not None:
+            raise ConfigError(
+                f"env.ask_below must be null with env.level=act, where there are no sentences to "
+                f"ask about, got {self.ask_below}"
+            )
         if not is_text and self.errors == "drawn":
             return
         source = "env.level=text" if is_text else "env.errors=measured"
@@ -117,7 +127,7 @@ class DialogueOption(EnvOption):
             if self.level == "text":
                 from bbq_torchrl.envs.text import text_channel
 
-                return text_channel(domain)
+                return text_channel(domain, self.ask_below)
             if self.errors == "measured":
                 from bbq_torchrl.envs.measured import load_errors
 

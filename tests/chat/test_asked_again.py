@@ -1,0 +1,109 @@
+"""Asking again in a chat, and at the simulator's level of text: one rule."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("pycrfsuite", reason="needs the extra language")
+
+from bbq_torchrl.chat import Partner
+from bbq_torchrl.chat.simulated_user import SimulatedUser
+from bbq_torchrl.chat.terminal import as_act
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.envs.text import TextChannel
+from bbq_torchrl.language import Frame, Unclear, Understood
+from bbq_torchrl.language.asking import MOST_ASKS
+from bbq_torchrl.simulator import Simulator
+
+
+class Speaker:
+    """Says frames as transcripts write them, and how often it was asked again."""
+
+    def __init__(self, first=0):
+        self.first = first
+
+    def user(self, frame, question=None, *, session=0, turn=0):
+        return f"{session} {turn - self.first} {frame}"
+
+
+class Ears:
+    """Who hears some texts surely, some not, and of some one value in two ways."""
+
+    def __init__(self):
+        self.lexicon = SimpleNamespace(key=lambda slot, value: value)
+        self.questions = []
+
+    def __call__(self, text, question=None):
+        self.questions.append(str(question))
+        session, turn, frame = text.split(" ", 2)
+        kind = (int(session) + int(turn)) % 4
+        frame = Frame.parse(frame)
+        if kind == 1 and frame.informs:
+            slot, value = next(iter(frame.informs.items()))
+            rest = {other: known for other, known in frame.informs.items() if other != slot}
+            unclear = Unclear(slot, value[:3], (value, f"{value} 2"))
+            return Understood(Frame(frame.act, rest, frame.requests), 0.9, (unclear,))
+        return Understood(frame, (0.8, 0.9, 0.5, 0.9)[kind])
+
+    def asks(self, understood):
+        return understood.confidence < 0.7 or bool(understood.unclear)
+
+
+@pytest.mark.parametrize("below", [None, 0, 0.85])
+def test_the_level_of_text_hears_what_a_chat_hears(movie, agents, mouth, spelling, below):
+    simulator = Simulator(tensorize(spelling.domain))
+    ears, choices = Ears(), 0
+    partner = Partner(agents["bbqn"], ears, mouth, spelling, ask_below=below)
+    channel = TextChannel(simulator.domain, ears, Speaker(), below)
+    asked = set()
+    for goal in range(1, 13):
+        user = SimulatedUser(simulator, Speaker(first=1), goal, goal)
+        meant = user._meant()
+        answer, asks = partner.reply(None, user.say(None), 0), 0
+        while not answer.acted:
+            answer = partner.reply(answer.memory, user.say(as_act(answer.said)), 0)
+            asks += 1
+        in_chat = list(ears.questions)
+        ears.questions.clear()
+
+        times, act, *rest = channel._hear(meant, None, goal).tolist()
+        heard = channel.coding.frame(act, rest[: len(rest) // 2], rest[len(rest) // 2 :])
+        assert ears.questions == in_chat
+        assert (times, heard.informs) == (asks, answer.heard.informs)
+        assert set(heard.requests) == set(answer.heard.requests)
+        asked.add(asks)
+        choices += any("multiple_choice" in question for question in in_chat)
+        ears.questions.clear()
+    assert asked == ({0} if below == 0 else {0, 1, MOST_ASKS})
+    assert (choices > 0) == (below != 0)
+
+
+def test_what_was_asked_again_counts_as_turns_in_a_chat(agents, mouth, decided):
+    from .conftest import Acts
+
+    partner = Partner(agents["bbqn"], Acts(), mouth)
+    decided(partner.agent, *["request(city)"] * 4)
+    answers, memory = [], None
+    for text in ("inform(moviename=barbie)", "?", "?", "inform(city=reno)"):
+        answers.append(partner.reply(memory, text, 0))
+        memory = answers[-1].memory
+    assert [answer.ended for answer in answers] == ["", "", "", "turns"]  # it has 8 acts
+
+
+def test_a_partner_can_be_more_cautious_than_the_understanding(agents, mouth, decided):
+    from .conftest import Acts
+
+    class Unsure(Acts):
+        def __call__(self, text, question=None):
+            return Understood(super().__call__(text, question).frame, 0.8)
+
+    decided(agents["bbqn"], "request(city)")
+    acted = [
+        Partner(agents["bbqn"], Unsure(), mouth, ask_below=below)
+        .reply(None, "inform(moviename=barbie)", 0)
+        .acted
+        for below in (None, 0.9)
+    ]
+    assert acted == [True, False]
