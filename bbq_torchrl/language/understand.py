@@ -83,7 +83,7 @@ class Understander:
         domain: Domain,
         folder: str | Path | None = None,
         *,
-        sentences: int = 5_000,
+        sentences: int = 4_000,
         seed: int = 0,
         labeled: Sequence[Example] = (),
         threshold: float = 0.7,

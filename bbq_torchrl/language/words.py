@@ -16,6 +16,7 @@ _TOKEN = re.compile(
     r"|\d+(?=(?:st|nd|rd|th)\b)"  # 14 of "14th"
     r"|[ap]\.m\b\.?"
     r"|-?\d+(?![\w])"
+    r"|x(?=\d+\b)"  # x of "x2"
     r"|[^\W_]+(?:['’][^\W_]+)*"
     r"|[^\w\s]"
 )
