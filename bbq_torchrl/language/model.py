@@ -26,7 +26,6 @@ __all__ = ["Model", "Reading", "fit"]
 
 _BREAKS = frozenset((".", ";", "!", "?"))
 _MOST_CLAUSES = 6
-_RARELY = 8  # the tagger learns from one in so many sentences of simulated users
 _SURE = 0.75
 
 
@@ -136,8 +135,7 @@ def fit(
         phrases: whose nouns help.
         lexicon: whose names help.
         examples: the sentences.
-        simulated: sentences of simulated users, which the net learns from as well, and the tagger
-            from a few.
+        simulated: sentences that the net learns from as well, but the tagger does not.
         seed: of the net.
         steps: of the tagger's optimizer.
         epochs: of the net.
@@ -148,9 +146,7 @@ def fit(
     known = [word for word, count in words.items() if count > 1]
     features = Features(lexicon, phrases, known, domain.complete_slot)
     # "Friday or Saturday" informs of neither, which is not to be learned of the names.
-    named = [
-        e for e in (*examples, *simulated[::_RARELY]) if e.frame != Frame("inform")
-    ]
+    named = [e for e in examples if e.frame != Frame("inform")]
     tagger = Tagger.train(
         [features.of_words(e.words, e.question) for e in named],
         [e.tags for e in named],

@@ -40,6 +40,7 @@ _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
 _COPIES = 4  # at most, of each of people's sentences, with other values
 _PLAYED = 4  # sentences of simulated users to one of the grammar's own
+_TAGGED = 8  # the tagger learns from one in so many of these
 _FOLD = 3  # one in so many of people's sentences is set aside, to learn how sure to be
 _CUES = 7
 
@@ -119,7 +120,7 @@ class Understander:
 
             def learned(examples: Sequence[Example], users: Sequence[Example]) -> Model:
                 lines = spoiled(varied(examples, lexicon, surfaces, copies, seed), seed)
-                given = [*said, *lines]
+                given = [*said, *lines, *played[::_TAGGED]]
                 return fit(domain, phrases, lexicon, given, users, seed=seed, steps=60, epochs=14)
 
             model = learned(people, played)
