@@ -7,9 +7,11 @@ from collections import defaultdict
 from statistics import fmean, median
 
 from bbq_torchrl.evaluation.learning import rounds_to_reach
-from bbq_torchrl.evaluation.statistics import estimate
+from bbq_torchrl.evaluation.pairs import pair
+from bbq_torchrl.evaluation.statistics import estimate, summarize
+from bbq_torchrl.evaluation.table1 import find_cells
 from scripts.docs_blocks.common import RESULTS, block, code, read_csv, table
-from scripts.docs_blocks.results import groups
+from scripts.docs_blocks.results import DOMAINS, command, groups
 from scripts.docs_blocks.tables import success_rate
 
 LEVEL = 0.6
@@ -133,3 +135,25 @@ def _tried(file: str, end: str, name: str) -> str:
         rows.append(row)
     head = ("variant", "seeds", "cumulative", "paired difference", name, "paired difference")
     return table(head, rows, numbers=5)
+
+
+@block("learning.rate")
+def _rate() -> str:
+    """Returns agents of Table 1 with a learning rate that falls, by pairs with the constant one."""
+    rows, commands = [], []
+    for env, title in DOMAINS.items():
+        constant, falls = (find_cells(of, env) for of in (groups("table1"), groups("lr_falls")))
+        against = [(name, group, constant[name]) for name, group in falls.items()]
+        if {"BBQN-MAP", "DQN"} <= falls.keys():
+            against.append(("BBQN-MAP minus DQN, both falling", falls["BBQN-MAP"], falls["DQN"]))
+        for name, group, other in against:
+            differences = pair(group, other).differences
+            ends, learns = (
+                f"{differences[of].t:+.3f}" for of in ("final_success", "training_success")
+            )
+            finals = (f"{summarize(of.final).t:.3f}" for of in (other, group))
+            own = ("", "") if "minus" in name else finals
+            rows.append((title, name, *own, ends, learns))
+        commands += [command(run) for group in falls.values() for run in group.runs]
+    head = ("trained on", "agent", "constant", "falling", "by pairs", "of all training, by pairs")
+    return "\n\n".join([table(head, rows, numbers=4), "\n".join(["```bash", *commands, "```"])])
