@@ -106,6 +106,7 @@ class Codec:
             "agent_informs": self.values(tracker.agent_informs),
             "agent_requests": self.marks(tracker.agent_requests),
             "turn": dialogue.turn_count,
+            "repeats": 0,  # nobody is asked again about an act
             "done": dialogue.done,
             "success": dialogue.success,
             "reward": dialogue.reward,
