@@ -11,6 +11,7 @@ from bbq_torchrl.language import load_phrases
 from bbq_torchrl.language.extra import needed
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.quantities import read_count, read_date, read_price, read_time
+from bbq_torchrl.language.words import tokenize
 
 
 @pytest.mark.parametrize(
@@ -139,3 +140,15 @@ def test_the_package_and_its_language_import_without_the_extra():
         "import bbq_torchrl, bbq_torchrl.language"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("elvis x9?", ["elvis", "x", "9", "?"]),
+        ("X-Men x12", ["x", "-", "men", "x", "12"]),
+        ("x2y max 2x", ["x2y", "max", "2x"]),
+    ],
+)
+def test_a_count_after_x_is_a_word_of_its_own(text, words):
+    assert tokenize(text) == words
