@@ -6,12 +6,12 @@ import re
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains import NO_MATCH, RESERVED_TEXT
+from bbq_torchrl.language.counts import COUNT_WORDS
 from bbq_torchrl.language.frames import ANY, Frame, Unclear
+from bbq_torchrl.language.number_words import NUMBER_WORDS
 from bbq_torchrl.language.quantities import (
-    COUNT_WORDS,
     DAY_WORDS,
     MONTH_WORDS,
-    NUMBER_WORDS,
     ORDINAL_WORDS,
     PART_WORDS,
 )
@@ -167,8 +167,6 @@ def assemble(
     ]
     # Who says thanks, or bye, may add that something does not matter.
     told = [slot for slot, value in informs.items() if value != ANY]
-    by_chance = [domain.acts[index] for index in reading.acts.argsort(descending=True).tolist()]
-    act = by_chance[0]
     if act == "request" and not requests:
         likely = max(asked, key=lambda slot: asked[slot])
         if likely not in informs and (asked[likely] > 0.1 or not (informs or unclear)):
@@ -235,7 +233,7 @@ def _ties(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> tup
 
 def _named(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> dict[str, str]:
     """Returns the value of the slot asked for whose name, or amount, is somewhere in an answer."""
-    if question is None or question.requests[:1] == () or question.requests[0] not in lexicon.slots:
+    if question is None or not question.requests or question.requests[0] not in lexicon.slots:
         return {}
     slot = question.requests[0]
     is_count = lexicon.kinds[slot] == "count"

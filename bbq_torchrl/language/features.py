@@ -6,11 +6,11 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.language.counts import COUNT_WORDS
+from bbq_torchrl.language.number_words import NUMBER_WORDS
 from bbq_torchrl.language.quantities import (
-    COUNT_WORDS,
     DAY_WORDS,
     MONTH_WORDS,
-    NUMBER_WORDS,
     ORDINAL_WORDS,
     PART_WORDS,
     READERS,

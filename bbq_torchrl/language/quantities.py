@@ -1,4 +1,4 @@
-"""Times, dates, counts and prices: one canonical key for every way to say the same.
+"""Times, dates and prices, and kinds of quantity: one canonical key for every way to say the same.
 
 The same reader makes the keys of a domain's values and of what people type, so the two meet. A key
 is text: ``"at 19:30"``, ``"friday night"``, ``"3/14"``, ``"2"``, ``"$10"``.
@@ -10,7 +10,8 @@ import calendar
 import re
 from typing import TYPE_CHECKING, Literal
 
-from bbq_torchrl.language.number_words import ORDINALS, TENS, UNITS
+from bbq_torchrl.language.counts import read_count
+from bbq_torchrl.language.number_words import ORDINALS, TEN_WORDS, number_of
 from bbq_torchrl.language.words import tokenize
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ __all__ = [
     "READERS",
     "Kind",
     "kind_of",
-    "read_count",
     "read_date",
     "read_price",
     "read_time",
@@ -30,8 +30,6 @@ __all__ = [
 Kind = Literal["text", "time", "date", "count", "price"]
 KINDS: tuple[Kind, ...] = ("text", "time", "date", "count", "price")
 
-_TENS = {word: ten for ten, word in TENS.items()}
-_NUMBERS = {word: number for number, word in enumerate(UNITS)} | _TENS
 _ORDINALS = {word: number for number, word in enumerate(ORDINALS, 1)} | {"thirtieth": 30}
 _DAYS = tuple(day.lower() for day in calendar.day_name)
 _DAY = {day[:length]: day for day in _DAYS for length in (3, len(day))} | {
@@ -90,7 +88,6 @@ _TIME_FILLERS = frozenset(
         "exactly latest"
     ).split()
 )
-NUMBER_WORDS = frozenset(_NUMBERS)
 ORDINAL_WORDS = frozenset(_ORDINALS)
 DAY_WORDS = frozenset({*_DAY, *_TOMORROW, "today", "tonight", "weekend", "wknd", "week"})
 MONTH_WORDS = frozenset(_MONTH)
@@ -99,35 +96,7 @@ RELATION_WORDS = frozenset(
     ("after", "before", "around", "about", "past", "quarter", "half", "until")
 )
 
-_ALONE = {"alone", "myself", "single", "solo", "1x"}
-_COMPANIONS = frozenset(
-    (
-        "wife husband girlfriend boyfriend partner friend brother sister mother father mom dad son "
-        "mum daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
-        "grandmother neighbor neighbour gf bf hubby wifey bestie bro sis nephew niece grandpa "
-        "grandfather grandson granddaughter kid child mate pal roomie flatmate lady"
-    ).split()
-)
-_PAIRS = frozenset(("parents", "grandparents", "folks", "twins"))
-_COMPANIES = frozenset(
-    (
-        "friends buddies colleagues pals mates kids children sons daughters others more boys girls "
-        "brothers sisters cousins coworkers nephews nieces neighbors roommates"
-    ).split()
-)
-COUNT_WORDS = frozenset(
-    {*_NUMBERS, *_ALONE, *_COMPANIONS, *_COMPANIES, *_PAIRS}
-    | set("me my i our and & + plus n of us a couple pair both dozen half just only with".split())
-    | set(", w / go".split())
-)
 _CLOCK = re.compile(r"(\d{1,2})[:.h](\d\d)")
-
-
-def number_of(word: str) -> int | None:
-    """Returns the number that a word or at most four digits name, else ``None``."""
-    if word.isdecimal() and word.isascii():
-        return int(word) if len(word) <= 4 else None
-    return _NUMBERS.get(word)
 
 
 def read_time(text: str) -> str | None:
@@ -226,11 +195,11 @@ def _clock(words: list[str]) -> tuple[int, int, bool] | None:
         return None
     if (
         len(words) == 3
-        and words[1] in _TENS
+        and words[1] in TEN_WORDS
         and (unit := number_of(words[2])) is not None
         and unit < 10
     ):
-        return hour, _TENS[words[1]] + unit, False
+        return hour, TEN_WORDS[words[1]] + unit, False
     if (
         len(words) == 3
         and words[1] in ("oh", "o")
@@ -304,59 +273,13 @@ def _day_number(words: list[str]) -> int | None:
     words = [part for word in words for part in word.split("-") if part]
     if len(words) == 1:
         return _ORDINALS.get(words[0], number_of(words[0]))
-    if len(words) == 2 and words[0] in _TENS and words[1] in _ORDINALS and _ORDINALS[words[1]] < 10:
-        return _TENS[words[0]] + _ORDINALS[words[1]]
-    return None
-
-
-def read_count(text: str) -> str | None:
-    """Returns the key of a number of people, else ``None``.
-
-    Example:
-        >>> [read_count(t) for t in ("two", "me and my wife", "3 of my friends and me", "-3")]
-        ['2', '2', '4', None]
-    """
-    words = tokenize(text.replace("-", " ") if not re.search(r"-\s*\d", text) else text)
-    words = ["with" if word == "w" else word for word in words]
-    words = [re.sub(r"^x(?=\d+$)|(?<=\d)x$", "", word) for word in words]  # "2x", "x2"
-    numbers = [number for word in words if (number := number_of(word)) is not None]
-    if any(
-        re.fullmatch(r"-\d+", word) or (word.isdecimal() and number_of(word) is None)
-        for word in words
+    if (
+        len(words) == 2
+        and words[0] in TEN_WORDS
+        and words[1] in _ORDINALS
+        and _ORDINALS[words[1]] < 10
     ):
-        return None
-    has_me = any(word in ("me", "i", "my", "myself") for word in words)
-    if "dozen" in words:
-        return "6" if "half" in words else "12"
-    if len(numbers) > 1:
-        return None
-    if numbers:
-        is_plus = has_me and bool({"+", "plus"} & set(words))
-        is_plus |= (
-            bool(_COMPANIES & set(words)) and (has_me or "with" in words) and "us" not in words
-        )
-        total = numbers[0] + is_plus * (1 + sum(word in _COMPANIONS for word in words))
-        return str(total) if 0 < total <= 99 else None
-    if {"couple", "pair", "both"} & set(words):
-        return "2"
-    companions = sum((word in _COMPANIONS) + 2 * (word in _PAIRS) for word in words)
-    if companions and (has_me or "with" in words or words[:1] == ["a"]):
-        return str(1 + companions)
-    if _ALONE & set(words) or " ".join(words) in (
-        "me",
-        "just me",
-        "only me",
-        "for me",
-        "just for me",
-        "only for me",
-        "only i",
-        "just i",
-        "on my own",
-        "one",
-        "it's just for me",
-        "it's just me",
-    ):
-        return "1"
+        return TEN_WORDS[words[0]] + _ORDINALS[words[1]]
     return None
 
 

@@ -8,9 +8,10 @@ import pytest
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import load_phrases
+from bbq_torchrl.language.counts import read_count
 from bbq_torchrl.language.extra import needed
 from bbq_torchrl.language.lexicon import Lexicon
-from bbq_torchrl.language.quantities import read_count, read_date, read_price, read_time
+from bbq_torchrl.language.quantities import read_date, read_price, read_time
 from bbq_torchrl.language.words import tokenize
 
 

@@ -1,0 +1,83 @@
+"""Numbers of people: one canonical key for every way to say the same."""
+
+from __future__ import annotations
+
+import re
+
+from bbq_torchrl.language.number_words import NUMBER_WORDS, number_of
+from bbq_torchrl.language.words import tokenize
+
+__all__ = ["COUNT_WORDS", "read_count"]
+
+_ALONE = {"alone", "myself", "single", "solo", "1x"}
+_COMPANIONS = frozenset(
+    (
+        "wife husband girlfriend boyfriend partner friend brother sister mother father mom dad son "
+        "mum daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
+        "grandmother neighbor neighbour gf bf hubby wifey bestie bro sis nephew niece grandpa "
+        "grandfather grandson granddaughter kid child mate pal roomie flatmate lady"
+    ).split()
+)
+_PAIRS = frozenset(("parents", "grandparents", "folks", "twins"))
+_COMPANIES = frozenset(
+    (
+        "friends buddies colleagues pals mates kids children sons daughters others more boys girls "
+        "brothers sisters cousins coworkers nephews nieces neighbors roommates"
+    ).split()
+)
+COUNT_WORDS = frozenset(
+    {*NUMBER_WORDS, *_ALONE, *_COMPANIONS, *_COMPANIES, *_PAIRS}
+    | set("me my i our and & + plus n of us a couple pair both dozen half just only with".split())
+    | set(", w / go".split())
+)
+
+
+def read_count(text: str) -> str | None:
+    """Returns the key of a number of people, else ``None``.
+
+    Example:
+        >>> [read_count(t) for t in ("two", "me and my wife", "3 of my friends and me", "-3")]
+        ['2', '2', '4', None]
+    """
+    words = tokenize(text.replace("-", " ") if not re.search(r"-\s*\d", text) else text)
+    words = ["with" if word == "w" else word for word in words]
+    words = [re.sub(r"(?<=\d)x$", "", word) for word in words]  # "2x"
+    numbers = [number for word in words if (number := number_of(word)) is not None]
+    if any(
+        re.fullmatch(r"-\d+", word) or (word.isdecimal() and number_of(word) is None)
+        for word in words
+    ):
+        return None
+    has_me = any(word in ("me", "i", "my", "myself") for word in words)
+    if "dozen" in words:
+        return "6" if "half" in words else "12"
+    if len(numbers) > 1:
+        return None
+    if numbers:
+        is_plus = has_me and bool({"+", "plus"} & set(words))
+        is_plus |= (
+            bool(_COMPANIES & set(words)) and (has_me or "with" in words) and "us" not in words
+        )
+        total = numbers[0] + is_plus * (1 + sum(word in _COMPANIONS for word in words))
+        return str(total) if 0 < total <= 99 else None
+    if {"couple", "pair", "both"} & set(words):
+        return "2"
+    companions = sum((word in _COMPANIONS) + 2 * (word in _PAIRS) for word in words)
+    if companions and (has_me or "with" in words or words[:1] == ["a"]):
+        return str(1 + companions)
+    if _ALONE & set(words) or " ".join(words) in (
+        "me",
+        "just me",
+        "only me",
+        "for me",
+        "just for me",
+        "only for me",
+        "only i",
+        "just i",
+        "on my own",
+        "one",
+        "it's just for me",
+        "it's just me",
+    ):
+        return "1"
+    return None
