@@ -10,7 +10,7 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.study.outcome import Judge
-from bbq_torchrl.study.store import SCALES
+from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.talk import Exchange
 
 if TYPE_CHECKING:
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Goal
     from bbq_torchrl.study.plan import Study
-    from bbq_torchrl.study.store import Person, Session, Store, StoredExchange
+    from bbq_torchrl.study.records import Person, Session, StoredExchange
+    from bbq_torchrl.study.store import Store
     from bbq_torchrl.study.talk import Talker
 
 __all__ = ["MAX_TEXT", "Conversations", "RefusedError"]

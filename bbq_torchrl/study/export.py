@@ -10,7 +10,7 @@ import re
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.study.store import SCALES
+from bbq_torchrl.study.records import SCALES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from random import Random
 
-from bbq_torchrl.study.store import SCALES
+from bbq_torchrl.study.records import SCALES
 
 __all__ = ["RATING_RULE", "drawn_ratings"]
 

@@ -10,8 +10,8 @@ from bbq_torchrl.study.comparisons import compare_pairs
 from bbq_torchrl.study.export import export, write
 from bbq_torchrl.study.figures import draw_ratings, draw_success
 from bbq_torchrl.study.rating import RATING_RULE
+from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.statistics import auroc, kappa, mean, proportion
-from bbq_torchrl.study.store import SCALES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

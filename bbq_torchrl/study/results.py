@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.study.database import reading
 from bbq_torchrl.study.plan import Terms
-from bbq_torchrl.study.store import EXCHANGES, SCALES, stored_exchange
+from bbq_torchrl.study.records import EXCHANGES, SCALES, StoredExchange
 
 if TYPE_CHECKING:
     import sqlite3
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from bbq_torchrl.study.store import StoredExchange
 
 __all__ = ["Result", "Results", "read_results"]
 
@@ -187,7 +186,7 @@ def _sessions(connection: sqlite3.Connection, names: Mapping[int, str]) -> list[
             ratings=None if verdict is None else dict(zip(SCALES, scales, strict=True)),
             verdict=None if verdict is None else bool(verdict),
             exchanges=tuple(
-                stored_exchange(row)
+                StoredExchange.of(row)
                 for row in connection.execute(
                     f"{EXCHANGES} WHERE session = ? ORDER BY number", (number,)
                 )

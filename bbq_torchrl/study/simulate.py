@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from bbq_torchrl.study.plan import Study
-    from bbq_torchrl.study.store import Person, Session
+    from bbq_torchrl.study.records import Person, Session
     from bbq_torchrl.study.talk import Frame, Talker
 
 __all__ = ["User", "simulate"]

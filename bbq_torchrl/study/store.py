@@ -1,4 +1,4 @@
-"""What a study has stored: people, their sessions, what was said, and how they rated it."""
+"""Stores a study: who takes part, what is said, how it ends and how it is rated."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import json
 import secrets
 import time
 from base64 import urlsafe_b64encode
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import bbq_torchrl
 from bbq_torchrl.study.database import Database, StoreError
 from bbq_torchrl.study.design import assignments
 from bbq_torchrl.study.plan import Terms
-from bbq_torchrl.study.talk import Frame
+from bbq_torchrl.study.records import EXCHANGES, SCALES, Person, Session, StoredExchange
 
 if TYPE_CHECKING:
     import sqlite3
@@ -25,74 +25,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.study.outcome import Verdict
     from bbq_torchrl.study.talk import Reply
 
-__all__ = ["SCALES", "Person", "Session", "Store", "StoredExchange"]
-
-SCALES = ("overall", "naturalness", "coherence", "completion")
-"""What people rate from 1 to 5; the first is the paper's one figure."""
-
-
-@dataclass(frozen=True)
-class StoredExchange:
-    """A person's text and the agent's answer.
-
-    Attributes:
-        number: from 1.
-        at: when it was stored, seconds since 1970.
-        text: the person's.
-        answer: the agent's.
-        heard: what was understood.
-        said: the agent's act.
-        beliefs: the agent's, as plain data.
-        state: the talker's.
-    """
-
-    number: int
-    at: float
-    text: str
-    answer: str
-    heard: Frame
-    said: Frame
-    beliefs: Mapping[str, Any] | None
-    state: str
-
-
-@dataclass(frozen=True)
-class Session:
-    """A conversation that a person has, or is to have.
-
-    Attributes:
-        id: in the file.
-        position: among the person's sessions, from 1.
-        agent: its name.
-        goal: number of the goal in the domain, from 1.
-        is_ended: nothing more is said.
-        is_rated: the person has rated it.
-    """
-
-    id: int
-    position: int
-    agent: str
-    goal: int
-    is_ended: bool
-    is_rated: bool
-
-
-@dataclass(frozen=True)
-class Person:
-    """Somebody who takes part.
-
-    Attributes:
-        id: in the file.
-        sessions: first to last.
-    """
-
-    id: int
-    sessions: tuple[Session, ...]
-
-    @property
-    def current(self) -> Session | None:
-        """The first session that is not rated; ``None`` after the last."""
-        return next((session for session in self.sessions if not session.is_rated), None)
+__all__ = ["Store"]
 
 
 class Store:
@@ -220,7 +153,7 @@ class Store:
             """,
             _hashed(token),
         )
-        sessions = tuple(_session(row[1:]) for row in rows)
+        sessions = tuple(Session.of(row[1:]) for row in rows)
         return Person(rows[0][0], sessions) if rows else None
 
     def _idle_since(self, now: float) -> float:
@@ -231,7 +164,7 @@ class Store:
     def exchanges(self, session: int) -> list[StoredExchange]:
         """Returns what was said in a session, first to last."""
         return [
-            stored_exchange(row)
+            StoredExchange.of(row)
             for row in self._database.rows(
                 f"{EXCHANGES} WHERE session = ? ORDER BY number", session
             )
@@ -344,29 +277,14 @@ class Store:
             "FROM session LEFT JOIN rating ON rating.session = session.id WHERE session.id = ?",
             number,
         )
-        return _session(rows[0]) if rows else None
+        return Session.of(rows[0]) if rows else None
 
-
-EXCHANGES = "SELECT number, at, text, answer, heard, said, beliefs, state FROM exchange"
 
 _IS_FINISHED = """NOT EXISTS (
     SELECT 1 FROM session LEFT JOIN rating ON rating.session = session.id
     WHERE session.person = person.id AND rating.session IS NULL
 )"""
 _HELD = f"SELECT DISTINCT place FROM person WHERE active > ? OR {_IS_FINISHED}"
-
-
-def stored_exchange(row: tuple[Any, ...]) -> StoredExchange:
-    """Returns the exchange in a row of :data:`EXCHANGES`."""
-    number, at, text, answer, heard, said, beliefs, state = row
-    frames = Frame.of(json.loads(heard)), Frame.of(json.loads(said))
-    content = None if beliefs is None else json.loads(beliefs)
-    return StoredExchange(number, at, text, answer, *frames, content, state)
-
-
-def _session(row: tuple[Any, ...]) -> Session:
-    number, position, agent, goal, is_ended, is_rated = row
-    return Session(number, position, agent, goal, bool(is_ended), bool(is_rated))
 
 
 def _end(

@@ -19,7 +19,7 @@ from bbq_torchrl.study.conversations import MAX_TEXT, Conversations, RefusedErro
 from bbq_torchrl.study.database import StoreError
 from bbq_torchrl.study.guard import BODY_SECONDS, Guard
 from bbq_torchrl.study.pages import STATIC_FILES, bars, card, render, static
-from bbq_torchrl.study.store import SCALES
+from bbq_torchrl.study.records import SCALES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from starlette.requests import Request
 
     from bbq_torchrl.study.plan import Study
-    from bbq_torchrl.study.store import Person, Store
+    from bbq_torchrl.study.records import Person
+    from bbq_torchrl.study.store import Store
     from bbq_torchrl.study.talk import Talker
 
 __all__ = ["JOIN", "RESEARCHER", "application"]

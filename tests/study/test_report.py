@@ -15,9 +15,10 @@ from bbq_torchrl.study.__main__ import main
 from bbq_torchrl.study.comparisons import compare_pairs
 from bbq_torchrl.study.export import defused, export, without_names
 from bbq_torchrl.study.outcome import Verdict
+from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.report import report_text, write_report
 from bbq_torchrl.study.results import read_results
-from bbq_torchrl.study.store import SCALES, Store
+from bbq_torchrl.study.store import Store
 
 from .fakes import FakeTalker
 

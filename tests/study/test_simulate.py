@@ -10,12 +10,14 @@ from statistics import fmean
 import pytest
 
 from bbq_torchrl.study.__main__ import main
+from bbq_torchrl.study.database import StoreError
 from bbq_torchrl.study.export import export
 from bbq_torchrl.study.rating import RATING_RULE, drawn_ratings
+from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.report import report_text
 from bbq_torchrl.study.results import read_results
 from bbq_torchrl.study.simulate import simulate
-from bbq_torchrl.study.store import SCALES, Store, StoreError
+from bbq_torchrl.study.store import Store
 
 from .conftest import STUDY
 from .fakes import FakeTalker, script

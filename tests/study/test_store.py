@@ -11,7 +11,8 @@ from bbq_torchrl.study import database
 from bbq_torchrl.study.database import Database, StoreError, reading
 from bbq_torchrl.study.outcome import Verdict
 from bbq_torchrl.study.plan import StudyError
-from bbq_torchrl.study.store import SCALES, Store
+from bbq_torchrl.study.records import SCALES
+from bbq_torchrl.study.store import Store
 
 from .fakes import AGENTS, FakeTalker
 
