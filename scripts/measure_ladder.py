@@ -8,6 +8,8 @@ Commands and answers are kept; ``scripts/write_docs.py`` tabulates them.
     python scripts/measure_ladder.py                         everything, 10,000 dialogues each
     python scripts/measure_ladder.py --rung text measured    these rungs alone; the others stay
     python scripts/measure_ladder.py --dialogues 2500        fewer
+    python scripts/measure_ladder.py --policy runs/a runs/b --file results/own.json
+                                                             runs of your own, into another file
 """
 
 from __future__ import annotations
@@ -28,12 +30,12 @@ POLICIES = ("rule", "careful", "shipped:bbqn_map", "shipped:dqn")
 """Who is measured."""
 
 RUNGS = {
-    "no errors": "env.slot_error_prob=0",
-    "reference": "",
+    "no errors": "env.errors=drawn env.slot_error_prob=0",
+    "reference": "env.errors=drawn",
     "measured": "env.errors=measured",
-    "text": "env.level=text",
-    "text, never asking": "env.level=text env.ask_below=0",
-    "text, cautious": "env.level=text env.ask_below=.9",
+    "text": "env.errors=drawn env.level=text",
+    "text, never asking": "env.errors=drawn env.level=text env.ask_below=0",
+    "text, cautious": "env.errors=drawn env.level=text env.ask_below=.9",
 }
 """Rung -> what the command line says of it, from the easiest on."""
 
@@ -50,19 +52,21 @@ def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
 def main() -> None:
     """Measures, and keeps what was measured before and is not to be measured now."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--policy", nargs="+", choices=POLICIES, help="these alone")
+    parser.add_argument("--policy", nargs="+", default=POLICIES, help="these alone")
     parser.add_argument("--rung", nargs="+", choices=RUNGS, help="these rungs alone")
     parser.add_argument("--dialogues", type=int, default=10_000, help="of each measurement")
+    parser.add_argument("--file", type=Path, default=FILE, help="what is written")
     given = parser.parse_args()
-    before = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else []
+    before = json.loads(given.file.read_text(encoding="utf-8")) if given.file.is_file() else []
     known = {(entry["policy"], entry["rung"]): entry for entry in before}
-    order = [(policy, rung) for policy in POLICIES for rung in RUNGS]
+    policies = dict.fromkeys([*(policy for policy, _ in known), *given.policy])
+    order = [(policy, rung) for policy in policies for rung in RUNGS]
     for policy, rung in order:
-        if policy in (given.policy or POLICIES) and rung in (given.rung or RUNGS):
+        if policy in given.policy and rung in (given.rung or RUNGS):
             known[policy, rung] = measure(policy, rung, given.dialogues)
             sys.stdout.write(f"{policy}, {rung}: {known[policy, rung]['result']}\n")
             entries = [known[item] for item in order if item in known]
-            FILE.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+            given.file.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -7,11 +7,13 @@ import re
 import shlex
 import shutil
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import yaml
 
 from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.statistics import summarize
 from bbq_torchrl.shipped import PREFIX, SHIPPED, shipped_agents
 from scripts.docs_blocks.common import (
     FIGURES,
@@ -23,9 +25,6 @@ from scripts.docs_blocks.common import (
     read_json,
     table,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["copy_figures", "success_rate"]
 
@@ -112,6 +111,24 @@ def _cautious() -> str:
                 rows.append((code(policy), asks, *shown, f"{result['dialogues']:,}"))
     head = ("policy", "asks again", "success", "reward", "turns", "asked again", "dialogues")
     return table(head, rows, numbers=5)
+
+
+@block("language.trained")
+def _trained() -> str:
+    """Returns what training on counted errors gives on each rung, by pairs of replicas."""
+    found = {
+        (Path(entry["policy"]).name, entry["rung"]): entry["result"]["success_rate_per_replica"]
+        for entry in read_json("trained_on_errors.json")
+    }
+    rows = []
+    for rung in dict.fromkeys(rung for _, rung in found):
+        own, other = found["bbqn_measured", rung], found["bbqn_reference", rung]
+        gain = [a - b for a, b in zip(own, other, strict=True)]
+        rows.append(
+            (rung, *(summarize(rates).t for rates in (own, other)), f"{summarize(gain).t:+.3f}")
+        )
+    head = ("played with", "trained with counted errors", "with the reference's", "difference")
+    return table(head, rows, numbers=3)
 
 
 @block("shipped")
