@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING
 
@@ -152,51 +153,76 @@ def assemble(
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
         return Frame("inform", dict(checked)), ()
-    is_open = [slot for slot in domain.slots if slot not in informs]
-    chances = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
-    if reading.unknown < 1.0:  # Words that nobody has heard of say nothing.
-        informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
-    if act == "inform" and question is not None and not (informs or unclear):
-        # Who answers and names nothing does not care, if that is at all likely.
-        likely = max(lexicon.slots, key=lambda slot: chances[slot])
-        if chances[likely] > _RATHER and reading.unknown < 1.0:
-            informs = {likely: ANY}
+    if reading.unknown == 1.0 and question and question.requests and not (informs or unclear):
+        if act not in ("inform", "request", "confirm_question"):
+            # Words that nobody has heard of answer the question: a name that is not known.
+            act, unclear = "inform", (Unclear(question.requests[0], " ".join(words)),)
+            return Frame(act), unclear
+    return _decided(words, reading, question, domain, lexicon, informs, unclear), unclear
+
+
+def _decided(
+    words: Sequence[str],
+    reading: Reading,
+    question: Frame | None,
+    domain: Domain,
+    lexicon: Lexicon,
+    told: dict[str, str],
+    unclear: tuple[Unclear, ...],
+) -> Frame:
+    """Returns the likeliest frame that the labeling guide allows, given the values told."""
     asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
-    requests = [
-        slot for slot, chance in asked.items() if chance > (_ALSO if slot in informs else 0.5)
-    ]
-    # Who says thanks, or bye, may add that something does not matter.
-    told = [slot for slot, value in informs.items() if value != ANY]
-    if act == "request" and not requests:
-        likely = max(asked, key=lambda slot: asked[slot])
-        if likely not in informs and (asked[likely] > 0.1 or not (informs or unclear)):
-            requests = [likely]
-        elif informs or unclear:
-            act = "inform"
-    elif (
-        act not in ("inform", "request", "confirm_question") and (told or unclear) and not requests
-    ):
-        act = "inform"
-    elif (
-        question is not None
-        and question.requests
-        and reading.unknown == 1.0
-        and not (requests or informs or unclear)
-    ):
-        # Words that nobody has heard of answer the question: a name that is not known.
-        act, unclear = "inform", (Unclear(question.requests[0], " ".join(words)),)
-    elif requests and act not in ("request", "inform", "thanks", "deny", "closing"):
-        act = "request"
-    is_sure = reading.acts.max().item() > _SURE_ACT
-    if requests and act == "inform" and (question is None or not (informs or unclear or is_sure)):
-        act = "request"
-    if act == "thanks" and requests and not _is_offer(question, domain):
-        act = "request"
-    if act == "request" and requests and not told and _accepts(words, question, domain):
-        act = "thanks"
-    if act == "thanks" and told:
-        act = "request" if requests else "inform"
-    return Frame(act, informs, tuple(requests)), unclear
+    cares = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
+    requests = tuple(s for s, chance in asked.items() if chance > (_ALSO if s in told else 0.5))
+    is_known = reading.unknown < 1.0  # Words that nobody has heard of say nothing.
+    open_ = [slot for slot in lexicon.slots if slot not in told]
+    free = {slot: ANY for slot in open_ if is_known and cares[slot] > 0.5}
+    has_content = bool(told or unclear)
+    is_offer = question is not None and domain.complete_slot in question.informs
+    likely = max((s for s in asked if s not in told), key=lambda s: asked[s])
+    before = question.informs if question is not None else {}
+    is_repeated = all(lexicon.key(s, before.get(s, "")) == lexicon.key(s, told[s]) for s in told)
+    lost = sum(_odds(asked[slot]) for slot in requests)
+    scores = {}
+    for act, score in zip(domain.acts, reading.acts.tolist(), strict=True):
+        if act == "request":
+            score += 0.0 if requests else _odds(asked[likely])
+        elif act == "inform":
+            if requests and (question is None or not (has_content or free)):
+                continue
+            if not (has_content or free) and question is None:
+                score -= 1.0
+        elif told or unclear:
+            if act == "confirm_question":
+                score -= lost
+            elif act not in ("thanks", "deny") or requests or unclear or not is_repeated:
+                continue  # "Nine thirty is fine", and nothing else, agrees to nine thirty.
+        elif act == "confirm_question":
+            score -= lost
+        elif act not in ("thanks", "deny", "closing") or (act == "thanks" and not is_offer):
+            score -= lost
+        scores[act] = score
+    act = max(scores, key=lambda name: scores[name])
+    if act in ("thanks", "deny"):
+        told = {}
+    if act == "request":
+        requests = requests or (likely,)
+        if not told and _accepts(words, question, domain):
+            act = "thanks"
+    elif act not in ("inform", "deny", "closing") and not (act == "thanks" and is_offer):
+        requests = ()
+    if act == "inform" and question is not None and not (has_content or free or requests):
+        # Who answers and names nothing does not care, if that is at all likely.
+        best = max(lexicon.slots, key=lambda slot: cares[slot])
+        if cares[best] > _RATHER and is_known:
+            free = {best: ANY}
+    return Frame(act, told | free, requests)
+
+
+def _odds(chance: float) -> float:
+    """Returns the log-odds of a chance."""
+    chance = min(max(chance, 1e-4), 1 - 1e-4)
+    return math.log(chance / (1 - chance))
 
 
 def _short_answer(
@@ -316,6 +342,10 @@ def _values(
         keys = {lexicon.key(slot, value): value for link in known for value in link[1]}
         if len(keys) > 1:
             keys = _narrowed(slot, keys, known, lexicon)
+        if len(keys) > 1 and question is not None and slot in question.informs:
+            # "Tulsa? I live in Tucson": what the agent has said is repeated to be denied.
+            keys.pop(lexicon.key(slot, question.informs[slot]), None)
+            known = [link for link in known if lexicon.key(slot, link[1][0]) in keys] or known
         if len(keys) == 1:
             informs[slot] = known[-1][1][0] if len(known[-1][1]) == 1 else next(iter(keys.values()))
         else:

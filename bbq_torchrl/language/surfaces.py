@@ -197,12 +197,11 @@ class Surfaces:
             if word.capitalize() in calendar.day_name and rng.random() < 0.4:
                 words[index] = rng.choice((word[:3], word[:4].rstrip("n"), word))
             elif word == "tomorrow":
-                words[index] = rng.choice(("tomorrow", "tmrw", "tomorow", "tommorrow", "tmw"))
+                words[index] = rng.choice(("tomorrow", "tomorow", "tommorrow"))
         if key == "today night":
             return rng.choice(
                 (
                     "tonight",
-                    "tonite",
                     "today night",
                     "today in the night",
                     "today at night",
