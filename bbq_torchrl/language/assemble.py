@@ -29,45 +29,17 @@ if TYPE_CHECKING:
 __all__ = ["assemble", "chosen"]
 
 _CORRECTS = frozenset(
-    [
-        "no",
-        "not",
-        "nope",
-        "nah",
-        "actually",
-        "instead",
-        "rather",
-        "better",
-        "sorry",
-        "wait",
-        "meant",
-        "mean",
-        "wrong",
-    ]
+    "no not nope nah actually instead rather better sorry wait meant mean wrong".split()
 )
 _CONCLUDES = frozenset(
-    "so let's lets makes otherwise prefer better please but now want wants need then".split()
+    "so let's lets make makes put give otherwise prefer better please but now want wants need "
+    "then".split()
 )
 _REASONS = frozenset(("since", "because", "although", "though", "unless", "cause", "cuz", "as"))
 _NOT = frozenset(("not", "isn't", "isnt", "except", "anything"))
-_ORDER = {
-    "first": 0,
-    "former": 0,
-    "1st": 0,
-    "second": 1,
-    "2nd": 1,
-    "third": 2,
-    "3rd": 2,
-    "fourth": 3,
-    "last": -1,
-    "latter": -1,
-    "1": 0,
-    "2": 1,
-    "3": 2,
-    "4": 3,
-    "one": 0,
-    "two": 1,
-}
+_PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
+_ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
+_ORDER |= {"last": -1, "latter": -1}
 _COUNTS = NUMBER_WORDS | frozenset("me i with alone myself couple pair both dozen".split())
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
 _NO_MATCH = RESERVED_TEXT[NO_MATCH]
@@ -81,7 +53,7 @@ _ALSO = 0.7  # "what is there in the evening?" tells the time and asks for it
 _RATHER = 0.1
 _FAINT = 0.3
 _LEAST_LETTERS = 4
-_SURE_ACT = -0.25  # log-probability
+_ABOUT_VALUES = ("inform", "request", "confirm_question")
 _ANY = frozenset(("any", "anything", "whatever", "either"))
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
@@ -153,11 +125,10 @@ def assemble(
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
         return Frame("inform", dict(checked)), ()
-    if reading.unknown == 1.0 and question and question.requests and not (informs or unclear):
-        if act not in ("inform", "request", "confirm_question"):
-            # Words that nobody has heard of answer the question: a name that is not known.
-            act, unclear = "inform", (Unclear(question.requests[0], " ".join(words)),)
-            return Frame(act), unclear
+    is_strange = reading.unknown == 1.0 and not (informs or unclear)
+    if is_strange and act not in _ABOUT_VALUES and question is not None and question.requests:
+        # Words that nobody has heard of answer the question: a name that is not known.
+        return Frame("inform"), (Unclear(question.requests[0], " ".join(words)),)
     return _decided(words, reading, question, domain, lexicon, informs, unclear), unclear
 
 
@@ -182,6 +153,7 @@ def _decided(
     likely = max((s for s in asked if s not in told), key=lambda s: asked[s])
     before = question.informs if question is not None else {}
     is_repeated = all(lexicon.key(s, before.get(s, "")) == lexicon.key(s, told[s]) for s in told)
+    keeps = {"deny", "closing", *(["thanks"] if is_offer else [])}  # may ask something besides
     lost = sum(_odds(asked[slot]) for slot in requests)
     scores = {}
     for act, score in zip(domain.acts, reading.acts.tolist(), strict=True):
@@ -190,16 +162,10 @@ def _decided(
         elif act == "inform":
             if requests and (question is None or not (has_content or free)):
                 continue
-            if not (has_content or free) and question is None:
-                score -= 1.0
-        elif told or unclear:
-            if act == "confirm_question":
-                score -= lost
-            elif act not in ("thanks", "deny") or requests or unclear or not is_repeated:
+        elif has_content and act != "confirm_question":
+            if act not in ("thanks", "deny") or requests or unclear or not is_repeated:
                 continue  # "Nine thirty is fine", and nothing else, agrees to nine thirty.
-        elif act == "confirm_question":
-            score -= lost
-        elif act not in ("thanks", "deny", "closing") or (act == "thanks" and not is_offer):
+        elif act not in keeps:
             score -= lost
         scores[act] = score
     act = max(scores, key=lambda name: scores[name])
@@ -209,7 +175,7 @@ def _decided(
         requests = requests or (likely,)
         if not told and _accepts(words, question, domain):
             act = "thanks"
-    elif act not in ("inform", "deny", "closing") and not (act == "thanks" and is_offer):
+    elif act != "inform" and act not in keeps:
         requests = ()
     if act == "inform" and question is not None and not (has_content or free or requests):
         # Who answers and names nothing does not care, if that is at all likely.
@@ -284,10 +250,6 @@ def _accepts(words: Sequence[str], question: Frame | None, domain: Domain) -> bo
     return words[0] in _YES
 
 
-def _is_offer(question: Frame | None, domain: Domain) -> bool:
-    return question is not None and domain.complete_slot in question.informs
-
-
 def _values(
     words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
@@ -298,9 +260,9 @@ def _values(
     concluded: set[str] = set()
     for slot, start, end in spans_of(reading.tags):
         text = " ".join(words[start:end])
-        if lexicon.kinds[slot] == "count" and words[start - 1 : start] in (["with"], ["/"]):
-            end += words[end : end + 1] == ["friends"]
-            text = f"with {' '.join(words[start:end])}"  # "with 5 friends" are six
+        if lexicon.kinds[slot] == "count":
+            start, end = _company(slot, words, start, end, lexicon)
+            text = " ".join(words[start:end])
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
@@ -351,6 +313,22 @@ def _values(
         else:
             unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
     return informs, tuple(unclear)
+
+
+def _company(
+    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
+) -> tuple[int, int]:
+    """Returns where the whole of a number of people stands: "with my two" brothers is three."""
+    first, last = start, end
+    while first > 0 and words[first - 1] in COUNT_WORDS:
+        first -= 1
+    while last < len(words) and words[last] in COUNT_WORDS:
+        last += 1
+    for at in range(first, start + 1):
+        for stop in range(last, end - 1, -1):
+            if len(lexicon.link(slot, " ".join(words[at:stop])).values) == 1:
+                return at, stop
+    return start, end
 
 
 def _or(

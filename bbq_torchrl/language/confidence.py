@@ -60,7 +60,7 @@ def _sure(chances: torch.Tensor) -> float:
 
 
 def probability(cues: np.ndarray, weights: np.ndarray) -> float:
-    """Returns the probability that a frame is right, of its cues ``[CUES]`` and weights ``[CUES]``."""
+    """Returns the probability that a frame is right, of its cues and their weights ``[CUES]``."""
     logit = float(cues @ weights)
     return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
 
@@ -68,7 +68,7 @@ def probability(cues: np.ndarray, weights: np.ndarray) -> float:
 def fit_confidence(
     grammar: tuple[np.ndarray, np.ndarray], people: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """Returns the weights ``[CUES]`` of a logistic regression from cues to whether a frame is right.
+    """Returns the weights ``[CUES]`` of a logistic regression from cues to what is right.
 
     Sentences of people are few, so they only move the weights that the grammar's sentences give.
 

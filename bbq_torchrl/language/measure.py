@@ -28,6 +28,7 @@ VOICES = ("terse", "chatty", "nonnative")
 _FILLS = 4
 _TYPOS = 0.1
 _DRAWS = 5
+_CHANCES = 200
 
 
 @dataclass
@@ -70,15 +71,16 @@ class Score:
     @property
     def calibration_error(self) -> float:
         """The expected calibration error in ten bins of confidence."""
-        bins: dict[int, list[tuple[float, bool]]] = {}
-        for confidence, is_right in zip(self.confidences, self.frames, strict=True):
-            bins.setdefault(min(int(confidence * 10), 9), []).append((confidence, is_right))
-        gaps = [
-            len(members)
-            * abs(statistics.fmean(c for c, _ in members) - statistics.fmean(r for _, r in members))
-            for members in bins.values()
-        ]
-        return sum(gaps) / len(self.frames)
+        return _calibration_error(self.confidences, self.frames)
+
+    @property
+    def calibration_floor(self) -> float:
+        """The mean calibration error by chance alone, if each confidence were true."""
+        rng = random.Random(0)
+        return statistics.fmean(
+            _calibration_error(self.confidences, [rng.random() < c for c in self.confidences])
+            for _ in range(_CHANCES)
+        )
 
     @property
     def answered(self) -> float:
@@ -90,6 +92,14 @@ class Score:
         """The share of frames exactly right among the answered ones."""
         kept = [right for right, asked in zip(self.frames, self.asked, strict=True) if not asked]
         return statistics.fmean(kept) if kept else 1.0
+
+
+def _calibration_error(confidences: Sequence[float], right: Sequence[bool]) -> float:
+    bins: dict[int, float] = {}
+    for confidence, is_right in zip(confidences, right, strict=True):
+        number = min(int(confidence * 10), 9)
+        bins[number] = bins.get(number, 0.0) + confidence - is_right
+    return sum(map(abs, bins.values())) / len(right)
 
 
 def score(
@@ -196,6 +206,7 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
         "answered": whole.answered,
         "right_of_answered": whole.right_of_answered,
         "calibration_error": whole.calibration_error,
+        "calibration_floor": whole.calibration_floor,
         "held_out_sentences": len(later.frames),
         "held_out_frame": later.frame,
         "held_out_slot_f1": later.slot_f1,
@@ -203,6 +214,7 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
         "held_out_answered": later.answered,
         "held_out_right_of_answered": later.right_of_answered,
         "held_out_calibration_error": later.calibration_error,
+        "held_out_calibration_floor": later.calibration_floor,
         "typos_cost_slot_f1": whole.slot_f1 - statistics.fmean(s.slot_f1 for s in typed),
         "lowered_cost_slot_f1": whole.slot_f1 - score(understand, lines, lowered).slot_f1,
         "other_hand_slot_f1": score(

@@ -28,30 +28,7 @@ _SLANG = dict(
         "i'll:ill"
     ).split()
 )
-DROPPED = frozenset(
-    [
-        "the",
-        "a",
-        "an",
-        "to",
-        "is",
-        "are",
-        "do",
-        "does",
-        "of",
-        "on",
-        "at",
-        "in",
-        "it",
-        "i",
-        "me",
-        "we",
-        "would",
-        "can",
-        "for",
-        "there",
-    ]
-)
+DROPPED = frozenset("the a an to is are do does of on at in it i me we would can for there".split())
 _SWAPPED = {
     word: tuple(others.split(","))
     for word, others in (

@@ -41,7 +41,7 @@ _CALM = 0.3  # sentences of the grammar are more crowded than those of people
 _COPIES = 4  # at most, of each of people's sentences, with other values
 _PLAYED = 4  # sentences of simulated users to one of the grammar's own
 _TAGGED = 8  # the tagger learns from one in so many of these
-_SHARE = 2  # the smaller models learn from one in so many of the grammar's sentences
+_SHARE = 4  # the smaller models learn from one in so many of the grammar's sentences
 _FOLDS = 2  # parts of people's sentences, each understood by a model of the others
 
 
@@ -119,7 +119,7 @@ class Understander:
 
             def learned(examples: Sequence[Example], share: int) -> Model:
                 """Returns a model of people's sentences and of one in ``share`` of the others."""
-                copies = min(_COPIES, sentences // share // max(len(examples), 1))
+                copies = min(_COPIES, round(sentences / share / max(2 * len(examples), 1)))
                 lines = spoiled(varied(examples, lexicon, surfaces, copies, seed), seed)
                 given = [*said[::share], *lines, *played[:: _TAGGED * share]]
                 users = played[:: share * share]
@@ -179,7 +179,7 @@ class Understander:
         return frame, unclear, cues_of(reading, frame, chance, unclear, is_steady)
 
     def _judged(self, sentences: Sequence[Example]) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the cues ``[N, CUES]`` of sentences, and whether their frames are right ``[N]``."""
+        """Returns the cues ``[N, CUES]`` of sentences, and which frames are right ``[N]``."""
         rows, right = [], []
         for example in sentences:
             frame, _, cues = self._hear(example.words, example.question)
