@@ -219,7 +219,7 @@ def test_repeating_what_the_agent_told_agrees_to_it(understand):
 
 
 def test_a_number_of_people_is_read_with_the_company_around_it(understand):
-    words = "with my three brothers".split()
+    words = ["with", "my", "three", "brothers"]
     reading = replace(_sure_of("inform"), tags=[OUTSIDE, OUTSIDE, "numberofpeople", OUTSIDE])
     reading = replace(reading, each_chance=[1.0] * 4)
     frame, _ = assemble(words, reading, None, movie_domain(), understand.lexicon)
