@@ -84,7 +84,7 @@ class Understander:
         domain: Domain,
         folder: str | Path | None = None,
         *,
-        sentences: int = 4_000,
+        sentences: int = 3_600,
         seed: int = 0,
         labeled: Sequence[Example] = (),
         threshold: float = 0.7,
