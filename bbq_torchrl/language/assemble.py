@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING
 
@@ -28,45 +29,17 @@ if TYPE_CHECKING:
 __all__ = ["assemble", "chosen"]
 
 _CORRECTS = frozenset(
-    [
-        "no",
-        "not",
-        "nope",
-        "nah",
-        "actually",
-        "instead",
-        "rather",
-        "better",
-        "sorry",
-        "wait",
-        "meant",
-        "mean",
-        "wrong",
-    ]
+    "no not nope nah actually instead rather better sorry wait meant mean wrong".split()
 )
 _CONCLUDES = frozenset(
-    "so let's lets makes otherwise prefer better please but now want wants need then".split()
+    "so let's lets make makes put give otherwise prefer better please but now want wants need "
+    "then".split()
 )
 _REASONS = frozenset(("since", "because", "although", "though", "unless", "cause", "cuz", "as"))
 _NOT = frozenset(("not", "isn't", "isnt", "except", "anything"))
-_ORDER = {
-    "first": 0,
-    "former": 0,
-    "1st": 0,
-    "second": 1,
-    "2nd": 1,
-    "third": 2,
-    "3rd": 2,
-    "fourth": 3,
-    "last": -1,
-    "latter": -1,
-    "1": 0,
-    "2": 1,
-    "3": 2,
-    "4": 3,
-    "one": 0,
-    "two": 1,
-}
+_PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
+_ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
+_ORDER |= {"last": -1, "latter": -1}
 _COUNTS = NUMBER_WORDS | frozenset("me i with alone myself couple pair both dozen".split())
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
 _NO_MATCH = RESERVED_TEXT[NO_MATCH]
@@ -80,7 +53,7 @@ _ALSO = 0.7  # "what is there in the evening?" tells the time and asks for it
 _RATHER = 0.1
 _FAINT = 0.3
 _LEAST_LETTERS = 4
-_SURE_ACT = -0.25  # log-probability
+_ABOUT_VALUES = ("inform", "request", "confirm_question")
 _ANY = frozenset(("any", "anything", "whatever", "either"))
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
@@ -152,51 +125,70 @@ def assemble(
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
         return Frame("inform", dict(checked)), ()
-    is_open = [slot for slot in domain.slots if slot not in informs]
-    chances = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
-    if reading.unknown < 1.0:  # Words that nobody has heard of say nothing.
-        informs |= {slot: ANY for slot in is_open if chances[slot] > 0.5 and slot in lexicon.slots}
-    if act == "inform" and question is not None and not (informs or unclear):
-        # Who answers and names nothing does not care, if that is at all likely.
-        likely = max(lexicon.slots, key=lambda slot: chances[slot])
-        if chances[likely] > _RATHER and reading.unknown < 1.0:
-            informs = {likely: ANY}
-    asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
-    requests = [
-        slot for slot, chance in asked.items() if chance > (_ALSO if slot in informs else 0.5)
-    ]
-    # Who says thanks, or bye, may add that something does not matter.
-    told = [slot for slot, value in informs.items() if value != ANY]
-    if act == "request" and not requests:
-        likely = max(asked, key=lambda slot: asked[slot])
-        if likely not in informs and (asked[likely] > 0.1 or not (informs or unclear)):
-            requests = [likely]
-        elif informs or unclear:
-            act = "inform"
-    elif (
-        act not in ("inform", "request", "confirm_question") and (told or unclear) and not requests
-    ):
-        act = "inform"
-    elif (
-        question is not None
-        and question.requests
-        and reading.unknown == 1.0
-        and not (requests or informs or unclear)
-    ):
+    is_strange = reading.unknown == 1.0 and not (informs or unclear)
+    if is_strange and act not in _ABOUT_VALUES and question is not None and question.requests:
         # Words that nobody has heard of answer the question: a name that is not known.
-        act, unclear = "inform", (Unclear(question.requests[0], " ".join(words)),)
-    elif requests and act not in ("request", "inform", "thanks", "deny", "closing"):
-        act = "request"
-    is_sure = reading.acts.max().item() > _SURE_ACT
-    if requests and act == "inform" and (question is None or not (informs or unclear or is_sure)):
-        act = "request"
-    if act == "thanks" and requests and not _is_offer(question, domain):
-        act = "request"
-    if act == "request" and requests and not told and _accepts(words, question, domain):
-        act = "thanks"
-    if act == "thanks" and told:
-        act = "request" if requests else "inform"
-    return Frame(act, informs, tuple(requests)), unclear
+        return Frame("inform"), (Unclear(question.requests[0], " ".join(words)),)
+    return _decided(words, reading, question, domain, lexicon, informs, unclear), unclear
+
+
+def _decided(
+    words: Sequence[str],
+    reading: Reading,
+    question: Frame | None,
+    domain: Domain,
+    lexicon: Lexicon,
+    told: dict[str, str],
+    unclear: tuple[Unclear, ...],
+) -> Frame:
+    """Returns the likeliest frame that the labeling guide allows, given the values told."""
+    asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
+    cares = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
+    requests = tuple(s for s, chance in asked.items() if chance > (_ALSO if s in told else 0.5))
+    is_known = reading.unknown < 1.0  # Words that nobody has heard of say nothing.
+    open_ = [slot for slot in lexicon.slots if slot not in told]
+    free = {slot: ANY for slot in open_ if is_known and cares[slot] > 0.5}
+    has_content = bool(told or unclear)
+    is_offer = question is not None and domain.complete_slot in question.informs
+    likely = max((s for s in asked if s not in told), key=lambda s: asked[s])
+    before = question.informs if question is not None else {}
+    is_repeated = all(lexicon.key(s, before.get(s, "")) == lexicon.key(s, told[s]) for s in told)
+    keeps = {"deny", "closing", *(["thanks"] if is_offer else [])}  # may ask something besides
+    lost = sum(_odds(asked[slot]) for slot in requests)
+    scores = {}
+    for act, score in zip(domain.acts, reading.acts.tolist(), strict=True):
+        if act == "request":
+            score += 0.0 if requests else _odds(asked[likely])
+        elif act == "inform":
+            if requests and (question is None or not (has_content or free)):
+                continue
+        elif has_content and act != "confirm_question":
+            if act not in ("thanks", "deny") or requests or unclear or not is_repeated:
+                continue  # "Nine thirty is fine", and nothing else, agrees to nine thirty.
+        elif act not in keeps:
+            score -= lost
+        scores[act] = score
+    act = max(scores, key=lambda name: scores[name])
+    if act in ("thanks", "deny"):
+        told = {}
+    if act == "request":
+        requests = requests or (likely,)
+        if not told and _accepts(words, question, domain):
+            act = "thanks"
+    elif act != "inform" and act not in keeps:
+        requests = ()
+    if act == "inform" and question is not None and not (has_content or free or requests):
+        # Who answers and names nothing does not care, if that is at all likely.
+        best = max(lexicon.slots, key=lambda slot: cares[slot])
+        if cares[best] > _RATHER and is_known:
+            free = {best: ANY}
+    return Frame(act, told | free, requests)
+
+
+def _odds(chance: float) -> float:
+    """Returns the log-odds of a chance."""
+    chance = min(max(chance, 1e-4), 1 - 1e-4)
+    return math.log(chance / (1 - chance))
 
 
 def _short_answer(
@@ -258,10 +250,6 @@ def _accepts(words: Sequence[str], question: Frame | None, domain: Domain) -> bo
     return words[0] in _YES
 
 
-def _is_offer(question: Frame | None, domain: Domain) -> bool:
-    return question is not None and domain.complete_slot in question.informs
-
-
 def _values(
     words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
@@ -272,9 +260,9 @@ def _values(
     concluded: set[str] = set()
     for slot, start, end in spans_of(reading.tags):
         text = " ".join(words[start:end])
-        if lexicon.kinds[slot] == "count" and words[start - 1 : start] in (["with"], ["/"]):
-            end += words[end : end + 1] == ["friends"]
-            text = f"with {' '.join(words[start:end])}"  # "with 5 friends" are six
+        if lexicon.kinds[slot] == "count":
+            start, end = _company(slot, words, start, end, lexicon)
+            text = " ".join(words[start:end])
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
@@ -316,11 +304,31 @@ def _values(
         keys = {lexicon.key(slot, value): value for link in known for value in link[1]}
         if len(keys) > 1:
             keys = _narrowed(slot, keys, known, lexicon)
+        if len(keys) > 1 and question is not None and slot in question.informs:
+            # "Tulsa? I live in Tucson": what the agent has said is repeated to be denied.
+            keys.pop(lexicon.key(slot, question.informs[slot]), None)
+            known = [link for link in known if lexicon.key(slot, link[1][0]) in keys] or known
         if len(keys) == 1:
             informs[slot] = known[-1][1][0] if len(known[-1][1]) == 1 else next(iter(keys.values()))
         else:
             unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
     return informs, tuple(unclear)
+
+
+def _company(
+    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
+) -> tuple[int, int]:
+    """Returns where the whole of a number of people stands: "with my two" brothers is three."""
+    first, last = start, end
+    while first > 0 and words[first - 1] in COUNT_WORDS:
+        first -= 1
+    while last < len(words) and words[last] in COUNT_WORDS:
+        last += 1
+    for at in range(first, start + 1):
+        for stop in range(last, end - 1, -1):
+            if len(lexicon.link(slot, " ".join(words[at:stop])).values) == 1:
+                return at, stop
+    return start, end
 
 
 def _or(

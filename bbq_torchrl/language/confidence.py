@@ -8,46 +8,59 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from bbq_torchrl.language.frames import Frame
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bbq_torchrl.language.frames import Unclear
     from bbq_torchrl.language.model import Reading
 
-__all__ = ["cues_of", "fit_confidence", "probability"]
+__all__ = ["CUES", "cues_of", "fit_confidence", "probability"]
 
 _PEOPLE = 10.0  # how much of the grammar's weights people's sentences must outweigh
 _GRAMMAR = 1.0
+CUES = 9
 
 
-def cues_of(reading: Reading, unclear: Sequence[Unclear], is_steady: bool) -> np.ndarray:
-    """Returns what tells whether a frame is right, ``[7]``.
+def cues_of(
+    reading: Reading, frame: Frame, chance: float, unclear: Sequence[Unclear], is_steady: bool
+) -> np.ndarray:
+    """Returns what tells whether a frame is right, ``[CUES]``.
 
-    The log-probability of the tags, the probability of the act, the log-probability of all
-    requests, the share of unknown words, whether something is unclear, whether the frame stays
-    the same without small words, and 1.
+    The log-probability of the tags, of all requests and of all that does not matter, the
+    probability of the frame's act, the share of unknown words, whether something is unclear,
+    whether the frame stays the same without small words, whether it tells and asks nothing, and 1.
 
     Args:
         reading: what the learned parts say.
+        frame: what was made of it.
+        chance: the probability of the frame's act.
         unclear: what the frame leaves out.
         is_steady: whether the sentence without its small words has the same frame.
     """
-    sure = torch.maximum(reading.requests, 1 - reading.requests).clamp(min=1e-6)
     return np.array(
         [
             math.log(max(reading.tags_chance, 1e-6)),
-            reading.acts.max().item(),
-            float(sure.log().sum()),
+            _sure(reading.requests),
+            _sure(reading.dont_care),
+            chance,
             reading.unknown,
             bool(unclear),
             is_steady,
+            frame == Frame("inform") and not unclear,
             1.0,
         ]
     )
 
 
+def _sure(chances: torch.Tensor) -> float:
+    """Returns the log-probability that each of some chances ``[S]`` is on its likelier side."""
+    return float(torch.maximum(chances, 1 - chances).clamp(min=1e-6).log().sum())
+
+
 def probability(cues: np.ndarray, weights: np.ndarray) -> float:
-    """Returns the probability that a frame is right, of its cues ``[7]`` and weights ``[7]``."""
+    """Returns the probability that a frame is right, of its cues and their weights ``[CUES]``."""
     logit = float(cues @ weights)
     return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
 
@@ -55,12 +68,12 @@ def probability(cues: np.ndarray, weights: np.ndarray) -> float:
 def fit_confidence(
     grammar: tuple[np.ndarray, np.ndarray], people: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """Returns the weights ``[7]`` of a logistic regression from cues to whether a frame is right.
+    """Returns the weights ``[CUES]`` of a logistic regression from cues to what is right.
 
     Sentences of people are few, so they only move the weights that the grammar's sentences give.
 
     Args:
-        grammar: cues ``[N, 7]`` of sentences of the grammar and whether each was right ``[N]``.
+        grammar: cues ``[N, CUES]`` of sentences of the grammar and whether each was right ``[N]``.
         people: the same of sentences of people.
     """
     scale = np.maximum(grammar[0].std(0), 1e-3)

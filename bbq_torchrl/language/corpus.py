@@ -26,18 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Example", "make_examples", "spoiled", "tag"]
 
-_NO_CONTENT = (
-    "greeting",
-    "thanks",
-    "deny",
-    "confirm_answer",
-    "not_sure",
-    "closing",
-    "welcome",
-    "request",
-    "inform",
-    "confirm_question",
-    "multiple_choice",
+_NO_CONTENT = tuple(
+    "greeting thanks deny confirm_answer not_sure closing welcome request inform confirm_question "
+    "multiple_choice".split()
 )
 
 

@@ -22,7 +22,8 @@ _PAIRS = frozenset(("parents", "grandparents", "folks", "twins"))
 _COMPANIES = frozenset(
     (
         "friends buddies colleagues pals mates kids children sons daughters others more boys girls "
-        "brothers sisters cousins coworkers nephews nieces neighbors roommates"
+        "brothers sisters cousins coworkers nephews nieces neighbors roommates "
+        "flatmates aunts uncles classmates"
     ).split()
 )
 COUNT_WORDS = frozenset(

@@ -276,7 +276,7 @@ _STARTS = (
     | MONTH_WORDS
     | PART_WORDS
     | RELATION_WORDS
-    | frozenset("b4 next this me my i just only with half a both alone solo couple".split())
+    | frozenset("next this me my i just only with half a both alone solo couple".split())
 )
 _ENDS = frozenset("at the in of on for , . and it is a by or i with".split())  # end no quantity
 

@@ -116,21 +116,29 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
 def _place(
     words: list[str], tags: list[str], slot: str, value: str, lexicon: Lexicon
 ) -> range | None:
-    """Returns the words that name the value best: of equal ones the fewest."""
-    best: tuple[float, int, range] | None = None
+    """Returns the words that name the value best: a name in full, else of equal ones the fewest."""
     key = lexicon.key(slot, value)
-    for start in range(len(words)):
-        for end in range(start + 1, min(start + _LONGEST, len(words)) + 1):
-            if any(tag != OUTSIDE for tag in tags[start:end]):
-                break
-            text = " ".join(words[start:end])
-            link = lexicon.link(slot, text) if compact(text) else None
-            if link is None or len(link.values) != 1 or lexicon.key(slot, link.values[0]) != key:
-                continue
-            rank = (link.score, -(end - start), range(start, end))
-            if best is None or rank[:2] > best[:2]:
-                best = rank
-    return None if best is None else best[2]
+    places = [
+        range(start, end)
+        for start in range(len(words))
+        for end in range(start + 1, min(start + _LONGEST, len(words)) + 1)
+        if all(tag == OUTSIDE for tag in tags[start:end])
+    ]
+    for place in sorted(places, key=len, reverse=True):
+        own = words[place.start : place.stop]
+        if tuple(own) in lexicon.names[slot] and _means(slot, own, key, lexicon):
+            return place
+    scored = [(_means(slot, words[p.start : p.stop], key, lexicon), -len(p), p) for p in places]
+    best = max(scored, key=lambda item: item[:2], default=(0.0, 0, None))
+    return best[2] if best[0] else None
+
+
+def _means(slot: str, words: list[str], key: str, lexicon: Lexicon) -> float:
+    """Returns how well words name the value of a key, 0 where they name another or several."""
+    text = " ".join(words)
+    link = lexicon.link(slot, text) if compact(text) else None
+    is_meant = link is not None and [lexicon.key(slot, value) for value in link.values] == [key]
+    return link.score if link is not None and is_meant else 0.0
 
 
 def varied(

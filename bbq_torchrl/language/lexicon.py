@@ -22,32 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Lexicon", "Link"]
 
-_SMALL = frozenset(
-    [
-        "the",
-        "a",
-        "an",
-        "of",
-        "in",
-        "at",
-        "on",
-        "and",
-        "or",
-        "to",
-        "for",
-        "&",
-        ":",
-        "-",
-        ",",
-        ".",
-        "'",
-        "/",
-        "!",
-        "?",
-        "(",
-        ")",
-    ]
-)
+_SMALL = frozenset("the a an of in at on and or to for & : - , . ' / ! ? ( )".split())
 _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045
 _LEAST = 0.6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import statistics
 import time
@@ -25,9 +26,16 @@ if TYPE_CHECKING:
 __all__ = ["VOICES", "Score", "measure_lines", "measure_round_trip", "other_hand", "score"]
 
 VOICES = ("terse", "chatty", "nonnative")
+LATER = ("second_held_out", "third_held_out")
+"""Files of sentences that were written when phrases and features were there."""
+
+SUREST = 0.8
+"""The share of sentences that are to be answered."""
+
 _FILLS = 4
 _TYPOS = 0.1
 _DRAWS = 5
+_CHANCES = 200
 
 
 @dataclass
@@ -70,15 +78,16 @@ class Score:
     @property
     def calibration_error(self) -> float:
         """The expected calibration error in ten bins of confidence."""
-        bins: dict[int, list[tuple[float, bool]]] = {}
-        for confidence, is_right in zip(self.confidences, self.frames, strict=True):
-            bins.setdefault(min(int(confidence * 10), 9), []).append((confidence, is_right))
-        gaps = [
-            len(members)
-            * abs(statistics.fmean(c for c, _ in members) - statistics.fmean(r for _, r in members))
-            for members in bins.values()
-        ]
-        return sum(gaps) / len(self.frames)
+        return _calibration_error(self.confidences, self.frames)
+
+    @property
+    def calibration_floor(self) -> float:
+        """The mean calibration error by chance alone, if each confidence were true."""
+        rng = random.Random(0)
+        return statistics.fmean(
+            _calibration_error(self.confidences, [rng.random() < c for c in self.confidences])
+            for _ in range(_CHANCES)
+        )
 
     @property
     def answered(self) -> float:
@@ -90,6 +99,23 @@ class Score:
         """The share of frames exactly right among the answered ones."""
         kept = [right for right, asked in zip(self.frames, self.asked, strict=True) if not asked]
         return statistics.fmean(kept) if kept else 1.0
+
+    def right_of_surest(self, share: float) -> float:
+        """Returns the share of frames exactly right among the surest sentences.
+
+        Args:
+            share: of the sentences, how many are looked at.
+        """
+        surest = sorted(zip(self.confidences, self.frames, strict=True), reverse=True)
+        return statistics.fmean(right for _, right in surest[: math.ceil(share * len(surest))])
+
+
+def _calibration_error(confidences: Sequence[float], right: Sequence[bool]) -> float:
+    bins: dict[int, float] = {}
+    for confidence, is_right in zip(confidences, right, strict=True):
+        number = min(int(confidence * 10), 9)
+        bins[number] = bins.get(number, 0.0) + confidence - is_right
+    return sum(map(abs, bins.values())) / len(right)
 
 
 def score(
@@ -182,33 +208,38 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
     for question, text, _ in lines:
         understand(text, question)
     seconds = time.process_time() - started
-    later = score(understand, read_lines(data / "second_held_out.txt", understand.domain))
+    later = {
+        name: _figures(score(understand, read_lines(data / f"{name}.txt", understand.domain)))
+        for name in LATER
+    }
     return {
-        "sentences": len(lines),
-        "frame": whole.frame,
-        "slot_f1": whole.slot_f1,
-        "act": whole.act,
+        "free": _figures(whole),
+        **later,
         "voices": {
             voice: {"frame": s.frame, "slot_f1": s.slot_f1, "act": s.act}
             for voice, s in ((voice, score(understand, own)) for voice, own in by_voice.items())
         },
         "threshold": understand.threshold,
-        "answered": whole.answered,
-        "right_of_answered": whole.right_of_answered,
-        "calibration_error": whole.calibration_error,
-        "held_out_sentences": len(later.frames),
-        "held_out_frame": later.frame,
-        "held_out_slot_f1": later.slot_f1,
-        "held_out_act": later.act,
-        "held_out_answered": later.answered,
-        "held_out_right_of_answered": later.right_of_answered,
-        "held_out_calibration_error": later.calibration_error,
         "typos_cost_slot_f1": whole.slot_f1 - statistics.fmean(s.slot_f1 for s in typed),
         "lowered_cost_slot_f1": whole.slot_f1 - score(understand, lines, lowered).slot_f1,
         "other_hand_slot_f1": score(
             understand, other_hand(understand, data / "other_hand.txt")
         ).slot_f1,
         "milliseconds_a_sentence": 1e3 * seconds / len(lines),
+    }
+
+
+def _figures(result: Score) -> dict[str, float]:
+    return {
+        "sentences": len(result.frames),
+        "frame": result.frame,
+        "slot_f1": result.slot_f1,
+        "act": result.act,
+        "answered": result.answered,
+        "right_of_answered": result.right_of_answered,
+        "right_of_surest": result.right_of_surest(SUREST),
+        "calibration_error": result.calibration_error,
+        "calibration_floor": result.calibration_floor,
     }
 
 

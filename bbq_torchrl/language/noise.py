@@ -22,37 +22,13 @@ _KEYS = dict(
 _SLANG = dict(
     pair.split(":")
     for pair in (
-        "you:u are:r please:plz for:4 to:2 tickets:tix want:wanna thanks:thx tomorrow:tmrw "
-        "tonight:2nite movie:flick going:gonna because:cuz people:ppl i:im what's:whats don't:dont "
-        "i'd:id we'd:wed the:da theater:theatre see:c great:gr8 okay:k and:n at:@ with:w/ time:tym "
-        "about:abt something:smth doesn't:doesnt i'm:im it's:its what:wat that:dat give:gimme "
-        "probably:prolly night:nite can't:cant where's:wheres let's:lets i'll:ill"
+        "you:u are:r for:4 to:2 want:wanna movie:flick going:gonna i:im what's:whats don't:dont "
+        "i'd:id we'd:wed the:da see:c great:gr8 okay:k and:n at:@ with:w/ time:tym doesn't:doesnt "
+        "i'm:im it's:its that:dat give:gimme probably:prolly can't:cant where's:wheres let's:lets "
+        "i'll:ill"
     ).split()
 )
-DROPPED = frozenset(
-    [
-        "the",
-        "a",
-        "an",
-        "to",
-        "is",
-        "are",
-        "do",
-        "does",
-        "of",
-        "on",
-        "at",
-        "in",
-        "it",
-        "i",
-        "me",
-        "we",
-        "would",
-        "can",
-        "for",
-        "there",
-    ]
-)
+DROPPED = frozenset("the a an to is are do does of on at in it i me we would can for there".split())
 _SWAPPED = {
     word: tuple(others.split(","))
     for word, others in (

@@ -53,11 +53,10 @@ _MONTH = {
 _PART = dict(
     pair.split(":")
     for pair in (
-        "morning:morning afternoon:afternoon evening:evening eve:evening night:night nite:night "
-        "noon:noon"
+        "morning:morning afternoon:afternoon evening:evening eve:evening night:night noon:noon"
     ).split()
 )
-_TOMORROW = {"tomorrow", "tmrw", "tmw", "tomorow", "tommorow", "tommorrow", "tmrow", "2morrow"}
+_TOMORROW = {"tomorrow", "tomorow", "tommorow", "tommorrow"}
 _DATE_FILLERS = frozenset(("on the of in for at day st nd rd th , . ' s by a").split())
 _RELATIONS = (
     ("not before", "after"),
@@ -110,7 +109,6 @@ def read_time(text: str) -> str | None:
         ['at 19:30', 'at 19:30?', 'at 19:30', 'after 18:00', None]
     """
     joined = " ".join(tokenize(text))
-    joined = re.sub(r"\bb4\b", "before", joined)
     joined = re.sub(r"\b(?:around )?([\w:.]+?) ?-? ?ish\b", r"around \1", joined)
     relation = "at"
     for phrase, name in _RELATIONS:
@@ -221,7 +219,7 @@ def read_date(text: str) -> str | None:
     """
     words = [word for word in tokenize(text) if word not in _DATE_FILLERS]
     joined = " ".join(words)
-    if joined in ("after tomorrow",) or re.fullmatch(r"after (tomorrow|tmrw)", joined):
+    if joined == "after tomorrow":
         return "after tomorrow"
     joined = re.sub(r"\b(week end|week-end|week - end|wknd|weeknd)\b", "weekend", joined)
     words = joined.split()
@@ -230,7 +228,7 @@ def read_date(text: str) -> str | None:
         part = " " + _PART[words.pop()]
     elif len(words) == 2 and words[0] in _PART and words[1].rstrip("s") in _DAY:
         part = " " + _PART[words.pop(0)]  # "at night of friday"
-    if words in (["tonight"], ["tonite"], ["2nite"], ["2night"]):
+    if words in (["tonight"],):
         return "today night"
     if words == ["this"] and part:
         return f"today{' night' if part == ' evening' else part}"

@@ -18,17 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Surfaces"]
 
-_MATES = (
-    "wife",
-    "husband",
-    "girlfriend",
-    "boyfriend",
-    "friend",
-    "brother",
-    "mother",
-    "son",
-    "partner",
-)
+_MATES = "wife husband girlfriend boyfriend friend brother mother son partner".split()
 _RELATIONS = {
     "after": ("after", "from", "not before", "later than", "any time after", "after the"),
     "before": ("before", "not after", "by", "earlier than", "until"),
@@ -197,12 +187,11 @@ class Surfaces:
             if word.capitalize() in calendar.day_name and rng.random() < 0.4:
                 words[index] = rng.choice((word[:3], word[:4].rstrip("n"), word))
             elif word == "tomorrow":
-                words[index] = rng.choice(("tomorrow", "tmrw", "tomorow", "tommorrow", "tmw"))
+                words[index] = rng.choice(("tomorrow", "tomorow", "tommorrow"))
         if key == "today night":
             return rng.choice(
                 (
                     "tonight",
-                    "tonite",
                     "today night",
                     "today in the night",
                     "today at night",
@@ -237,20 +226,17 @@ class Surfaces:
             return rng.choice(options).strip()
         if number == 1:
             options += [
-                "just me",
-                "only me",
-                "just one",
-                "alone",
-                "myself",
-                "me",
-                "just myself",
-                "single",
-                "me alone",
-                "solo",
-                "only i",
-                "on my own",
-                "by myself",
-                "a single seat",
+                *(
+                    "just me",
+                    "only me",
+                    "just one",
+                    "alone",
+                    "myself",
+                    "me",
+                    "just myself",
+                    "single",
+                ),
+                *("me alone", "solo", "only i", "on my own", "by myself", "a single seat"),
             ]
         if number == 2:
             options += [

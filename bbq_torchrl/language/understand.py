@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from bbq_torchrl.language.assemble import assemble
-from bbq_torchrl.language.confidence import cues_of, fit_confidence, probability
+from bbq_torchrl.language.confidence import CUES, cues_of, fit_confidence, probability
 from bbq_torchrl.language.corpus import make_examples, spoiled
 from bbq_torchrl.language.features import Features
 from bbq_torchrl.language.frames import Understood
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Understander"]
 
-_VERSION = 3
+_VERSION = 4
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
 _COPIES = 4  # at most, of each of people's sentences, with other values
 _PLAYED = 4  # sentences of simulated users to one of the grammar's own
 _TAGGED = 8  # the tagger learns from one in so many of these
-_FOLD = 3  # one in so many of people's sentences is set aside, to learn how sure to be
-_CUES = 7
+_SHARE = 4  # the smaller models learn from one in so many of the grammar's sentences
+_FOLDS = 2  # parts of people's sentences, each understood by a model of the others
 
 
 class Understander:
@@ -52,7 +52,7 @@ class Understander:
         domain: what is spoken of.
         phrases: how.
         model: the learned parts.
-        calibration: weights ``[7]`` from cues to the log-odds that a frame is right.
+        calibration: weights ``[CUES]`` from cues to the log-odds that a frame is right.
         threshold: the confidence below which the caller should ask again.
 
     Example:
@@ -84,7 +84,7 @@ class Understander:
         domain: Domain,
         folder: str | Path | None = None,
         *,
-        sentences: int = 4_000,
+        sentences: int = 3_600,
         seed: int = 0,
         labeled: Sequence[Example] = (),
         threshold: float = 0.7,
@@ -97,8 +97,8 @@ class Understander:
             domain: what is spoken of.
             folder: where the domain's ``language.yaml`` is, if it has one, with labeled lines of
                 people, ``learned.txt``, which are learned beside the own sentences. The
-                confidence is fitted to a third of them, as they are understood by a model that
-                has not learned from these.
+                confidence is fitted to them, each half as it is understood by a smaller model
+                that has learned from the other half.
             sentences: how many to learn from; the net learns from four times as many of
                 simulated users.
             seed: chooses them, and the net's first weights.
@@ -116,30 +116,29 @@ class Understander:
             )
             surfaces = Surfaces(lexicon, domain.free_slots)
             people = [*as_examples(domain_lines(domain, folder), lexicon), *labeled]
-            copies = min(_COPIES, sentences // max(len(people), 1))
 
-            def learned(examples: Sequence[Example], users: Sequence[Example]) -> Model:
+            def learned(examples: Sequence[Example], share: int) -> Model:
+                """Returns a model of people's sentences and of one in ``share`` of the others."""
+                copies = min(_COPIES, round(sentences / share / max(2 * len(examples), 1)))
                 lines = spoiled(varied(examples, lexicon, surfaces, copies, seed), seed)
-                given = [*said, *lines, *played[::_TAGGED]]
+                given = [*said[::share], *lines, *played[:: _TAGGED * share]]
+                users = played[:: share * share]
                 return fit(domain, phrases, lexicon, given, users, seed=seed, steps=60, epochs=14)
 
-            model = learned(people, played)
-            # How sure to be is learned of people's sentences that were not learned from, which
-            # takes fewer of simulated users.
-            apart = people[::_FOLD]
-            rest = [example for at, example in enumerate(people) if at % _FOLD]
-            blind = cls(
-                domain,
-                phrases,
-                learned(rest, played[::_PLAYED]) if apart else model,
-                np.zeros(_CUES),
-            )
+            model = learned(people, 1)
             others = make_examples(
                 domain, phrases, lexicon, max(sentences // 10, 200), seed + 1, noise=_CALM
             )
-            calibration = fit_confidence(
-                blind._judged(others), blind._judged(apart) if apart else None
-            )
+            start = np.zeros(CUES)
+            judged = cls(domain, phrases, model, start)._judged(others)
+            # How sure to be is learned of people's sentences, each of which is understood by a
+            # model that has learned from the others.
+            apart = []
+            for fold in range(_FOLDS if people else 0):
+                rest = [example for at, example in enumerate(people) if at % _FOLDS != fold]
+                blind = cls(domain, phrases, learned(rest, _SHARE), start)
+                apart.append(blind._judged(people[fold::_FOLDS]))
+            calibration = fit_confidence(judged, _joined(apart))
         finally:
             torch.set_num_threads(threads)
         return cls(domain, phrases, model, calibration, threshold)
@@ -169,6 +168,7 @@ class Understander:
         """Returns the frame of some words, what is unclear, and the cues of how sure that is."""
         reading = self._model.read(words, question)
         frame, unclear = assemble(words, reading, question, self.domain, self.lexicon)
+        chance = reading.acts[self.domain.acts.index(frame.act)].exp().item()
         tagged = zip(words, reading.tags, strict=True)
         shorter = [word for word, tag in tagged if tag != OUTSIDE or word not in DROPPED]
         is_steady = True
@@ -176,10 +176,10 @@ class Understander:
             again = self._model.read(shorter, question)
             other, _ = assemble(shorter, again, question, self.domain, self.lexicon)
             is_steady = same_frame(frame, other, self.lexicon)
-        return frame, unclear, cues_of(reading, unclear, is_steady)
+        return frame, unclear, cues_of(reading, frame, chance, unclear, is_steady)
 
     def _judged(self, sentences: Sequence[Example]) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the cues ``[N, 7]`` of sentences, and whether their frames are right ``[N]``."""
+        """Returns the cues ``[N, CUES]`` of sentences, and which frames are right ``[N]``."""
         rows, right = [], []
         for example in sentences:
             frame, _, cues = self._hear(example.words, example.question)
@@ -237,6 +237,14 @@ class Understander:
         features = Features(Lexicon(domain, phrases), phrases, about["known"], domain.complete_slot)
         model = Model(features, Tagger(arrays["tagger"].tobytes()), net.eval())
         return cls(domain, phrases, model, arrays["calibration"], about["threshold"])
+
+
+def _joined(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Returns cues and what was right of several parts as one; ``None`` of none."""
+    if not parts:
+        return None
+    cues, right = zip(*parts, strict=True)
+    return np.concatenate(cues), np.concatenate(right)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

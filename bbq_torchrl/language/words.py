@@ -20,6 +20,18 @@ _TOKEN = re.compile(
     r"|[^\W_]+(?:['’][^\W_]+)*"
     r"|[^\w\s]"
 )
+_SHORT = dict(
+    pair.split(":")
+    for pair in (
+        "nite:night tonite:tonight 2nite:tonight 2night:tonight 2day:today 2morrow:tomorrow "
+        "tmrw:tomorrow tmw:tomorrow tmrow:tomorrow 2moro:tomorrow tomoz:tomorrow plz:please "
+        "pls:please thx:thanks thnx:thanks ty:thanks tix:tickets tkts:tickets ppl:people "
+        "aft:afternoon aftr:after qtr:quarter wat:what wut:what wats:whats abt:about "
+        "2gether:together theatre:theater theatres:theaters cuz:because smth:something "
+        "sth:something b4:before"
+    ).split()
+)
+"""Words as short messages have them, which are read as the long ones."""
 _APOSTROPHES = str.maketrans({"’": "'", "‘": "'", "`": "'", "´": "'", "“": '"', "”": '"', "–": "-"})
 
 
@@ -67,13 +79,15 @@ def normalize(text: str) -> str:
 
 
 def tokenize(text: str) -> list[str]:
-    """Returns the words, numbers and marks of a text, without case and accents.
+    """Returns the words, numbers and marks of a text, without case, accents and short forms.
 
     Example:
         >>> tokenize("Barbie at 7:30pm, the 14th!")
         ['barbie', 'at', '7:30', 'pm', ',', 'the', '14', 'th', '!']
+        >>> tokenize("2 tix 4 fri nite")
+        ['2', 'tickets', '4', 'fri', 'night']
     """
-    return _TOKEN.findall(normalize(text))
+    return [_SHORT.get(word, word) for word in _TOKEN.findall(normalize(text))]
 
 
 def compact(text: str) -> str:

@@ -61,11 +61,21 @@ def _deep_sea_trials() -> str:
 def _quality() -> str:
     """Returns how well the language layer understands, beside what it was to reach."""
     measured = read_json("language.json")
-    rows = [
-        (line["what"], f"{measured[line['key']]:.3g}", line["aim"])
-        for line in read_csv("language_aims.csv")
+    sets = [measured[name] for name in ("free", "second_held_out", "third_held_out")]
+    lines = read_csv("language_aims.csv")
+    understood = [
+        (line["what"], *(f"{one[line['key']]:.3f}" for one in sets), line["aim"])
+        for line in lines
+        if line["key"] in sets[0]
     ]
-    return table(("", "measured", "aim"), rows)
+    rest = [
+        (line["what"], f"{measured[line['key']]:.3g}", line["aim"])
+        for line in lines
+        if line["key"] in measured
+    ]
+    names = ("first", "second", "third")
+    head = ("", *(f"{n} {one['sentences']}" for n, one in zip(names, sets, strict=True)), "aim")
+    return f"{table(head, understood)}\n\n{table(('', 'measured', 'aim'), rest)}"
 
 
 @block("language.voices")

@@ -7,9 +7,9 @@ import pytest
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import Frame, as_examples, load_phrases, read_lines
-from bbq_torchrl.language.labeled import varied
+from bbq_torchrl.language.labeled import Line, varied
 from bbq_torchrl.language.lexicon import Lexicon
-from bbq_torchrl.language.measure import VOICES
+from bbq_torchrl.language.measure import VOICES, Score
 
 DATA = Path(__file__).parents[1] / "data" / "language"
 
@@ -39,6 +39,21 @@ def test_own_lines_become_examples_with_the_place_of_each_value(lexicon, tmp_pat
     assert placed["numberofpeople"] == ["two"]
     assert placed["moviename"] == ["top", "gun"]
     assert placed["starttime"] == ["half", "past", "seven"]
+
+
+def test_a_name_in_full_is_placed_as_a_whole(lexicon):
+    line = Line(None, "dune part two, late night", Frame.parse("inform(moviename=dune: part two, "
+                "starttime=late night)"))  # fmt: skip
+    (example,) = as_examples([line], lexicon)
+    assert example.tags == [*["moviename"] * 3, "-", *["starttime"] * 2]
+
+
+def test_what_chance_alone_gives_a_calibration_error_is_told():
+    few = Score([True] * 50, [], [0.5] * 50, [])
+    many = Score([True] * 5000, [], [0.5] * 5000, [])
+    assert few.calibration_error == many.calibration_error == 0.5
+    assert 0.04 < few.calibration_floor < 0.075  # sqrt(2 / pi) / 2 / sqrt(50) = 0.056
+    assert many.calibration_floor < 0.008
 
 
 def test_a_line_is_learned_with_other_values_as_well(lexicon, tmp_path):

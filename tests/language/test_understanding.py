@@ -4,6 +4,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -180,6 +181,49 @@ def test_agreeing_to_a_booking_in_a_word_and_asking_is_thanks(understand, offer,
     question = Frame("inform", {"taskcomplete": offer})
     frame, _ = assemble(words, reading, question, domain, understand.lexicon)
     assert (frame.act, frame.requests) == (act, ("price",))
+
+
+def _sure_of(act, **asked):
+    """Returns a reading of three words without values, sure of an act and of questions."""
+    domain = movie_domain()
+    acts = torch.tensor([-0.1 if name == act else -2.5 for name in domain.acts])
+    requests = torch.tensor([asked.get(slot, 0.0) for slot in domain.slots])
+    return Reading([OUTSIDE] * 3, 1.0, [1.0] * 3, acts, requests, torch.zeros(len(requests)), 0.0)
+
+
+def test_act_and_questions_are_chosen_together(understand):
+    domain, words = movie_domain(), ["is", "it", "pricey"]
+    question = Frame("request", {}, ("genre",))
+    sure = assemble(words, _sure_of("greeting", price=0.99), question, domain, understand.lexicon)
+    assert sure[0] == Frame("request", {}, ("price",))
+    unsure = assemble(words, _sure_of("greeting", price=0.6), question, domain, understand.lexicon)
+    assert unsure[0] == Frame("greeting")
+
+
+def test_of_a_value_that_the_agent_said_and_another_the_other_is_meant(understand):
+    words = ["tulsa", "?", "tucson"]
+    reading = replace(_sure_of("inform"), tags=["city", OUTSIDE, "city"])
+    question = Frame("inform", {"city": "tulsa"})
+    frame, unclear = assemble(words, reading, question, movie_domain(), understand.lexicon)
+    assert (frame, unclear) == (Frame("inform", {"city": "tucson"}), ())
+
+
+def test_repeating_what_the_agent_told_agrees_to_it(understand):
+    words, question = ["tulsa", "is", "fine"], Frame("inform", {"city": "tulsa"})
+    reading = replace(_sure_of("thanks"), tags=["city", OUTSIDE, OUTSIDE])
+    frame, _ = assemble(words, reading, question, movie_domain(), understand.lexicon)
+    assert frame == Frame("thanks")
+    other = Frame("inform", {"city": "reno"})
+    frame, _ = assemble(words, reading, other, movie_domain(), understand.lexicon)
+    assert frame == Frame("inform", {"city": "tulsa"})
+
+
+def test_a_number_of_people_is_read_with_the_company_around_it(understand):
+    words = ["with", "my", "three", "brothers"]
+    reading = replace(_sure_of("inform"), tags=[OUTSIDE, OUTSIDE, "numberofpeople", OUTSIDE])
+    reading = replace(reading, each_chance=[1.0] * 4)
+    frame, _ = assemble(words, reading, None, movie_domain(), understand.lexicon)
+    assert frame.informs == {"numberofpeople": "4"}
 
 
 def test_a_damaged_file_is_refused(understand, tmp_path):
