@@ -56,12 +56,6 @@ def test_each_replica_may_have_an_eta():
         transform((2,), eta=torch.tensor([1.0, -1.0]))
 
 
-def test_eta_0_leaves_the_reward():
-    vime = transform(eta=0.0)
-    td = vime.inv(transitions(20))
-    assert torch.equal(vime(td)[REWARD], td[REWARD])
-
-
 def test_single_rows_can_be_added_and_stored_bonuses_are_kept():
     vime = transform()
     memory = buffer(vime)
