@@ -232,15 +232,6 @@ def test_the_same_consent_sent_twice_is_one_person(site):
     assert site.store.progress()[0]["enrolled"] == 1
 
 
-def test_a_full_study_says_so(site):
-    for _ in range(site.study.terms.participants):
-        site.enrol()
-    form = {**hidden(site.client.get(site.join).text), "consent": "yes"}
-    page = site.client.post(site.join, data=form)
-    assert page.status_code == 409
-    assert "All places" in page.text
-
-
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
     link = site.enrol()
     site.say(link, "city=philly")
