@@ -117,23 +117,6 @@ def test_a_turn_compiles_without_a_graph_break(restaurant, mode):
     assert torch.equal(one[1], other[1])
 
 
-@pytest.mark.parametrize("mode", ["value", "slot", "mixed"])
-@pytest.mark.parametrize("domain_name", ["movie", "restaurant"])
-def test_no_tensor_of_a_turn_stays_behind_on_another_device(domain_name, mode, request):
-    # The device "meta" holds shapes only, and refuses tensors of other devices as a GPU would.
-    simulator = simulator_of(request.getfixturevalue(domain_name), mode).to("meta")
-    active = all_active(simulator)
-    state = simulator.reset(simulator.draw_reset((3, 4)), active)
-    action = torch.zeros(3, 4, dtype=torch.long, device="meta")
-    after = simulator.turn(state, action, simulator.draw_turn((3, 4)), active)
-    assert after.keys() == state.keys()
-    for key, value in after.items():
-        assert value.device.type == "meta", key
-        assert value.shape == state[key].shape, key
-    assert simulator.observe(after, active).device.type == "meta"
-    assert simulator.action_mask(active).device.type == "meta"
-
-
 def test_a_choice_of_none_chooses_nothing():
     empty = torch.zeros(4, dtype=torch.bool)
     assert not pick_slot(empty, torch.rand(4)).any()
