@@ -194,17 +194,6 @@ def test_a_state_that_does_not_fit_is_refused():
         ReplicaReplay(8, replicas=2, keys=KEYS).load_state_dict(state)
 
 
-def test_epochs_share_their_memory():
-    replay = make_replay(20, 20)
-
-    pointers = {
-        next(replay.epoch(4)).transitions["observation"].untyped_storage().data_ptr()
-        for _ in range(3)
-    }
-
-    assert len(pointers) == 1
-
-
 def test_an_epoch_that_was_overtaken_by_the_next_says_so():
     replay = make_replay(20)
     first = replay.epoch(4)

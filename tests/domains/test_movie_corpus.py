@@ -70,18 +70,3 @@ def test_value_lists_are_longer_than_what_the_records_have(movie: Domain):
 def test_records_meet_and_answer_as_many_goals_as_the_public_ones(movie: Domain):
     assert goals_met(movie) / 200 == pytest.approx(0.943, abs=0.02)
     assert goals_answerable(movie) / 200 == pytest.approx(0.84, abs=0.02)
-
-
-def test_a_theater_lies_in_one_city_and_belongs_to_one_chain(movie: Domain):
-    places, chains, films = (collections.defaultdict(set) for _ in range(3))
-    for record in movie.records:
-        theater = record.get("theater")
-        if theater is None:
-            continue
-        places[theater] |= {record["zip"]} if "zip" in record else set()
-        chains[theater] |= {record["theater_chain"]} if "theater_chain" in record else set()
-        films[theater] |= {record["moviename"]} if "moviename" in record else set()
-    assert max(map(len, places.values())) == 1
-    assert max(map(len, chains.values())) == 1
-    assert all(theater.startswith(next(iter(c))) for theater, c in chains.items() if c)
-    assert max(map(len, films.values())) > 1

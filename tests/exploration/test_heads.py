@@ -115,59 +115,7 @@ def test_the_vote_is_what_the_actor_greedy_and_the_evaluation_do(exploration, re
             assert torch.equal(out[key], outs[0][key])
 
 
-@pytest.mark.parametrize("mode", [DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE])
-def test_sampling_votes_where_it_does_not_explore(mode):
-    policy = BootstrapSampling(fixed())
-    with set_exploration_type(mode):
-        out = policy(bare(4))
-    assert torch.equal(out["action_value"][0], FixedValues().table.mean(0))
-    assert policy.heads is None
-    with set_exploration_type(None):
-        policy(bare(4))
-    assert policy.heads is not None
-
-
 # -- one head ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("replicas", REPLICAS)
-@pytest.mark.parametrize("per", ["step", "episode", "round"])
-def test_how_long_a_head_is_acted_on(replicas, per):
-    policy, td = BootstrapSampling(fixed(), per=per), bare(*replicas, 40)
-    first, again = heads_used(policy, td), heads_used(policy, td)
-    assert torch.equal(again, policy.heads)
-    assert first.unique().numel() > 1  # all the same: 7^-39
-    assert torch.equal(first, again) == (per != "step")
-    if replicas:
-        assert torch.unique(first, dim=0).shape[0] == 3
-    policy.resample()
-    assert not torch.equal(heads_used(policy, td), again)
-
-
-@pytest.mark.parametrize("replicas", REPLICAS)
-@pytest.mark.parametrize("trailing", [(), (1,)])
-def test_a_dialogue_keeps_its_head_until_the_next_one_begins(replicas, trailing):
-    policy, td = BootstrapSampling(fixed(1000)), bare(*replicas, 40)
-    td["is_init"] = torch.ones(*replicas, 40, *trailing, dtype=torch.bool)
-    first = heads_used(policy, td)
-    td["is_init"].zero_()
-    assert torch.equal(heads_used(policy, td), first)
-    begins = torch.arange(40).expand(*replicas, 40) % 3 == 0
-    td["is_init"] = begins.reshape(*replicas, 40, *trailing)
-    second = heads_used(policy, td)
-    assert torch.equal(second[~begins], first[~begins])
-    # 14 or 42 rows begin; each keeps its head of a thousand by chance with probability 1/1000
-    assert (second[begins] != first[begins]).sum() > begins.sum() - 6
-    td["is_init"].zero_()
-    assert torch.equal(heads_used(policy, td), second)
-
-
-@pytest.mark.parametrize("per", ["round", "step"])
-def test_only_dialogues_heed_their_beginnings(per):
-    policy, td = BootstrapSampling(fixed(), per=per), bare(40)
-    first = heads_used(policy, td)
-    td["is_init"] = torch.ones(40, 1, dtype=torch.bool)
-    assert torch.equal(heads_used(policy, td), first) == (per == "round")
 
 
 def test_the_entry_that_tells_beginnings_has_any_name():
@@ -176,22 +124,6 @@ def test_the_entry_that_tells_beginnings_has_any_name():
     first = heads_used(policy, td)
     td["my", "start"] = torch.ones(40, 1, dtype=torch.bool)
     assert not torch.equal(heads_used(policy, td), first)
-
-
-def test_a_single_dialogue_has_a_head_too():
-    policy = BootstrapSampling(fixed(1000))
-    td = bare()
-    first = heads_used(policy, td)
-    assert torch.equal(heads_used(policy, td), first)
-    td["is_init"] = torch.ones(1, dtype=torch.bool)
-    drawn = {int(heads_used(policy, td)) for _ in range(10)}
-    assert len(drawn) > 5
-
-
-def test_other_rows_are_other_dialogues():
-    policy = BootstrapSampling(fixed(1000))
-    heads_used(policy, bare(4))
-    assert heads_used(policy, bare(7)).shape == (7,)
 
 
 @pytest.mark.parametrize("redrawn", ["first", "at the beginning", "every step"])

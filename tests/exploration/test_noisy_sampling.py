@@ -12,7 +12,6 @@ from bbq_torchrl.exploration import EvaluationPolicy, Greedy, NoisySampling
 from bbq_torchrl.networks import FlatMLP, NoisyMLP, q_actor
 
 RANDOM = ExplorationType.RANDOM
-EXPLORATIONS = [None, *ExplorationType]
 REPLICAS = [(), (3,)]
 
 
@@ -22,23 +21,6 @@ def noisy_actor(replicas=(), hidden=(16,)):
 
 def values(policy, td):
     return policy(td.clone())["action_value"][..., 2].detach()  # action 2 is always legal
-
-
-@pytest.mark.parametrize("replicas", REPLICAS)
-@pytest.mark.parametrize("shared", [False, True])
-@pytest.mark.parametrize("exploration", EXPLORATIONS)
-def test_it_explores_under_random_and_outside_of_a_context_only(replicas, shared, exploration):
-    actor = noisy_actor(replicas)
-    policy, td = NoisySampling(actor, shared=shared), observations(*replicas, 4, same=False)
-    mean = values(Greedy(actor), td)
-    with set_exploration_type(exploration):
-        first, again = values(policy, td), values(policy, td)
-    if exploration in (RANDOM, None):
-        assert not torch.equal(first, mean)
-        assert not torch.equal(first, again)  # new at every step
-    else:
-        assert torch.equal(first, mean)
-        assert torch.equal(again, mean)
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)

@@ -211,6 +211,6 @@ def test_row_weights_and_priority_weights_multiply():
     loss, _ = plain_loss(dtype=torch.double)
     td = transitions(dtype=torch.double)
     td["priority_weight"] = torch.rand(td.shape).double()
-    expected = loss(td)["loss"]
-    td["row_weight"] = torch.full(td.shape, 1 / 32).double()
+    expected = loss(td[:8])["loss"]
+    td["row_weight"] = (torch.arange(32) < 8) / 8
     torch.testing.assert_close(loss(td)["loss"], expected)

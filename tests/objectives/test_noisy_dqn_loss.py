@@ -5,13 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 from q_transitions import ACTIONS, REPLICAS, elements, noisy_loss, transitions
-from torch import nn
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.exploration import NoisySampling
-from bbq_torchrl.networks import FlatMLP, NoisyMLP, ReplicaNoisyLinear, q_actor
+from bbq_torchrl.networks import FlatMLP, ReplicaNoisyLinear, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
 
 KINDS = ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma")
@@ -124,37 +121,3 @@ def test_a_network_without_noise_is_refused():
         NoisyDQNLoss(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)))
     with pytest.raises(ValueError, match=r"gamma must be in \[0, 1\], got 2"):
         noisy_loss(gamma=2.0)
-
-
-def test_acting_on_the_noise_solves_contextual_bandits():
-    # The best of three arms is the one that the context names; no other exploration than noise.
-    # Ten networks side by side; of 200 with these settings each one chose all arms right, and one
-    # that misses an arm is at 2/3: more than half of the ten would have to fail.
-    replicas, rows = (10,), 16
-    actor = q_actor(NoisyMLP(3, 3, (16,), replicas=replicas), Categorical(3), action_mask_key=None)
-    policy = NoisySampling(actor)
-    loss = NoisyDQNLoss(actor, gamma=0.0)
-    HardUpdate(loss, value_network_update_interval=0)
-    optimizer = torch.optim.Adam(loss.parameters(), 1e-2)
-
-    def pull(rows):
-        context = torch.randint(3, (*replicas, rows))
-        td = transitions(replicas, (rows,)).exclude(
-            "action", "action_mask", ("next", "action_mask")
-        )
-        td["observation"] = nn.functional.one_hot(context, 3).float()
-        td["next", "observation"] = td["observation"]
-        td = policy(td)
-        return td, td["action"] == context
-
-    with set_exploration_type(ExplorationType.RANDOM):
-        for _ in range(100):
-            td, is_best = pull(rows)
-            reward = is_best.float() + 0.1 * torch.randn(*replicas, rows)
-            td["next", "reward"] = reward.unsqueeze(-1)
-            optimizer.zero_grad()
-            loss(td)["loss"].backward()
-            optimizer.step()
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        _, is_best = pull(300)
-    assert is_best.float().mean() > 0.8

@@ -7,18 +7,14 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 
-import httpx2
 import pytest
 
-from bbq_torchrl.study.database import reading
 from bbq_torchrl.study.store import Store
 
 from .conftest import STUDY
-from .served import ROOT, Server, Visitor
+from .served import ROOT, Server
 
-KILLS = 20
 WRITER = """
 import sys
 from pathlib import Path
@@ -60,70 +56,6 @@ def test_a_writer_killed_at_any_moment_has_stored_what_it_said(study, clock):
             assert exchange.text == f"text {number}"
             assert exchange.answer.startswith(f"answer {number} x")
         acknowledged = len(stored)
-
-
-class Talkative(threading.Thread):
-    """A person who keeps on talking, and notes what was answered."""
-
-    def __init__(self, visitor):
-        super().__init__()
-        self.visitor = visitor
-        self.answered, self.unsure, self.count = [], None, 0
-
-    def run(self):
-        try:
-            while True:
-                self.unsure = None
-                form = self.visitor.form(f"message {self.count} of {id(self)}")
-                self.count += 1
-                self.unsure = form
-                assert self.visitor.send(form).status_code == 200
-                self.answered.append(form["text"])
-        except httpx2.TransportError:
-            return
-
-
-@pytest.mark.slow
-def test_a_server_killed_twenty_times_loses_nothing_acknowledged(tmp_path):
-    (tmp_path / "study.yaml").write_text(f"{STUDY}max_turns: 500\n")
-    generator = random.Random()
-    server = Server(tmp_path / "study.yaml")
-    people = []
-    for kill in range(KILLS):
-        with server:
-            if not people:
-                visitors = [Visitor(server) for _ in range(3)]
-                for visitor in visitors:
-                    visitor.enrol()
-                people = [Talkative(visitor) for visitor in visitors]
-            for person in people:
-                page = person.visitor.get(person.visitor.link).text
-                assert all(text in page for text in person.answered)
-                if person.unsure is not None:
-                    # Sent again it is answered; it had been stored already, or it is now.
-                    assert person.visitor.send(person.unsure).status_code == 200
-                    person.answered.append(person.unsure["text"])
-            if kill % 4:  # in requests; else between them
-                people = [restarted(person) for person in people]
-                time.sleep(generator.uniform(0.05, 0.6))
-            server.kill()
-        for person in people:
-            if kill % 4:
-                person.join()
-        with reading(tmp_path / "study.sqlite") as connection:
-            texts = [text for (text,) in connection.execute("SELECT text FROM exchange")]
-        assert len(texts) == len(set(texts))
-        for person in people:
-            assert set(person.answered) <= set(texts)
-    assert sum(len(person.answered) for person in people) > KILLS
-
-
-def restarted(person):
-    """The same person going on in a new thread."""
-    again = Talkative(person.visitor)
-    again.answered, again.count = person.answered, person.count
-    again.start()
-    return again
 
 
 @pytest.mark.slow
