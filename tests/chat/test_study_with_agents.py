@@ -11,7 +11,6 @@ from study.conftest import STUDY, Clock, Site
 
 from bbq_torchrl.chat import talker as talkers
 from bbq_torchrl.study import StudyError, load_study
-from bbq_torchrl.study.database import StoreError
 from bbq_torchrl.study.report import write_report
 from bbq_torchrl.study.results import read_results
 from bbq_torchrl.study.store import Store
