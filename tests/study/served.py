@@ -10,6 +10,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import httpx2
+
+from .conftest import hidden
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -70,6 +74,31 @@ class Server:
     def __exit__(self, *error):
         if self.process is not None:
             self.kill()
+
+
+class Visitor:
+    """Somebody who takes part over the network."""
+
+    def __init__(self, server):
+        self.server = server
+        self.link = None
+
+    def get(self, link):
+        return httpx2.get(link, timeout=60)
+
+    def post(self, link, form):
+        return httpx2.post(link, data=form, follow_redirects=True, timeout=60)
+
+    def enrol(self):
+        join = self.server.links["for people"]
+        self.link = str(self.post(join, {**hidden(self.get(join).text), "consent": "yes"}).url)
+        return self.link
+
+    def form(self, text):
+        return {**hidden(self.get(self.link).text), "text": text}
+
+    def send(self, form):
+        return self.post(f"{self.link}/say", form)
 
 
 def free_port():

@@ -7,6 +7,8 @@ import shutil
 
 import pytest
 
+from bbq_torchrl.study.database import reading
+
 from .conftest import STUDY
 from .served import Server
 
@@ -76,6 +78,12 @@ def messages(page):
     return page.locator("li.you q").all_inner_texts()
 
 
+def stored(server, text):
+    with reading(server.file.with_suffix(".sqlite")) as connection:
+        query = "SELECT COUNT(*) FROM exchange WHERE text = ?"
+        return connection.execute(query, (text,)).fetchone()[0]
+
+
 def test_two_people_side_by_side_go_through_two_sessions(visit):
     pages = [visit(), visit()]
     for session in (1, 2):
@@ -89,6 +97,44 @@ def test_two_people_side_by_side_go_through_two_sessions(visit):
             rate(page)
     for page in pages:
         assert page.get_by_role("heading", name="Thank you").is_visible()
+
+
+def test_reload_and_back_lose_and_repeat_nothing(visit, server):
+    page = visit()
+    say(page, "first of reload")
+    page.reload()
+    assert messages(page) == ["first of reload"]
+    say(page, "second of reload")
+    page.go_back()
+    page.wait_for_load_state()
+    page.reload()
+    assert messages(page) == ["first of reload", "second of reload"]
+    assert stored(server, "first of reload") == stored(server, "second of reload") == 1
+
+
+def test_two_tabs_of_one_link_stay_one_conversation(visit):
+    page = visit()
+    other = page.context.new_page()
+    other.goto(page.url)
+    say(page, "from the first tab")
+    say(other, "from the second tab")
+    assert "another window" in other.get_by_role("alert").inner_text()
+    assert other.get_by_label("Your message").input_value() == "from the second tab"
+    other.get_by_role("button", name="Send").click()
+    other.wait_for_load_state()
+    assert messages(other) == ["from the first tab", "from the second tab"]
+
+
+@pytest.mark.parametrize("script", [True, False], ids=["with script", "without script"])
+def test_a_double_click_sends_once(visit, server, script):
+    page = visit(java_script_enabled=script)
+    text = f"twice {script}"
+    page.get_by_label("Your message").fill(text)
+    page.get_by_role("button", name="Send").dblclick()
+    page.wait_for_url("**/p/*")
+    page.goto(page.url.replace("/say", ""))
+    assert messages(page) == [text]
+    assert stored(server, text) == 1
 
 
 def test_the_keyboard_alone_is_enough(visit):
@@ -158,6 +204,18 @@ def test_every_field_has_a_name_for_screen_readers(visit):
     )
     assert unnamed == 0
     assert page.get_attribute("html", "lang") == "en"
+
+
+def test_the_researchers_page_draws_the_bands(visit, server):
+    page = visit()
+    say(page, "city=philly")
+    page.goto(server.links["for you"])
+    assert re.search(r"enrolled\s*\d+", page.inner_text("dl"))
+    page.locator("tbody a").first.click()
+    page.wait_for_load_state()
+    assert page.locator("svg").count() == 2
+    box = page.locator("svg .b90").first.bounding_box()
+    assert box["width"] > 20
 
 
 def test_pages_ask_nothing_of_other_hosts(browser, server):

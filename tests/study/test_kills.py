@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import threading
+import time
 
+import httpx2
 import pytest
 
+from bbq_torchrl.study.database import reading
 from bbq_torchrl.study.store import Store
 
 from .conftest import STUDY
-from .served import ROOT, Server
+from .served import ROOT, Server, Visitor
 
+KILLS = 20
 WRITER = """
 import sys
 from pathlib import Path
@@ -58,6 +63,81 @@ def test_a_writer_killed_at_any_moment_has_stored_what_it_said(study, clock):
         acknowledged = len(stored)
 
 
+class Talkative(threading.Thread):
+    """A person who keeps on talking, and notes what was answered."""
+
+    def __init__(self, visitor):
+        super().__init__()
+        self.visitor = visitor
+        self.answered, self.unsure, self.count = [], None, 0
+
+    def run(self):
+        try:
+            while True:
+                self.unsure = None
+                form = self.visitor.form(f"message {self.count} of {id(self)}")
+                self.count += 1
+                self.unsure = form
+                assert self.visitor.send(form).status_code == 200
+                self.answered.append(form["text"])
+        except httpx2.TransportError:
+            return
+
+
+@pytest.mark.slow
+def test_a_server_killed_twenty_times_loses_nothing_acknowledged(tmp_path):
+    (tmp_path / "study.yaml").write_text(f"{STUDY}max_turns: 500\n")
+    generator = random.Random()
+    server = Server(tmp_path / "study.yaml")
+    people = []
+    for kill in range(KILLS):
+        with server:
+            if not people:
+                visitors = [Visitor(server) for _ in range(3)]
+                for visitor in visitors:
+                    visitor.enrol()
+                people = [Talkative(visitor) for visitor in visitors]
+            for person in people:
+                page = person.visitor.get(person.visitor.link).text
+                assert all(text in page for text in person.answered)
+                if person.unsure is not None:
+                    # Sent again it is answered; it had been stored already, or it is now.
+                    assert person.visitor.send(person.unsure).status_code == 200
+                    person.answered.append(person.unsure["text"])
+            if kill % 4:  # in requests; else between them
+                people = [restarted(person) for person in people]
+                time.sleep(generator.uniform(0.05, 0.6))
+            server.kill()
+        for person in people:
+            if kill % 4:
+                person.join()
+        with reading(tmp_path / "study.sqlite") as connection:
+            texts = [text for (text,) in connection.execute("SELECT text FROM exchange")]
+        assert len(texts) == len(set(texts))
+        for person in people:
+            assert set(person.answered) <= set(texts)
+    assert sum(len(person.answered) for person in people) > KILLS
+
+
+def restarted(person):
+    """The same person going on in a new thread."""
+    again = Talkative(person.visitor)
+    again.answered, again.count = person.answered, person.count
+    again.start()
+    return again
+
+
+@pytest.mark.slow
+def test_a_second_server_on_one_study_is_refused_and_the_first_goes_on(tmp_path):
+    (tmp_path / "study.yaml").write_text(STUDY)
+    with Server(tmp_path / "study.yaml") as first:
+        with pytest.raises(RuntimeError, match="another server is at work"):
+            Server(tmp_path / "study.yaml").start()
+        visitor = Visitor(first)
+        visitor.enrol()
+        assert visitor.send(visitor.form("city=philly")).status_code == 200
+
+
 @pytest.mark.slow
 def test_a_served_study_ends_when_it_is_told_to(tmp_path):
     (tmp_path / "study.yaml").write_text(STUDY)
@@ -65,6 +145,71 @@ def test_a_served_study_ends_when_it_is_told_to(tmp_path):
     server.process.send_signal(signal.SIGTERM)
     _, errors = server.process.communicate(timeout=60)
     assert errors == "interrupted while serving: the same command goes on with the study\n"
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """Runs a program with a small disk at ``disk``: as root of a namespace of its own."""
+    if shutil.which("unshare") is None:
+        pytest.skip("needs the program unshare")
+    unshare = ["unshare", "--map-root-user", "--mount"]
+    probe = "mount -t tmpfs -o size=1m none /mnt"
+    if subprocess.run([*unshare, "sh", "-c", probe], capture_output=True, check=False).returncode:
+        pytest.skip("needs a kernel in which a user may mount a tmpfs in a namespace")
+
+    def run(mount, program):
+        script = f"mkdir -p disk && mount -t tmpfs -o size=512k none disk && {mount}"
+        code = f"{script} && {sys.executable} -c '{program}'"
+        return subprocess.run(
+            [*unshare, "sh", "-c", code],
+            cwd=tmp_path,
+            env={"PYTHONPATH": str(ROOT), "TERMS": "", "PATH": "/usr/bin:/bin"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    return run
+
+
+FULL = """
+from pathlib import Path
+from bbq_torchrl.study.database import Database, StoreError
+database = Database(Path("disk/study.sqlite"))
+stored = 0
+try:
+    while True:
+        with database.transaction() as connection:
+            values = ("x" * 4000 + str(stored), "y")
+            connection.execute("INSERT INTO agent VALUES (?, ?)", values)
+        stored += 1
+except StoreError as error:
+    print(error)
+assert len(database.rows("SELECT name FROM agent")) == stored > 10
+database.close()
+"""
+READ_ONLY = """
+from pathlib import Path
+from bbq_torchrl.study.database import Database, StoreError
+try:
+    Database(Path("disk/study.sqlite"))
+except StoreError as error:
+    print(error)
+"""
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_a_sentence_and_keeps_what_was_stored(disk):
+    ended = disk("true", FULL.replace("'", '"'))
+    assert ended.returncode == 0, ended.stderr
+    assert "the disk is full" in ended.stdout
+
+
+@pytest.mark.slow
+def test_a_read_only_disk_is_a_sentence(disk):
+    ended = disk("mount -o remount,ro disk", READ_ONLY)
+    assert ended.returncode == 0, ended.stderr
+    assert "cannot be" in ended.stdout or "read-only" in ended.stdout
 
 
 def test_a_step_that_cannot_be_stored_is_told_and_keeps_the_text(site):
