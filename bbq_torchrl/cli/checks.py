@@ -1,4 +1,4 @@
-"""What the configuration alone does not tell, such as device, corpus, memory and checkpoint."""
+"""What the configuration alone does not tell, such as device, corpus and checkpoint."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.cli.agent import make_domain
-from bbq_torchrl.cli.memory import check_memory, training_needs
 from bbq_torchrl.cli.resume import description, has_result
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
@@ -29,14 +28,14 @@ __all__ = ["check", "check_device"]
 
 
 def check(config: Config) -> Domain | None:
-    """Checks device, logger, corpus, scripted policy, memory and checkpoint before anything runs.
+    """Checks device, logger, corpus, scripted policy and checkpoint before anything runs.
 
     Returns the domain, which it has to load; None where the environment has none.
 
     Raises:
         ConfigError: the device is absent, the logger's package is not installed, the domain has
-            no such scripted policy, the device's memory or the replay buffer cannot hold what is
-            asked for, or the run to resume has nothing that it can go on from.
+            no such scripted policy, the spike would fill the replay buffer, or the run to
+            resume has nothing that it can go on from.
         ValueError or OSError: the corpus is damaged or not there.
     """
     check_device(config.device)
@@ -55,7 +54,6 @@ def check(config: Config) -> Domain | None:
         raise ConfigError(
             f"spike.policy must be one of {', '.join(policies)}, got {shown(spike.policy)}"
         )
-    check_memory(training_needs(config, domain), config.device)
     config.env.check_domain(domain)
     _check_spike(config, domain)
     if config.resume is not None:

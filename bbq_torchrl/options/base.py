@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options.settings import (
@@ -22,7 +22,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import parameters
 from bbq_torchrl.options.values import spread
 
 if TYPE_CHECKING:
@@ -76,14 +75,6 @@ class Option:
 
     def resolve_paths(self) -> None:
         """Makes paths absolute, as a run may go on from another folder."""
-
-    def floats(self, inputs: int, actions: int) -> int:
-        """Returns how many numbers a replica's networks take while they are trained, about."""
-        return 0
-
-    def sizes(self) -> dict[str, Any]:
-        """Returns the keys that what it makes grows with, and their values."""
-        return {}
 
 
 @dataclass
@@ -160,14 +151,6 @@ class AgentOption(Option):
     def make_transforms(self, task: Task) -> list[Transform]:
         """Returns what the replay buffer has to do for the agent."""
         return []
-
-    def floats(self, inputs: int, actions: int) -> int:
-        """A weight is held as itself, its gradient, two moments and a frozen copy."""
-        return 5 * parameters([inputs, *self.hidden, actions])
-
-    def sizes(self) -> dict[str, Any]:
-        """The layers."""
-        return {"agent.hidden": self.hidden}
 
 
 Exploration = tuple["TensorDictModuleBase", "dict[str, Callable[[], float | Tensor]]"]

@@ -9,11 +9,13 @@ from bbq_torchrl.options.base import Option
 from bbq_torchrl.options.evaluation_cost import check_evaluation
 from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
+    BATCH,
     COUNT,
     NON_NEGATIVE_INTEGER,
     PROBABILITY,
     STEP_SIZE,
     ConfigError,
+    integers,
     one_of,
     option,
     other_default,
@@ -23,7 +25,10 @@ from bbq_torchrl.options.settings import (
 if TYPE_CHECKING:
     from bbq_torchrl.options.root import Config
 
+
 __all__ = ["PaperProtocol", "ProtocolOption", "QuickProtocol"]
+
+STORED = integers(1, 10**6)  # transitions, or outcomes of dialogues, of a replica
 
 
 @dataclass
@@ -33,8 +38,8 @@ class ProtocolOption(Option):
     group: ClassVar[str] = "protocol"
 
     rounds: int = setting("${env.paper_rounds}", COUNT, "rounds of training")
-    dialogues: int = setting(50, COUNT, "dialogues of a round and replica")
-    batch_size: int = setting(32, COUNT, "transitions of an update")
+    dialogues: int = setting(50, BATCH, "dialogues of a round and replica")
+    batch_size: int = setting(32, BATCH, "transitions of an update")
     lr: float = setting(1e-3, STEP_SIZE, "step size of Adam, for batches of this size")
     lr_final: float = setting(
         1.0, PROBABILITY, "share of every step size left in the last round; 1: it stays"
@@ -44,14 +49,14 @@ class ProtocolOption(Option):
     )
     freezes: int = setting(2, COUNT, "target freezes of a round")
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
-    capacity: int = setting(10_000, COUNT, "transitions a replica's buffer holds")
-    eval_dialogues: int = setting(10_000, COUNT, "dialogues of the final evaluation of a replica")
-    eval_batch: int = setting(2_500, COUNT, "evaluation dialogues of all replicas side by side")
+    capacity: int = setting(10_000, STORED, "transitions a replica's buffer holds")
+    eval_dialogues: int = setting(10_000, STORED, "dialogues of the final evaluation of a replica")
+    eval_batch: int = setting(2_500, BATCH, "evaluation dialogues of all replicas side by side")
     eval_every: int = setting(
         5, NON_NEGATIVE_INTEGER, "rounds between two evaluations while training; 0: never"
     )
     eval_every_dialogues: int = setting(
-        400, COUNT, "dialogues of an evaluation while training, of a replica"
+        400, STORED, "dialogues of an evaluation while training, of a replica"
     )
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
     keep_checkpoints: str = setting(

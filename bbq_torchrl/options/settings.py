@@ -28,6 +28,7 @@ else:
 __all__ = [
     "ABOVE_ZERO_TO_ONE",
     "ANY_TEXT",
+    "BATCH",
     "BELOW_ONE",
     "BOOLEAN",
     "COUNT",
@@ -39,6 +40,7 @@ __all__ = [
     "REQUIRED",
     "REWARD",
     "SEED",
+    "SIZE",
     "STEP_SIZE",
     "THREADS",
     "Allowed",
@@ -123,14 +125,18 @@ ABOVE_ZERO_TO_ONE = Allowed(
 )
 COUNT = integers(1)
 NON_NEGATIVE_INTEGER = integers(0)
+SIZE = integers(1, 1_000)  # what memory is multiplied with
+BATCH = integers(1, 100_000)
 THREADS = integers(1, 1024)  # torch crashes where it gets many times as many
 SEED = Allowed(
     "an integer from 0 to 2**63 - 1", lambda value: _is_integer(value) and 0 <= value < 2**63
 )
 COUNTS = Allowed(
-    "a list of up to 100 integers from 1 to 10**9, such as [256,256]",
+    "a list of up to 10 integers from 1 to 10000, such as [256,256]",
     lambda value: (
-        isinstance(value, list) and 1 <= len(value) <= 100 and all(map(COUNT.test, value))
+        isinstance(value, list)
+        and 1 <= len(value) <= 10
+        and all(map(integers(1, 10_000).test, value))
     ),
 )
 BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))

@@ -99,7 +99,7 @@ def test_a_search_can_be_anybodys_yaml_file(tmp_path):
         ("search=bbqn search.objective=best", "search.objective must be one of training, final"),
         ("search=bbqn agent.priorstd=1", "did you mean agent.prior_std?"),
         ("search=bbqn agent=dqn", "agent.mean_init is not a key"),
-        ("search=dqn replicas=0", "replicas must be an integer from 1 to 10**9, got 0"),
+        ("search=dqn replicas=0", "replicas must be an integer from 1 to 1000, got 0"),
         ("search=dqn resume=runs/x", "resume=runs/x cannot be part of a search"),
         ("search=dqn hydra/launcher=cores", "hydra/launcher=cores cannot be part of a search"),
         ("search=dqn search.space.explore.eps_init.low=0", "explore.eps_init.low must be positive"),
