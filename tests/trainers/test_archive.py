@@ -62,11 +62,11 @@ def test_the_checkpoint_before_a_planted_one_is_taken(tmp_path, saved, file):
     assert not (tmp_path / "marker").exists()
 
 
-@pytest.mark.parametrize("name", ["state.pt", "state.tdz", "state.tdc", "notes.txt"])
+@pytest.mark.parametrize("name", ["state.pt", "state/notes.txt"])
 def test_a_file_that_no_checkpoint_has_is_refused_listed_or_not(saved, name):
     with zipfile.ZipFile(saved, "a") as archive:
         archive.writestr(f"components/0000-network/{name}", b"x")
-    with pytest.raises(ValueError, match=f"{name} in it belongs to no checkpoint"):
+    with pytest.raises(ValueError, match=f"{name} is missing in it, or belongs to no checkpoint"):
         read_archive(saved)
 
     def listed(manifest):
@@ -78,26 +78,14 @@ def test_a_file_that_no_checkpoint_has_is_refused_listed_or_not(saved, name):
         read_archive(saved)
 
 
-META = "components/0000-network/state/meta.json"
-TREE = "components/0000-network/state.json"
-
-
 @pytest.mark.parametrize(
     ("member", "change", "message"),
     [
-        (META, lambda meta: {**meta, "_type": "<class 'x'>"}, "describes no tensors"),
-        (META, lambda meta: {**meta, "x": {"type": "TensorDict"}}, "described as no tensor"),
-        (META, lambda meta: {**meta, "../x": meta["tensor_00000000"]}, "described as no tensor"),
         (
-            META,
-            lambda meta: {
-                **meta,
-                "tensor_00000000": {**meta["tensor_00000000"], "shape": [10**12]},
-            },
-            "not of the size that its shape has",
+            "components/0000-network/state/meta.json",
+            lambda meta: {**meta, "_type": "<class 'x'>"},
+            "describes no tensors",
         ),
-        (TREE, lambda tree: {"kind": "path", "value": "/"}, "holds a path"),
-        (TREE, lambda tree: {"kind": "tensor", "key": "tensor_00000009"}, "holds a tensor"),
         ("manifest.json", lambda manifest: {**manifest, "metadata": {}}, "round"),
         ("manifest.json", lambda manifest: [manifest], "list"),
     ],
@@ -109,17 +97,6 @@ def test_metadata_of_another_kind_are_refused(saved, member, change, message):
         read_archive(saved)
     with pytest.raises(CheckpointDamagedError, match="every checkpoint in"):
         CheckpointFolder(saved.parent, network=nn.Linear(3, 2)).restore({})
-
-
-def test_a_compressed_archive_is_refused(saved):
-    with zipfile.ZipFile(saved) as old:
-        contents = {name: old.read(name) for name in old.namelist()}
-    with zipfile.ZipFile(saved, "w", zipfile.ZIP_DEFLATED) as new:
-        for name, content in contents.items():
-            new.writestr(name, content)
-
-    with pytest.raises(ValueError, match="there twice, or compressed"):
-        read_archive(saved)
 
 
 def test_a_checkpoint_that_vanishes_while_it_is_opened_means_the_next_one(
