@@ -15,7 +15,6 @@ from bbq_torchrl.text import shown
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
-    CheckpointMismatchError,
     derive_seed,
 )
 from bbq_torchrl.trainers.spiking import count_transitions
@@ -34,8 +33,8 @@ def check(config: Config) -> Domain | None:
 
     Raises:
         ConfigError: the device is absent, the logger's package is not installed, the domain has
-            no such scripted policy, the spike would fill the replay buffer, or the run to
-            resume has nothing that it can go on from.
+            no such scripted policy, or the spike would fill the replay buffer.
+        TrainingError: the run to resume has nothing that it can go on from.
         ValueError or OSError: the corpus is damaged or not there.
     """
     check_device(config.device)
@@ -62,17 +61,12 @@ def check(config: Config) -> Domain | None:
 
 
 def _check_resumable(folder: Path, config: Config) -> None:
-    """Raises ConfigError if a run has begun, but there is no checkpoint of it to go on from."""
+    """Raises CheckpointDamagedError if a run has begun and has no checkpoint to go on from."""
     if has_result(folder, config.protocol.rounds):
         return  # what is missing is drawn, not trained
-    checkpoints = CheckpointFolder(folder / CHECKPOINTS)
-    try:
-        found = checkpoints.holds("replay")
-        if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
-            raise CheckpointDamagedError.gone(folder)
-        checkpoints.check(description(config))
-    except (CheckpointDamagedError, CheckpointMismatchError) as error:
-        raise ConfigError(str(error)) from error
+    found = CheckpointFolder(folder / CHECKPOINTS).check(description(config), "replay")
+    if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
+        raise CheckpointDamagedError.gone(folder)
 
 
 def _check_spike(config: Config, domain: Domain | None) -> None:

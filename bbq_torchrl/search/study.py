@@ -22,7 +22,7 @@ from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.search.tables import best_trial, trial_name, write_tables
 from bbq_torchrl.search.trials import Outcome, Runner, play_trial, suggest
 from bbq_torchrl.text import sentence, shown
-from bbq_torchrl.trainers.seeding import derive_seed
+from bbq_torchrl.trainers import TrainingError, derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -40,7 +40,6 @@ _DEFINITION = "search.yaml"
 def run_search(
     search: Search,
     runner: Runner,
-    usage_errors: tuple[type[Exception], ...] = (),
     check: Callable[[Config], object] | None = None,
 ) -> dict[str, Any] | None:
     """Runs trials until there are as many as wanted. Returns the best; None if there is none.
@@ -50,9 +49,9 @@ def run_search(
 
     Args:
         search: what to search.
-        runner: trains one trial: ``bbq_torchrl.run.run``.
-        usage_errors: errors of a trial that the search goes on after; any other one ends it, and
-            the trial is taken up when the search is started again.
+        runner: trains one trial: ``bbq_torchrl.run.run``. The search goes on after a
+            TrainingError of it; any other error ends the search, and the trial is taken up when it
+            is started again.
         check: what else is checked of a trial's configuration; raises ``ConfigError``. Values that
             cannot be run together fail their trial, and the search goes on.
 
@@ -81,12 +80,10 @@ def run_search(
                 config = search.config(values)
                 if check is not None:
                     check(config)
-            except ConfigError as error:
+            except (ConfigError, TrainingError) as error:
                 outcome = Outcome(optuna.trial.TrialState.FAIL, reason=sentence(error))
             else:
-                outcome = play_trial(
-                    trial, config, run_folder, search.settings, runner, usage_errors
-                )
+                outcome = play_trial(trial, config, run_folder, search.settings, runner)
             _tell(study, trial, outcome)
         with FileLock(folder / ".tables.lock"):
             write_tables(search, study)

@@ -14,6 +14,8 @@ from bbq_torchrl.cli.resume import is_finished
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.statistics import interquartile_mean
 from bbq_torchrl.run_folder import CONFIG
+from bbq_torchrl.text import sentence
+from bbq_torchrl.trainers import TrainingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -67,7 +69,6 @@ def play_trial(
     folder: Path,
     settings: SearchConfig,
     runner: Runner,
-    usage_errors: tuple[type[Exception], ...],
 ) -> Outcome:
     """Runs a trial from where it is: new, from its last checkpoint, or finished already.
 
@@ -77,8 +78,6 @@ def play_trial(
         folder: the trial's run folder.
         settings: of the search.
         runner: see :data:`Runner`.
-        usage_errors: errors that tell something of the values, such as a loss that is not finite;
-            the search goes on after them.
     """
     states = optuna.trial.TrialState
     folder.mkdir(parents=True, exist_ok=True)
@@ -91,8 +90,8 @@ def play_trial(
             result = runner(config, folder, [_Reports(trial, settings)])
     except optuna.TrialPruned:
         return Outcome(states.PRUNED)
-    except usage_errors as error:
-        return Outcome(states.FAIL, reason=" ".join(str(error).split()))
+    except TrainingError as error:
+        return Outcome(states.FAIL, reason=sentence(error))
     return Outcome(states.COMPLETE, _worth(result, settings))
 
 

@@ -114,13 +114,6 @@ class CheckpointFolder:
             _LOG.warning("taking the checkpoint before it: %s", found[0])
         return found
 
-    def holds(self, *names: str) -> bool:
-        """Returns whether there is a checkpoint with these components; errors are :meth:`newest`'s.
-
-        Nothing is loaded, and nothing logged.
-        """
-        return self._newest(names)[0] is not None
-
     def restore(self, expected: Mapping[str, Any]) -> tuple[Path, dict[str, Any]] | None:
         """Restores all components from the newest readable checkpoint; None if there is none.
 
@@ -149,18 +142,23 @@ class CheckpointFolder:
                 continue  # the process that writes has removed it: there is a newer one
             return found
 
-    def check(self, expected: Mapping[str, Any]) -> None:
-        """Refuses the newest readable checkpoint, if there is one, as :meth:`restore` would.
+    def check(self, expected: Mapping[str, Any], *components: str) -> bool:
+        """Refuses the newest readable checkpoint as :meth:`restore` would; whether there is one.
 
         Nothing is loaded, and nothing logged.
+
+        Args:
+            expected (mapping): as of :meth:`restore`.
+            *components (str): what it must hold.
 
         Raises:
             CheckpointDamagedError: as :meth:`newest`.
             CheckpointMismatchError: if the checkpoint is one of another seed or configuration.
         """
-        found, _ = self._newest(())
+        found, _ = self._newest(components)
         if found is not None:
             _compare(*found, expected)
+        return found is not None
 
     def load(self, path: Path) -> None:
         """Restores all components from a checkpoint that :meth:`newest` returned.

@@ -13,14 +13,19 @@ __all__ = [
     "CheckpointMismatchError",
     "NonFiniteLossError",
     "SpikeError",
+    "TrainingError",
 ]
 
 
-class SpikeError(ValueError):
+class TrainingError(ValueError):
+    """What stops a training, or keeps one from going on; its text is enough for a person."""
+
+
+class SpikeError(TrainingError):
     """Spiked transitions that do not fit the replay buffer."""
 
 
-class CheckpointDamagedError(RuntimeError):
+class CheckpointDamagedError(TrainingError):
     """No checkpoint of a run can be used, though there was one."""
 
     @classmethod
@@ -32,11 +37,11 @@ class CheckpointDamagedError(RuntimeError):
         )
 
 
-class CheckpointMismatchError(ValueError):
+class CheckpointMismatchError(TrainingError):
     """A checkpoint is one of another seed or configuration."""
 
 
-class NonFiniteLossError(RuntimeError):
+class NonFiniteLossError(TrainingError):
     """A replica's loss became NaN or infinite.
 
     Args:

@@ -10,12 +10,12 @@ from datetime import date
 
 import pytest
 import torch
+from prepared import prepare
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli.agent import make_agent
 from bbq_torchrl.cli.checks import check
 from bbq_torchrl.cli.loading import trained_policy
-from bbq_torchrl.cli.preparation import prepare
 from bbq_torchrl.cli.saved import save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.extras import install_command
@@ -221,15 +221,15 @@ def test_a_sweep_whose_glob_names_nothing(refused):
 def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(refused, tmp_path):
     folder = tmp_path / "new" / "sweep"
     arguments = ["--multirun", "seed=1,2", f"hydra.sweep.dir={folder}"]
-    assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"
+    assert prepare(arguments)[-1] == f"hydra.sweep.dir='{folder}'"
     assert folder.is_dir()
     line = refused(*arguments)
     assert f"or that of a sweep to go on with, got {folder}" in line
     (folder / "multirun.yaml").touch()
-    assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"
+    assert prepare(arguments)[-1] == f"hydra.sweep.dir='{folder}'"
     job = folder / "1_bbqn_thompson_full_seed2"
     job.mkdir()
     save_config(compose(["seed=2"]), job / "config.yaml")
-    assert prepare(arguments, lambda config: None)[-1] == f"hydra.sweep.dir='{folder}'"
+    assert prepare(arguments)[-1] == f"hydra.sweep.dir='{folder}'"
     line = refused(*arguments, "agent.lr=.5")
     assert f"{job} already holds another run" in line

@@ -14,8 +14,8 @@ import time
 from pathlib import Path
 
 import pytest
+from prepared import prepare
 
-from bbq_torchrl.cli.preparation import prepare
 from bbq_torchrl.cli.resume import restarted_config
 from bbq_torchrl.cli.saved import save_config
 from bbq_torchrl.cli.store import compose, compose_raw, options, session
@@ -143,7 +143,7 @@ def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_p
     if importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is not None:
         message = "hydra/launcher=slurm needs the program sbatch"
     with pytest.raises(ConfigError, match=message):
-        prepare(["--multirun", f"hydra/launcher={name}"], lambda config: None)
+        prepare(["--multirun", f"hydra/launcher={name}"])
     assert not list(tmp_path.iterdir())
 
 
@@ -158,7 +158,7 @@ def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_p
 def test_a_wrong_launcher_is_refused_by_name(override, message, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError) as refused:
-        prepare(["--multirun", override], lambda config: None)
+        prepare(["--multirun", override])
     assert message in str(refused.value)
 
 
