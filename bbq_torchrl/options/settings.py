@@ -13,12 +13,12 @@ from __future__ import annotations
 import copy
 import os
 from dataclasses import Field, dataclass, field, fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     Values = float | list[float]
 else:
@@ -48,6 +48,7 @@ __all__ = [
     "Values",
     "absolute",
     "check_settings",
+    "filled",
     "integers",
     "numbers",
     "one_of",
@@ -60,6 +61,8 @@ __all__ = [
     "walk",
 ]
 
+
+Schema = TypeVar("Schema")
 
 REQUIRED = "???"
 """OmegaConf's mark for a value that somebody has to give."""
@@ -248,3 +251,26 @@ def check_settings(config: Any) -> None:
             raise ConfigError(f"{key} must be given: it must be {allowed.text}")
         if not allowed.test(value):
             raise ConfigError(f"{key} must be {allowed.text}, got {shown(value)}")
+
+
+def filled(schema: type[Schema], given: Mapping[str, Any], prefix: str) -> Schema:
+    """Returns a dataclass of settings with the values that are given, checked.
+
+    Args:
+        schema: the dataclass.
+        given: key to value.
+        prefix: what stands before a key where errors name it.
+
+    Raises:
+        ConfigError: naming the first key that there is not, or whose value is not allowed.
+    """
+    known = list(schema.__dataclass_fields__)  # type: ignore[attr-defined]
+    for key in given:
+        if key not in known:
+            raise ConfigError(f"{prefix}{key} is not a key; there are {', '.join(known)}")
+    config = schema(**given)
+    try:
+        check_settings(config)
+    except ConfigError as error:
+        raise ConfigError(f"{prefix}{error}") from error
+    return config

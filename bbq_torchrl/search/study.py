@@ -18,7 +18,9 @@ import yaml
 from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 
+from bbq_torchrl.cli.parameters import Choices
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.search.tables import best_trial, trial_name, write_tables
 from bbq_torchrl.search.trials import Outcome, Runner, play_trial, suggest
 from bbq_torchrl.text import sentence, shown
@@ -111,9 +113,7 @@ def _check_definition(search: Search, file: Path) -> None:
 
 def _write_definition(search: Search, file: Path) -> None:
     if not file.exists():
-        temporary = file.with_name(f".{file.name}.new")
-        temporary.write_text(yaml.safe_dump(search.definition(), sort_keys=False), encoding="utf-8")
-        temporary.replace(file)
+        write_text(file, yaml.safe_dump(search.definition(), sort_keys=False))
 
 
 def _study(search: Search, folder: Path) -> optuna.Study:
@@ -185,22 +185,22 @@ def _is_free(lock: FileLock) -> bool:
 def _values(search: Search, study: optuna.Study, trial: optuna.Trial) -> dict[str, Any]:
     """The trial's values: drawn from seeds of its own, so that an interruption changes none."""
     values = {}
-    for parameter in search.space:
-        seed = derive_seed(search.settings.seed, "search", trial.number, parameter.name)
+    for name, parameter in search.space.items():
+        seed = derive_seed(search.settings.seed, "search", trial.number, name)
         study.sampler = _sampler(search, seed % 2**32)
-        values[parameter.name] = suggest(trial, parameter)
+        values[name] = suggest(trial, name, parameter)
     return values
 
 
 def _has_choices_only(search: Search) -> bool:
-    return all(parameter.type == "categorical" for parameter in search.space)
+    return all(isinstance(parameter, Choices) for parameter in search.space.values())
 
 
 def _most_trials(search: Search) -> int:
     """How many trials there are to be: of choices alone no setting is tried twice."""
     if not _has_choices_only(search):
         return search.settings.trials
-    return min(search.settings.trials, prod(len(item.choices) for item in search.space))
+    return min(search.settings.trials, prod(len(item.probes) for item in search.space.values()))
 
 
 def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import shlex
 from collections import Counter
+from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import optuna
 
 from bbq_torchrl.cli.messages import train_command
 from bbq_torchrl.evaluation.results import write_json
+from bbq_torchrl.run_folder import write_text
 
 if TYPE_CHECKING:
     from bbq_torchrl.cli.searches import Search
@@ -34,7 +36,7 @@ def best_trial(search: Search, study: optuna.Study) -> dict[str, Any] | None:
         return None
     # Of equals the first, however the trials were shared out among processes.
     best = max(complete, key=lambda item: (item.value, -item.number))
-    values = {item.name: best.params[item.name] for item in search.space}
+    values = {name: best.params[name] for name in search.space}
     return {
         "trial": best.number,
         "value": best.value,
@@ -49,28 +51,24 @@ def best_trial(search: Search, study: optuna.Study) -> dict[str, Any] | None:
 
 def write_tables(search: Search, study: optuna.Study) -> None:
     """Writes ``trials.csv`` and ``best.json``, atomically."""
-    names = [item.name for item in search.space]
-    file = search.folder / TRIALS
-    temporary = file.with_name(f".{file.name}.new")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(
-            ["trial", "state", "value", *names, "rounds", "seconds", "folder", "reason"]
-        )
-        for item in study.get_trials(deepcopy=False):
-            writer.writerow(
-                [
-                    item.number,
-                    item.state.name.lower(),
-                    "" if item.values is None else item.value,
-                    *(item.params.get(name, "") for name in names),
-                    len(item.intermediate_values),
-                    "" if item.duration is None else round(item.duration.total_seconds(), 1),
-                    trial_name(item.number),
-                    item.user_attrs.get("reason", ""),
-                ]
-            )
-    temporary.replace(file)
+    rows = [
+        {
+            "trial": item.number,
+            "state": item.state.name.lower(),
+            "value": "" if item.values is None else item.value,
+            **{name: item.params.get(name, "") for name in search.space},
+            "rounds": len(item.intermediate_values),
+            "seconds": "" if item.duration is None else round(item.duration.total_seconds(), 1),
+            "folder": trial_name(item.number),
+            "reason": item.user_attrs.get("reason", ""),
+        }
+        for item in study.get_trials(deepcopy=False)
+    ]
+    text = StringIO()
+    writer = csv.DictWriter(text, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(search.folder / TRIALS, text.getvalue())
     best = best_trial(search, study)
     if best is not None:
         write_json(best, search.folder / BEST)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import optuna
 
+from bbq_torchrl.cli.parameters import Choices, IntegerRange
 from bbq_torchrl.cli.resume import is_finished
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.statistics import interquartile_mean
@@ -48,19 +48,14 @@ class Outcome:
     reason: str | None = None
 
 
-def suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
+def suggest(trial: optuna.Trial, name: str, parameter: Parameter) -> Any:
     """Returns the trial's value for a key; a trial that goes on gets the value it has."""
-    name = parameter.name
-    if parameter.type == "categorical":
+    if isinstance(parameter, Choices):
         return trial.suggest_categorical(name, parameter.choices)
-    assert parameter.low is not None
-    assert parameter.high is not None
-    bounds: dict[str, Any] = {"log": parameter.log}
-    if parameter.step is not None:
-        bounds["step"] = parameter.step
-    if parameter.type == "int":
-        return trial.suggest_int(name, int(parameter.low), int(parameter.high), **bounds)
-    return trial.suggest_float(name, parameter.low, parameter.high, **bounds)
+    bounds = {key: value for key, value in asdict(parameter).items() if value is not None}
+    if isinstance(parameter, IntegerRange):
+        return trial.suggest_int(name, **bounds)
+    return trial.suggest_float(name, **bounds)
 
 
 def play_trial(
@@ -82,7 +77,7 @@ def play_trial(
     states = optuna.trial.TrialState
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / CONFIG).is_file():
-        config = dataclasses.replace(config, resume=str(folder))
+        config = replace(config, resume=str(folder))
     try:
         if is_finished(folder, config.protocol.rounds):
             result = read_result(folder)
