@@ -16,8 +16,8 @@ from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
     derive_seed,
+    play_dialogues,
 )
-from bbq_torchrl.trainers.spiking import count_transitions
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
@@ -81,17 +81,13 @@ def _check_spike(config: Config, domain: Domain | None) -> None:
         )
         torch.manual_seed(derive_seed(seed, "torch", "spike", 0))
         env.set_seed(derive_seed(seed, "env", "spike", 0))
-        count = count_transitions(
-            env,
-            config.env.make_policy(spike.policy, env),
-            spike.dialogues,
-            max_steps=config.env.steps(),
-            enough=capacity,
-        )
+        policy, steps = config.env.make_policy(spike.policy, env), config.env.steps()
+        played = play_dialogues(env, policy, spike.dialogues, max_steps=steps)
+        count = sum(int(rollout["valid"].sum((-2, -1)).max()) for rollout in played)
     if count >= capacity:
         raise ConfigError(
             f"protocol.capacity must be more than the transitions of spike.dialogues="
-            f"{spike.dialogues}, which are at least {count}, got {capacity}"
+            f"{spike.dialogues}, which are {count}, got {capacity}"
         )
 
 

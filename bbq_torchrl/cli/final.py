@@ -19,6 +19,7 @@ from bbq_torchrl.evaluation.results import (
     training_evaluation,
 )
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -125,7 +126,7 @@ def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]
 def _last_env(config: Config, domain: Domain | None, replicas: int, places: int) -> EnvBase:
     """Makes the environment as it was in the last round of the training."""
     env = config.env.make(domain, (replicas, places), device=config.device)
-    config.env.enter_round(env, max(config.protocol.rounds - 1, 0))
+    enter_round(env, max(config.protocol.rounds - 1, 0))
     return env
 
 

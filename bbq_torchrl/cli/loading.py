@@ -10,6 +10,7 @@ from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.shipped import is_shipped, run_folder
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder
+from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -114,7 +115,7 @@ def trained_policy(
     found = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(description(config))
     if found is None:
         raise ConfigError(f"{folder} has no checkpoint yet")
-    config.env.enter_round(env, max(int(found[1]["round"]) - 1, 0))
+    enter_round(env, max(int(found[1]["round"]) - 1, 0))
     if best is not None:
         best.put_back()
     return policy, name

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -29,17 +30,15 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import (
     SWEEP_CONFIG,
-    check_job_name,
     job_subfolder,
     quoted,
     refuse_other_folder,
     run_folder,
+    run_lock,
     sweep_folder,
 )
-from bbq_torchrl.cli.launchers import LAUNCHER, check_launcher
-from bbq_torchrl.cli.messages import explain, too_large
+from bbq_torchrl.cli.messages import LAUNCHER, explain, too_large
 from bbq_torchrl.cli.resume import restarted_config, resumed_config
-from bbq_torchrl.cli.run_lock import run_lock
 from bbq_torchrl.cli.store import (
     compose_raw,
     options,
@@ -63,6 +62,8 @@ if TYPE_CHECKING:
 __all__ = ["FULL_ERROR", "Check", "Prepared", "SingleRun", "Sweep", "prepare"]
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
+
+_SLURM = ("slurm", "submitit_slurm")
 
 Check = Callable[[Config], "Domain | None"]
 
@@ -162,7 +163,6 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
         _refuse_unread(parsed)
         composed = None if parsed.multirun else _compose_single(hydra_session, parsed.overrides)
         if composed is not None:
-            check_job_name(composed)
             refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
             folder = _resumed_folder(composed.resume)
             if folder is not None:
@@ -174,10 +174,13 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
             run = SingleRun(composed, config, domain, hydra_session.config_loader)
             return Prepared([*arguments, *extra], run=run)
         composed, jobs = _sweep(hydra_session, parsed.overrides)
-        check_job_name(composed)
         refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
         launcher = composed.hydra.runtime.choices[LAUNCHER]
-        check_launcher(launcher, composed.hydra.launcher)
+        if launcher in _SLURM and shutil.which("sbatch") is None:
+            raise ConfigError(
+                f"{LAUNCHER}={launcher} needs the program sbatch, which is not on this machine: "
+                "start the sweep where SLURM's jobs are submitted"
+            )
         configs = []
         for overrides in jobs:
             job = compose_raw(overrides)
@@ -185,7 +188,7 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
                 raise ConfigError("resume cannot be combined with --multirun")
             configs.append(to_config(job, Config))
             check(configs[-1])
-        folder = sweep_folder(composed, parsed.overrides, len(jobs))
+        folder = sweep_folder(composed, parsed.overrides)
         if (folder / SWEEP_CONFIG).is_file():
             # Hydra writes into a job's folder before the job can refuse it.
             for number, (overrides, config) in enumerate(zip(jobs, configs, strict=True)):

@@ -124,7 +124,6 @@ def _evaluator(config: Config, domain: Domain | None, agent: Agent) -> RoundEval
         dialogues=protocol.eval_every_dialogues,
         seed=config.seed,
         max_steps=config.env.steps(),
-        enter_round=config.env.enter_round,
         changes=config.env.additions(domain),
     )
 

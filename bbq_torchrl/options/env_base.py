@@ -98,6 +98,3 @@ class EnvOption(Option):
     def additions(self, domain: Domain | None) -> dict[int, str]:
         """Returns what each round adds that there was not before."""
         return {}
-
-    def enter_round(self, env: EnvBase, round: int) -> None:
-        """Has the environment be as in a round of the training."""

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
+from bbq_torchrl.hooks import provides
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from torch import Tensor
+    from torchrl.envs import EnvBase
 
     from bbq_torchrl.trainers.best_weights import BestWeights
     from bbq_torchrl.trainers.metrics import MetricRow
     from bbq_torchrl.trainers.round_trainer import RoundTrainer
 
-__all__ = ["Evaluator", "RoundCallback", "RoundEnv"]
+__all__ = ["Evaluator", "RoundCallback", "RoundEnv", "enter_round"]
 
 
 class RoundEnv(Protocol):
@@ -21,6 +24,12 @@ class RoundEnv(Protocol):
 
     def set_round(self, round: int, /) -> None:
         """Enters a round; called before its dialogues are played, and before spiking with 0."""
+
+
+def enter_round(env: EnvBase, round: int) -> None:
+    """Has an environment that changes with the rounds be as in one of them."""
+    if provides(env, RoundEnv):
+        env.set_round(round)
 
 
 class RoundCallback(Protocol):

@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.hooks import provides
 from bbq_torchrl.objectives.hooks import BeginsEpochs, FixedTargets, UsesNumData
 from bbq_torchrl.trainers.learn import Update, learn_epoch
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from torch import nn
+    from torchrl.objectives.utils import TargetNetUpdater
 
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
     from bbq_torchrl.trainers.settings import RoundSettings
 
-__all__ = ["Learner", "SeedPhase", "TargetUpdater"]
-
-
-class TargetUpdater(Protocol):
-    """Freezes the target: ``HardUpdate(loss, value_network_update_interval=0)`` is one."""
-
-    def step(self) -> None:
-        """Copies the network as it is now to the target."""
-
-
-class SeedPhase(Protocol):
-    """Seeds every source of random numbers for a phase of a training."""
-
-    def __call__(self, *path: str | int) -> None:
-        """Takes what the phase is: its name, the round, and so on."""
+__all__ = ["Learner"]
 
 
 class Learner:
@@ -40,10 +29,11 @@ class Learner:
             in :mod:`bbq_torchrl.objectives.hooks`.
         replay (ReplicaReplay): the buffers.
         optimizer (ReplicaOptimizer): of the loss's parameters.
-        target_updater (TargetUpdater): freezes the target.
+        target_updater (HardUpdate): ``.step()`` freezes the target.
         settings (RoundSettings): how many freezes and epochs, of which batches, and whether the
             learning rate falls.
-        seed_phase (SeedPhase): called before each epoch.
+        seed_phase (callable): seeds all that is random for a phase, which it is given as a name and
+            numbers; called before each epoch.
     """
 
     def __init__(
@@ -51,9 +41,9 @@ class Learner:
         loss: nn.Module,
         replay: ReplicaReplay,
         optimizer: ReplicaOptimizer,
-        target_updater: TargetUpdater,
+        target_updater: TargetNetUpdater,
         settings: RoundSettings,
-        seed_phase: SeedPhase,
+        seed_phase: Callable[..., None],
     ) -> None:
         self.loss = loss
         self.replay = replay

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.trainers.settings import SpikeSettings
 
-__all__ = ["count_transitions", "drop_outgrown_spikes", "is_spike_outgrown", "spike_replay"]
+__all__ = ["drop_outgrown_spikes", "is_spike_outgrown", "spike_replay"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -65,26 +65,6 @@ def spike_replay(
             spike.dialogues,
             ", ".join(without),
         )
-
-
-def count_transitions(
-    env: EnvBase, policy: Policy, dialogues: int, *, max_steps: int, enough: int
-) -> int:
-    """Returns how many transitions the dialogues of a policy are, in the longest replica.
-
-    Args:
-        env (EnvBase): batch size [replicas, places].
-        policy (callable): writes an action.
-        dialogues (int): how many each replica plays.
-        max_steps (int): the most turns of a dialogue.
-        enough (int): counting ends where there are so many.
-    """
-    total = 0
-    for rollout in play_dialogues(env, policy, dialogues, max_steps=max_steps):
-        total += int(rollout["valid"].sum((-2, -1)).max())
-        if total >= enough:
-            break
-    return total
 
 
 def is_spike_outgrown(success_rates: Sequence[float], spike: SpikeSettings) -> bool:

@@ -16,7 +16,7 @@ from bbq_torchrl import evaluate
 from bbq_torchrl.cli.agent import make_agent
 from bbq_torchrl.cli.checks import check
 from bbq_torchrl.cli.loading import trained_policy
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.extras import install_command
 
@@ -82,7 +82,7 @@ def test_a_buffer_that_the_spike_would_fill(refused):
     line = refused("spike.dialogues=100", "protocol.capacity=800")  # a rule dialogue has 8 turns
     assert "protocol.capacity must be more than the transitions of spike.dialogues=100" in line
     line = refused("--multirun", "seed=1,2", "spike.dialogues=1000", "protocol.capacity=900,20000")
-    assert "which are at least 1000, got 900" in line
+    assert "which are 1000, got 900" in line
 
 
 def test_a_buffer_with_room_for_one_more_than_the_spike():

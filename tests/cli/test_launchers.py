@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 from prepared import prepare
 
-from bbq_torchrl.cli.resume import restarted_config
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import restarted_config, save_config
 from bbq_torchrl.cli.store import compose, compose_raw, options, session
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import ConfigError

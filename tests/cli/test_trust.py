@@ -11,9 +11,8 @@ import pytest
 from planted import plant
 
 from bbq_torchrl import evaluate
-from bbq_torchrl.cli.resume import is_finished, run_config
-from bbq_torchrl.cli.run_lock import LOCK, run_lock
-from bbq_torchrl.cli.saved import load_config, save_config
+from bbq_torchrl.cli.folders import LOCK, run_lock
+from bbq_torchrl.cli.resume import is_finished, load_config, run_config, save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run

@@ -11,7 +11,7 @@ from composing import checked, composed, own_conf
 from omegaconf import OmegaConf
 
 from bbq_torchrl.cli import store
-from bbq_torchrl.cli.saved import load_config, save_config
+from bbq_torchrl.cli.resume import load_config, save_config
 from bbq_torchrl.cli.store import compose, conf_folder, options, to_config
 from bbq_torchrl.options import Config, ConfigError, EvaluateConfig, explorations, schemas
 from bbq_torchrl.options.settings import walk

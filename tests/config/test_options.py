@@ -16,8 +16,7 @@ from prepared import prepare
 
 from bbq_torchrl.cli import store
 from bbq_torchrl.cli.messages import take_config_dir, train_command
-from bbq_torchrl.cli.resume import run_config
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import run_config, save_config
 from bbq_torchrl.cli.store import compose, options
 from bbq_torchrl.options import (
     AgentOption,

@@ -10,7 +10,7 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from prepared import prepare
 
 from bbq_torchrl.cli import train
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from bbq_torchrl.cli.resume import resumed_config
-from bbq_torchrl.cli.saved import load_config, save_config
+from bbq_torchrl.cli.resume import load_config, resumed_config, save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
 

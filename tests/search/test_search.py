@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.searches import Search, compose_search
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError

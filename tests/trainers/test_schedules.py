@@ -122,9 +122,3 @@ def test_a_resumed_training_goes_on_at_the_rate_of_its_round(tmp_path):
     (through,) = trained(tmp_path / "through", (4,), **settings)
     *_, resumed = trained(tmp_path / "resumed", (1, 2, 3, 4), **settings)
     assert same(through, resumed)
-
-
-@pytest.mark.parametrize("name", ["lr_final", "lr_decay_from"])
-def test_a_share_is_from_0_to_1(name):
-    with pytest.raises(ValueError, match=rf"{name} must be in \[0, 1\], got 1.5"):
-        RoundSettings(rounds=2, **{name: 1.5})

@@ -157,10 +157,6 @@ class DialogueOption(EnvOption):
 
         return scripted_policy(name, env)
 
-    def enter_round(self, env: EnvBase, round: int) -> None:
-        """Activates the slots of the round."""
-        env.set_round(round)
-
     def schedule(self) -> ExtensionSchedule | None:
         """Says which slots there are in which round; None: all of them, always."""
         return None
