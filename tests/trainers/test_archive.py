@@ -50,18 +50,6 @@ def test_a_pickle_in_an_archive_is_never_loaded(tmp_path, saved, file, caplog):
     assert marker.exists(), "the archive would have run code"
 
 
-@pytest.mark.parametrize("file", ["other.pickle", "pickle.pkl"])
-def test_the_checkpoint_before_a_planted_one_is_taken(tmp_path, saved, file):
-    plant(saved, tmp_path / "marker", file)
-    network = nn.Linear(3, 2)
-    CheckpointFolder(saved.parent, network=network).save(3, {"seed": 7})
-
-    path, _ = CheckpointFolder(saved.parent, network=nn.Linear(3, 2)).restore({"seed": 7})
-
-    assert path.name == "round-000003.torchrl"
-    assert not (tmp_path / "marker").exists()
-
-
 @pytest.mark.parametrize("name", ["state.pt", "state/notes.txt"])
 def test_a_file_that_no_checkpoint_has_is_refused_listed_or_not(saved, name):
     with zipfile.ZipFile(saved, "a") as archive:
@@ -128,16 +116,6 @@ def test_a_link_to_nothing_is_damage_and_not_a_reason_to_wait(saved):
     path, _ = CheckpointFolder(saved.parent, network=nn.Linear(3, 2)).newest()
 
     assert path == saved
-
-
-def test_what_is_read_is_left_as_it_was(saved):
-    stage = saved.parent / f".round-000005.torchrl.stage-{'0a' * 16}"
-    stage.mkdir()
-    before = {path.name: path.stat().st_mtime_ns for path in saved.parent.iterdir()}
-
-    CheckpointFolder(saved.parent, network=nn.Linear(3, 2)).restore({"seed": 7})
-
-    assert {path.name: path.stat().st_mtime_ns for path in saved.parent.iterdir()} == before
 
 
 def test_a_checkpoint_of_other_metadata_is_refused(saved):

@@ -69,30 +69,3 @@ def test_a_resumed_run_goes_on_as_the_same_wandb_run(tmp_path, monkeypatch):
     assert [run["id"] for run in begun] == [None, "a-new-id", None]
     assert [run["resume"] for run in begun] == ["allow", "must", "allow"]
     assert all(run["project"] == "ours" for run in begun)
-
-
-def test_wandb_takes_the_metrics(tmp_path, monkeypatch):
-    pytest.importorskip("wandb")
-    monkeypatch.setenv("WANDB_MODE", "offline")
-    monkeypatch.setenv("WANDB_SILENT", "true")
-
-    (logger,) = options()["wandb"]().make(tmp_path)
-    rows = make_trainer(tmp_path, rounds=2, loggers=[logger]).train()
-    summary = dict(logger.experiment.summary)
-    logger.experiment.finish()
-
-    assert summary["reward/replica_2"] == rows[-1]["reward"]
-    assert list((tmp_path / "wandb").glob("offline-run-*/*.wandb"))
-
-
-def test_mlflow_takes_the_metrics(tmp_path):
-    mlflow = pytest.importorskip("mlflow")
-
-    rows = make_trainer(tmp_path, rounds=2, loggers=options()["mlflow"]().make(tmp_path)).train()
-    run_id = mlflow.active_run().info.run_id
-    mlflow.end_run()
-
-    client = mlflow.MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
-    history = client.get_metric_history(run_id, "reward/replica_1")
-    assert [point.step for point in history] == [0, 1]
-    assert [point.value for point in history] == [row["reward"] for row in rows[1::3]]

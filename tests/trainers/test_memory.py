@@ -45,9 +45,3 @@ def test_a_tensors_memory_is_kept_for_the_next_one():
     # 20 MB from the heap, which keeps it; by default they are the kernel's and go back at once.
     assert told["own"] == 0
     assert told["kept"] >= 20_000_000
-
-
-def test_elsewhere_nothing_is_changed(monkeypatch):
-    monkeypatch.setattr(sys, "platform", "darwin")
-
-    assert memory.keep_freed_memory() is False

@@ -117,35 +117,6 @@ def test_an_inactive_replica_is_bitwise_untouched():
         assert parameter.isfinite().all()
 
 
-def test_a_parameter_without_a_gradient_stays():
-    used, unused = replica_parameters()
-    optimizer = ReplicaAdam([used, unused], 3)
-    before = unused.detach().clone()
-    used.grad = torch.ones_like(used)
-
-    optimizer.step()
-
-    assert torch.equal(unused, before)
-
-
-def test_the_state_continues_where_it_was_saved():
-    parameters = replica_parameters()
-    optimizer = ReplicaAdam(parameters, 3)
-    for step, active in enumerate(FLAGS[:4]):
-        give_gradients(parameters, step)
-        optimizer.step(active)
-    copies = [nn.Parameter(p.detach().clone()) for p in parameters]
-    copied = ReplicaAdam(copies, 3)
-    copied.load_state_dict(optimizer.state_dict())
-
-    for ps, opt in ((parameters, optimizer), (copies, copied)):
-        for step, active in enumerate(FLAGS[4:]):
-            give_gradients(ps, step)
-            opt.step(active)
-
-    assert all(torch.equal(a, b) for a, b in zip(parameters, copies, strict=True))
-
-
 def test_frozen_parameters_are_left_out():
     frozen = nn.Parameter(torch.zeros(2), requires_grad=False)
 
