@@ -38,10 +38,7 @@ def check(config: Config) -> Domain | None:
         ValueError or OSError: the corpus is damaged or not there.
     """
     check_device(config.device)
-    try:
-        config.logger.check_package()
-    except ImportError as error:
-        raise ConfigError(str(error)) from error
+    config.logger.check_package()
     domain = make_domain(config)
     spike, policies = config.spike, config.env.policies(domain)
     if spike.dialogues and spike.policy not in policies:

@@ -8,6 +8,7 @@ Importing an option does not import torch: making it does.
 from __future__ import annotations
 
 import importlib.util
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -72,9 +73,6 @@ class Option:
         Raises:
             ConfigError: one sentence that names the key, its value and what is allowed.
         """
-
-    def resolve_paths(self) -> None:
-        """Makes paths absolute, as a run may go on from another folder."""
 
 
 @dataclass
@@ -202,6 +200,11 @@ class DomainOption(Option):
 
     group: ClassVar[str] = "domain"
 
+    def resolve_path(self) -> None:
+        """Makes the key ``path`` absolute, where there is one: a run may go on elsewhere."""
+        if path := getattr(self, "path", ""):
+            self.path = os.path.abspath(os.path.expanduser(path))
+
     def make(self) -> Domain:
         """Loads the domain.
 
@@ -230,9 +233,9 @@ class LoggerOption(Option):
         raise NotImplementedError
 
     def check_package(self) -> None:
-        """Raises ImportError, which names the extra to install, where the package is missing."""
+        """Raises ConfigError, which names the extra to install, where the package is missing."""
         if self.package and importlib.util.find_spec(self.package) is None:
-            raise ImportError(
+            raise ConfigError(
                 f"logger={self.name} needs the package {self.package}: "
                 f"{install_command(self.package)}"
             )

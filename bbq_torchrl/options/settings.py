@@ -11,7 +11,6 @@ names the key, what is allowed and what was given.
 from __future__ import annotations
 
 import copy
-import os
 from dataclasses import Field, dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -46,7 +45,6 @@ __all__ = [
     "Allowed",
     "ConfigError",
     "Values",
-    "absolute",
     "check_settings",
     "filled",
     "integers",
@@ -211,11 +209,6 @@ def other_default(base: type, key: str, default: Any) -> Any:
 def option(name: str) -> Any:
     """The field ``name`` of the schema of a group's option, by which the option is told."""
     return setting(name, one_of(name), "the option of the group; chosen by <group>=<option>")
-
-
-def absolute(path: str) -> str:
-    """Returns a path as an absolute one, with the user's folder for a tilde."""
-    return os.path.abspath(os.path.expanduser(path)) if path else path
 
 
 def walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any], Any]]:

@@ -18,7 +18,7 @@ from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import Policy, collect_dialogues
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, NonFiniteLossError
 from bbq_torchrl.trainers.hooks import enter_round
-from bbq_torchrl.trainers.learner import Learner
+from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.seeding import derive_seed

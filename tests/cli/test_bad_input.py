@@ -165,32 +165,6 @@ def test_a_mode_must_be_one_of_the_agents(agent, mode, allowed, tmp_path):
         trained_policy(config, tmp_path, env, mode=mode)
 
 
-def test_an_evaluation_prints_one_line_of_json(capsys, restaurant_folder, tmp_path):
-    log = tmp_path / "dialogues.txt"
-    assert (
-        evaluate.main(
-            [
-                "policy=random",
-                "domain=folder",
-                f"domain.path={restaurant_folder}",
-                "dialogues=7",
-                "batch=3",
-                f"log={log}",
-            ]
-        )
-        == 0
-    )
-    out = capsys.readouterr().out
-    assert out.count("\n") == 1
-    answer = json.loads(out)
-    assert answer["domain"] == "restaurant"
-    keys = ["success_rate", "standard_error", "reward", "turns", "dialogues", "turns_per_second"]
-    assert answer.keys() >= set(keys)
-    assert answer["dialogues"] == 7
-    # Ten were asked for; there are no more than were played.
-    assert log.read_text().count("dialogue ") == 7
-
-
 def test_the_public_corpus_is_evaluated_with_files_and_difficulty_of_choice(capsys, tcbot):
     arguments = [
         "policy=careful",

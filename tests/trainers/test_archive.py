@@ -143,11 +143,3 @@ def test_what_is_kept_of_a_finished_run_is_read_but_not_gone_on_from(tmp_path):
     assert torch.equal(network.weight, parts["network"].weight)
     with pytest.raises(CheckpointDamagedError, match="keep_checkpoints=last"):
         folder.restore({})
-
-
-def test_all_are_kept_where_all_are_wanted(tmp_path):
-    folder = CheckpointFolder(tmp_path, keep=None, network=nn.Linear(3, 2))
-    for number in range(4):
-        folder.save(number, {})
-
-    assert len(list(tmp_path.iterdir())) == 4

@@ -175,8 +175,3 @@ def test_nothing_in_a_checkpoint_is_pickled(tmp_path):
         endings = {name.rsplit(".", 1)[-1] for name in archive.namelist()}
 
     assert endings == {"json", "memmap"}
-
-
-def test_keep_must_be_positive(tmp_path):
-    with pytest.raises(ValueError, match="keep must be at least 1, got 0"):
-        CheckpointFolder(tmp_path, keep=0)

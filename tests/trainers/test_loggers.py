@@ -9,7 +9,7 @@ from unittest.mock import MagicMock
 import pytest
 from trainer_parts import make_trainer
 
-from bbq_torchrl.options import schemas
+from bbq_torchrl.options import ConfigError, schemas
 
 
 def options():
@@ -45,7 +45,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, name):
         importlib.util, "find_spec", lambda module: None if module == name else find(module)
     )
 
-    with pytest.raises(ImportError, match=rf"needs the package {name}: pip install .*\[{name}\]'"):
+    with pytest.raises(ConfigError, match=rf"needs the package {name}: pip install .*\[{name}\]'"):
         options()[name]().check_package()
 
 
