@@ -48,16 +48,6 @@ def test_a_resumed_training_knows_the_best_of_the_rounds_before(tmp_path):
     assert torch.equal(weight_of(whole), weight_of(resumed))
 
 
-def test_what_an_evaluator_returns_are_columns_and_the_rest_is_as_without(tmp_path):
-    with_it = make_trainer(tmp_path / "with", rates=RATES)
-    without = make_trainer(tmp_path / "without")
-    for ours, theirs in zip(with_it.train(), without.train(), strict=True):
-        assert ours["eval_success_rate"] == RATES[ours["round"]][ours["replica"]]
-        assert ours.keys() - theirs.keys() == {"eval_success_rate", "seconds_eval"}
-        assert all(ours[name] == theirs[name] for name in theirs if "seconds" not in name)
-    assert torch.equal(weight_of(with_it), weight_of(without))
-
-
 def test_there_are_no_best_weights_before_an_evaluation():
     best = BestWeights(nn.Linear(2, 2), replicas=2)
     with pytest.raises(ValueError, match="no best weights before the first evaluation"):

@@ -14,7 +14,7 @@ from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.exploration import Boltzmann, Greedy
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
-from bbq_torchrl.trainers import CheckpointFolder, ReplicaAdam, RoundSettings, RoundTrainer
+from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer
 
 START, END, STEPS = 0.9, 0.1, 5
 # the value at the start of each round: falls evenly, then stays
@@ -68,22 +68,6 @@ def test_a_resumed_training_goes_on_with_its_schedule(tmp_path, kind, stops):
 
     seen = [row["exploration"] for row in rows if row["replica"] == 0]
     assert seen == pytest.approx(SCHEDULE)
-
-
-@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
-def test_a_policys_checkpoint_holds_its_place_in_the_schedule(tmp_path, kind):
-    saved, _ = explorer(kind)
-    saved.step(2)
-    path = CheckpointFolder(tmp_path, policy=torch.nn.Sequential(saved)).save(2, {})
-
-    restored, value = explorer(kind)
-    CheckpointFolder(tmp_path, policy=torch.nn.Sequential(restored)).load(path)
-
-    seen = []
-    for _ in range(5):
-        seen.append(value())
-        restored.step()
-    assert seen == pytest.approx(SCHEDULE[2:])
 
 
 def weights(trainer):
