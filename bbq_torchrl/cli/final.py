@@ -8,7 +8,6 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import bbq_torchrl
-from bbq_torchrl.cli.training import evaluation_places
 from bbq_torchrl.envs.policies import RANDOM_POLICY
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.play import evaluate
@@ -58,7 +57,7 @@ def final_result(
     """
     started = time.perf_counter()
     protocol = config.protocol
-    places = evaluation_places(config, protocol.eval_dialogues)
+    places = protocol.places(protocol.eval_dialogues, config.replicas)
     env = _last_env(config, domain, config.replicas, places)
     name, policy = config.agent.make_evaluation(agent.actor)
     played = _played(config, env, policy, protocol.eval_dialogues)

@@ -21,8 +21,15 @@ from sqlalchemy.exc import SQLAlchemyError
 from bbq_torchrl.cli.parameters import Choices
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import write_text
-from bbq_torchrl.search.tables import best_trial, trial_name, write_tables
-from bbq_torchrl.search.trials import Outcome, Runner, play_trial, suggest
+from bbq_torchrl.search.trials import (
+    Outcome,
+    Runner,
+    best_trial,
+    play_trial,
+    suggest,
+    trial_name,
+    write_tables,
+)
 from bbq_torchrl.text import sentence, shown
 from bbq_torchrl.trainers import TrainingError, derive_seed
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from bbq_torchrl.hooks import provides
@@ -32,11 +33,8 @@ def enter_round(env: EnvBase, round: int) -> None:
         env.set_round(round)
 
 
-class RoundCallback(Protocol):
-    """What is called after every round with the trainer and the round's rows."""
-
-    def __call__(self, trainer: RoundTrainer, rows: Sequence[MetricRow], /) -> None:
-        """Takes in the round's rows, one for each replica."""
+RoundCallback = Callable[["RoundTrainer", "Sequence[MetricRow]"], None]
+"""What is called after every round with the trainer and the round's rows, one for each replica."""
 
 
 class Evaluator(Protocol):

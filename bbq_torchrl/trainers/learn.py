@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
     from bbq_torchrl.trainers.settings import RoundSettings
 
-__all__ = ["Learner", "LossSums", "Update", "learn_epoch"]
+__all__ = ["Learner", "LossSums", "Update"]
 
 
 _AT_ONCE = 64
@@ -142,17 +142,6 @@ class Update:
         self.sums.count(batch.active)
 
 
-def learn_epoch(update: Update, batches: Iterable[Batch]) -> None:
-    """Updates once for every batch.
-
-    Args:
-        update (Update): loss, optimizer and sums.
-        batches (iterable of Batch): the epoch.
-    """
-    for batch in batches:
-        update(batch)
-
-
 class Learner:
     """Learns from the buffers of R replicas: freeze, some epochs, freeze again, some epochs.
 
@@ -214,7 +203,8 @@ class Learner:
                 self.seed_phase("learn", round_number, freeze, epoch)
                 if provides(self.loss, BeginsEpochs):
                     self.loss.begin_epoch()
-                learn_epoch(self._update, self.replay.epoch(settings.batch_size))
+                for batch in self.replay.epoch(settings.batch_size):
+                    self._update(batch)
 
     def compute_targets(self) -> None:
         """Has the frozen network's values computed for the whole buffer, where a loss allows it."""

@@ -109,10 +109,6 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(env.batch_size)}"
             )
-        if optimizer.replicas != replicas:
-            raise ValueError(
-                f"the optimizer must have {replicas} replicas, got {optimizer.replicas}"
-            )
         self.spike = spike if spike is not None else SpikeSettings(dialogues=0)
         if self.spike.dialogues and spike_policy is None:
             raise ValueError(f"spiking with {self.spike.dialogues} dialogues needs a spike_policy")
@@ -289,7 +285,11 @@ class RoundTrainer:
         broken = [r for r, loss in enumerate(means["loss"]) if not math.isfinite(loss)]
         if broken:
             saved = self._save(name=f"failed-round-{round_number:06d}")
-            raise NonFiniteLossError(round_number, broken, saved)
+            noun = "replica" if len(broken) == 1 else "replicas"
+            raise NonFiniteLossError(
+                f"the loss of {noun} {', '.join(map(str, broken))} is not finite in round "
+                f"{round_number}; the state is saved in {saved}"
+            )
         return means
 
     def _begin_phase(self, name: str, round_number: int) -> None:

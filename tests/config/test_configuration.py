@@ -9,9 +9,8 @@ import pytest
 from composing import checked, composed, own_conf
 from omegaconf import OmegaConf
 
-from bbq_torchrl.cli import store
 from bbq_torchrl.cli.resume import load_config, save_config
-from bbq_torchrl.cli.store import compose, conf_folder, options, to_config
+from bbq_torchrl.cli.store import compose, options, to_config
 from bbq_torchrl.options import Config, ConfigError, explorations, schemas
 from bbq_torchrl.options.values import replica_values
 
@@ -115,17 +114,6 @@ def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkey
     config = compose(["+experiment=agents/warm"])
     assert (config.agent.name, config.explore.name, config.agent.lr) == ("dqn", "boltzmann", 0.5)
     assert compose(["+experiment=agents/warm", "agent.lr=.1"]).agent.lr == 0.1
-
-
-def test_the_folder_inside_an_installed_package_comes_first(tmp_path, monkeypatch):
-    package = tmp_path / "bbq_torchrl"
-    monkeypatch.setattr(store, "_PACKAGE", package)
-    with pytest.raises(FileNotFoundError, match="no configuration folder 'conf'"):
-        conf_folder()
-    for folder in (tmp_path / "conf", package / "conf"):
-        folder.mkdir(parents=True)
-        (folder / "config.yaml").touch()
-        assert conf_folder() == folder
 
 
 def test_a_list_is_shared_out_among_the_replicas(tmp_path):

@@ -99,18 +99,6 @@ def test_every_byte_of_the_contents_is_checked(tmp_path):
         assert folder.newest()[0].name == "round-000010.torchrl", info.filename
 
 
-def test_a_missing_part_is_found(tmp_path):
-    folder = folder_with(tmp_path, 10, 20)
-    newest = tmp_path / "round-000020.torchrl"
-    with zipfile.ZipFile(newest) as old, zipfile.ZipFile(tmp_path / "new", "w") as new:
-        for info in old.infolist():
-            if not info.filename.endswith(".memmap"):
-                new.writestr(info, old.read(info))
-    (tmp_path / "new").replace(newest)
-
-    assert folder.newest()[0].name == "round-000010.torchrl"
-
-
 def test_if_every_one_is_damaged_it_says_so(tmp_path):
     folder = folder_with(tmp_path, 10, 20)
     for path in tmp_path.iterdir():
