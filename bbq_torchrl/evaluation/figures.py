@@ -129,7 +129,7 @@ def draw_comparison(
     styles = [(color, line) for line in ("-", "--") for color in COLORS]
     if not 1 <= len(groups) <= len(styles):
         raise ValueError(f"between 1 and {len(styles)} groups can be drawn, got {len(groups)}")
-    names = {"success": "training success"}
+    names = {"success": "training success" if panels else "success rate"}
     if panels and any(group.evaluated is not None for group in groups):
         names["evaluated"] = "success in evaluation"
     if panels and any(group.reward is not None for group in groups):
