@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from trainer_parts import make_trainer
 
-from bbq_torchrl.trainers import RoundTrainer, SpikeSettings
+from bbq_torchrl.trainers import RoundTrainer, SpikeSettings, TrainingError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,7 +71,7 @@ def test_the_others_finish_the_round_in_which_one_breaks(tmp_path):
     nan_weights(broken)
     plain.train()
 
-    with pytest.raises(RuntimeError, match="replica 0 is not finite in round 0"):
+    with pytest.raises(TrainingError, match="replica 0 is not finite in round 0"):
         broken.train()
 
     assert torch.equal(weights(plain)[1:], weights(broken)[1:])
