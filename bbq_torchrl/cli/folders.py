@@ -15,7 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 from bbq_torchrl.cli.store import compose_raw
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
-from bbq_torchrl.text import sentence
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -78,9 +78,10 @@ def _named_folder(composed: DictConfig, kind: str) -> Path:
     return Path(name)
 
 
-def sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
+def sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> Path:
     """The folder of a sweep: the one given, new or of a sweep to go on with, or of a free name."""
     folder = _named_folder(composed, "sweep")
+    _check_jobs_folder(composed, jobs)
     if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
         return _reserve(folder)
     try:
@@ -105,6 +106,17 @@ def job_subfolder(overrides: Sequence[str], number: int) -> str:
         composed.hydra.job.num = number
         composed.hydra.job.id = str(number)
         return str(composed.hydra.sweep.subdir)
+
+
+def _check_jobs_folder(composed: DictConfig, jobs: int) -> None:
+    """Refuses folders of jobs that are not each job's own, in that of the sweep."""
+    name = str(composed.hydra.sweep._get_node("subdir")._value())  # with what is known in a job
+    parts = Path(name).parts
+    if not parts or Path(name).is_absolute() or ".." in parts or (jobs > 1 and "${" not in name):
+        raise ConfigError(
+            "hydra.sweep.subdir must name a folder of its own for each job, in that of the sweep, "
+            f"such as ${{hydra.job.num}}, got {shown(name)}"
+        )
 
 
 def _reserve(folder: Path) -> Path:

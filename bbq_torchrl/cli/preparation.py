@@ -176,6 +176,8 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
         composed, jobs = _sweep(hydra_session, parsed.overrides)
         refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
         launcher = composed.hydra.runtime.choices[LAUNCHER]
+        if composed.hydra.launcher.get("n_jobs") == 0:
+            raise ConfigError("hydra.launcher.n_jobs must be a number of processes or -1, got 0")
         if launcher in _SLURM and shutil.which("sbatch") is None:
             raise ConfigError(
                 f"{LAUNCHER}={launcher} needs the program sbatch, which is not on this machine: "
@@ -188,7 +190,7 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
                 raise ConfigError("resume cannot be combined with --multirun")
             configs.append(to_config(job, Config))
             check(configs[-1])
-        folder = sweep_folder(composed, parsed.overrides)
+        folder = sweep_folder(composed, parsed.overrides, len(jobs))
         if (folder / SWEEP_CONFIG).is_file():
             # Hydra writes into a job's folder before the job can refuse it.
             for number, (overrides, config) in enumerate(zip(jobs, configs, strict=True)):

@@ -39,6 +39,24 @@ class RoundSettings:
     seed: int = 0
     max_steps: int = 1000
 
+    def __post_init__(self) -> None:
+        lower = {
+            "rounds": 0,
+            "dialogues": 1,
+            "batch_size": 1,
+            "freezes": 1,
+            "epochs": 1,
+            "checkpoint_every": 1,
+            "max_steps": 1,
+        }
+        for name, least in lower.items():
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"{name} must be at least {least}, got {value}")
+        for name, value in (("lr_final", self.lr_final), ("lr_decay_from", self.lr_decay_from)):
+            if not 0.0 <= value <= 1.0:
+                raise ValueError(f"{name} must be in [0, 1], got {value}")
+
     def lr_share(self, round_number: int) -> float:
         """Returns the share of the learning rate that a round, counted from 0, learns with.
 
@@ -70,3 +88,17 @@ class SpikeSettings:
     protect: bool = True
     drop_above: float | None = None
     drop_window: int = 5
+
+    def __post_init__(self) -> None:
+        if self.dialogues < 0:
+            raise ValueError(f"spike dialogues must not be negative, got {self.dialogues}")
+        if self.drop_window < 1:
+            raise ValueError(f"drop_window must be at least 1, got {self.drop_window}")
+        if self.drop_above is not None:
+            if not 0.0 <= self.drop_above < 1.0:
+                raise ValueError(f"drop_above must be in [0, 1) or None, got {self.drop_above}")
+            if not self.protect:
+                raise ValueError(
+                    "drop_above needs protect=True: unprotected spiked transitions leave by "
+                    f"themselves, got protect={self.protect} and drop_above={self.drop_above}"
+                )

@@ -11,7 +11,7 @@ from torch import nn
 from torchrl.envs import InitTracker, TransformedEnv
 from trainer_parts import GuessEnv, ReplicaQLoss, make_trainer
 
-from bbq_torchrl.trainers import NonFiniteLossError, SpikeSettings
+from bbq_torchrl.trainers import NonFiniteLossError, RoundSettings, SpikeSettings
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -283,6 +283,23 @@ def test_parts_that_do_not_fit_are_refused(tmp_path):
         build(env=other.env)
     with pytest.raises(ValueError, match="spiking with 5 dialogues needs a spike_policy"):
         build(spike=SpikeSettings(dialogues=5))
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "message"),
+    [
+        (RoundSettings, {"rounds": -1}, "rounds must be at least 0, got -1"),
+        (RoundSettings, {"rounds": 1, "batch_size": 0}, "batch_size must be at least 1, got 0"),
+        (RoundSettings, {"rounds": 1, "lr_final": 1.5}, r"lr_final must be in \[0, 1\], got 1.5"),
+        (SpikeSettings, {"dialogues": -1}, "spike dialogues must not be negative, got -1"),
+        (SpikeSettings, {"drop_above": 1.5}, r"drop_above must be in \[0, 1\) or None, got 1.5"),
+        (SpikeSettings, {"drop_above": 0.5, "protect": False}, "drop_above needs protect=True"),
+        (SpikeSettings, {"drop_window": 0}, "drop_window must be at least 1, got 0"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(kind, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        kind(**arguments)
 
 
 def test_dropout_is_off_while_playing_and_on_while_learning(tmp_path):
