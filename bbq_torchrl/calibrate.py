@@ -98,7 +98,6 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     from scipy.optimize import brentq
 
     from bbq_torchrl.cli.checks import check_device
-    from bbq_torchrl.cli.memory import check_memory, evaluation_needs
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
@@ -123,7 +122,6 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     if config.policy not in domain.policies:
         names = ", ".join(domain.policies) or "the domain's scripted policies, of which it has none"
         raise ConfigError(f"policy must be one of {names}, got {shown(config.policy)}")
-    check_memory(evaluation_needs(config, domain, 1), config.device)
     tried: dict[tuple[float, int], float] = {}
 
     def success(probability: float, seed: int) -> float:

@@ -83,7 +83,6 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     from bbq_torchrl.cli.agent import make_domain
     from bbq_torchrl.cli.checks import check_device
     from bbq_torchrl.cli.loading import trained_policy
-    from bbq_torchrl.cli.memory import check_memory, evaluation_needs
     from bbq_torchrl.envs.policies import RANDOM_POLICY
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
@@ -116,7 +115,6 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     is_privileged = run is None and config.policy in config.env.references(domain)
     replicas = 1 if run is None else run.replicas
     values = [] if run is None else replica_values(run)
-    check_memory(evaluation_needs(config, domain, replicas), config.device)
     env = config.env.make(
         domain,
         (replicas, min(config.batch, config.dialogues)),

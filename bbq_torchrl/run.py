@@ -13,8 +13,8 @@ import torch
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.agent import make_domain
 from bbq_torchrl.cli.final import final_result
-from bbq_torchrl.cli.run_lock import run_lock
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.folders import run_lock
+from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.figures import Curves, draw_run
 from bbq_torchrl.evaluation.metrics import read_metrics

@@ -26,7 +26,7 @@ from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.envs import scripted_policy
 from bbq_torchrl.trainers import play_dialogues
 from bbq_torchrl.trainers.collect import rows_per_replica
-from bbq_torchrl.trainers.learn import Update, learn_epoch
+from bbq_torchrl.trainers.learn import Update
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -92,7 +92,8 @@ def curve(trainer: RoundTrainer, epochs: int) -> Iterator[tuple[int, list[float]
             trainer.target_updater.step()
             trainer.replay.compute(("next", "next_state_value"), trainer.loss.next_state_values)
         trainer.loss.begin_epoch()
-        learn_epoch(update, trainer.replay.epoch(trainer.settings.batch_size))
+        for batch in trainer.replay.epoch(trainer.settings.batch_size):
+            update(batch)
     yield update.sums.updates[0], values_of_successes(trainer)
 
 

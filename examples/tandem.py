@@ -28,7 +28,7 @@ import torch
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
-from bbq_torchrl.trainers.learner import Learner
+from bbq_torchrl.trainers.learn import Learner
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

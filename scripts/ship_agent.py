@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl import shipped
 from bbq_torchrl.cli.agent import make_agent, make_domain
-from bbq_torchrl.cli.resume import description, run_config
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import description, run_config, save_config
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, RESULT

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.domains import Domain, load_domain, load_miulab, movie_domain
 
 if TYPE_CHECKING:
@@ -31,6 +32,19 @@ def _seeded_by_its_name(request: pytest.FixtureRequest) -> None:
     torch.manual_seed(seed)
     np.random.seed(seed)
     random.seed(seed)
+
+
+@pytest.fixture
+def drawn_noise(monkeypatch: pytest.MonkeyPatch) -> list[torch.Tensor]:
+    """The noise that weight draws use, in order, [replicas, weights] each."""
+    drawn: list[torch.Tensor] = []
+
+    def fill(self: GaussianPosterior, buffer: torch.Tensor) -> None:
+        buffer.normal_()
+        drawn.append(buffer.reshape(-1, buffer.shape[-1]).clone())
+
+    monkeypatch.setattr(GaussianPosterior, "fill_noise_", fill)
+    return drawn
 
 
 @pytest.fixture(scope="module")

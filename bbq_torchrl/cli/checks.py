@@ -1,4 +1,4 @@
-"""What the configuration alone does not tell, such as device, corpus, memory and checkpoint."""
+"""What the configuration alone does not tell, such as device, corpus and checkpoint."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.cli.agent import make_domain
-from bbq_torchrl.cli.memory import check_memory, training_needs
 from bbq_torchrl.cli.resume import description, has_result
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
@@ -16,10 +15,9 @@ from bbq_torchrl.text import shown
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
-    CheckpointMismatchError,
     derive_seed,
+    play_dialogues,
 )
-from bbq_torchrl.trainers.spiking import count_transitions
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
@@ -29,21 +27,18 @@ __all__ = ["check", "check_device"]
 
 
 def check(config: Config) -> Domain | None:
-    """Checks device, logger, corpus, scripted policy, memory and checkpoint before anything runs.
+    """Checks device, logger, corpus, scripted policy and checkpoint before anything runs.
 
     Returns the domain, which it has to load; None where the environment has none.
 
     Raises:
         ConfigError: the device is absent, the logger's package is not installed, the domain has
-            no such scripted policy, the device's memory or the replay buffer cannot hold what is
-            asked for, or the run to resume has nothing that it can go on from.
+            no such scripted policy, or the spike would fill the replay buffer.
+        TrainingError: the run to resume has nothing that it can go on from.
         ValueError or OSError: the corpus is damaged or not there.
     """
     check_device(config.device)
-    try:
-        config.logger.check_package()
-    except ImportError as error:
-        raise ConfigError(str(error)) from error
+    config.logger.check_package()
     domain = make_domain(config)
     spike, policies = config.spike, config.env.policies(domain)
     if spike.dialogues and spike.policy not in policies:
@@ -55,7 +50,6 @@ def check(config: Config) -> Domain | None:
         raise ConfigError(
             f"spike.policy must be one of {', '.join(policies)}, got {shown(spike.policy)}"
         )
-    check_memory(training_needs(config, domain), config.device)
     config.env.check_domain(domain)
     _check_spike(config, domain)
     if config.resume is not None:
@@ -64,17 +58,12 @@ def check(config: Config) -> Domain | None:
 
 
 def _check_resumable(folder: Path, config: Config) -> None:
-    """Raises ConfigError if a run has begun, but there is no checkpoint of it to go on from."""
+    """Raises CheckpointDamagedError if a run has begun and has no checkpoint to go on from."""
     if has_result(folder, config.protocol.rounds):
         return  # what is missing is drawn, not trained
-    checkpoints = CheckpointFolder(folder / CHECKPOINTS)
-    try:
-        found = checkpoints.holds("replay")
-        if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
-            raise CheckpointDamagedError.gone(folder)
-        checkpoints.check(description(config))
-    except (CheckpointDamagedError, CheckpointMismatchError) as error:
-        raise ConfigError(str(error)) from error
+    found = CheckpointFolder(folder / CHECKPOINTS).check(description(config), "replay")
+    if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
+        raise CheckpointDamagedError.gone(folder)
 
 
 def _check_spike(config: Config, domain: Domain | None) -> None:
@@ -89,17 +78,13 @@ def _check_spike(config: Config, domain: Domain | None) -> None:
         )
         torch.manual_seed(derive_seed(seed, "torch", "spike", 0))
         env.set_seed(derive_seed(seed, "env", "spike", 0))
-        count = count_transitions(
-            env,
-            config.env.make_policy(spike.policy, env),
-            spike.dialogues,
-            max_steps=config.env.steps(),
-            enough=capacity,
-        )
+        policy, steps = config.env.make_policy(spike.policy, env), config.env.steps()
+        played = play_dialogues(env, policy, spike.dialogues, max_steps=steps)
+        count = sum(int(rollout["valid"].sum((-2, -1)).max()) for rollout in played)
     if count >= capacity:
         raise ConfigError(
             f"protocol.capacity must be more than the transitions of spike.dialogues="
-            f"{spike.dialogues}, which are at least {count}, got {capacity}"
+            f"{spike.dialogues}, which are {count}, got {capacity}"
         )
 
 

@@ -8,7 +8,6 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import bbq_torchrl
-from bbq_torchrl.cli.training import evaluation_places
 from bbq_torchrl.envs.policies import RANDOM_POLICY
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.play import evaluate
@@ -19,6 +18,7 @@ from bbq_torchrl.evaluation.results import (
     training_evaluation,
 )
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,7 +57,7 @@ def final_result(
     """
     started = time.perf_counter()
     protocol = config.protocol
-    places = evaluation_places(config, protocol.eval_dialogues)
+    places = protocol.places(protocol.eval_dialogues, config.replicas)
     env = _last_env(config, domain, config.replicas, places)
     name, policy = config.agent.make_evaluation(agent.actor)
     played = _played(config, env, policy, protocol.eval_dialogues)
@@ -125,7 +125,7 @@ def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]
 def _last_env(config: Config, domain: Domain | None, replicas: int, places: int) -> EnvBase:
     """Makes the environment as it was in the last round of the training."""
     env = config.env.make(domain, (replicas, places), device=config.device)
-    config.env.enter_round(env, max(config.protocol.rounds - 1, 0))
+    enter_round(env, max(config.protocol.rounds - 1, 0))
     return env
 
 

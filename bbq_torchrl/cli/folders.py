@@ -4,35 +4,38 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from omegaconf import OmegaConf, open_dict, read_write
+from filelock import FileLock, Timeout
+from omegaconf import open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.cli.run_lock import run_lock
 from bbq_torchrl.cli.store import compose_raw
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from contextlib import ExitStack
 
     from omegaconf import DictConfig
 
 __all__ = [
-    "check_job_name",
+    "LOCK",
     "job_subfolder",
     "quoted",
     "refuse_other_folder",
     "run_folder",
+    "run_lock",
     "sweep_folder",
 ]
 
 
-_LONGEST_NAME = 250  # bytes, with .log behind them; file systems take 255
+LOCK = ".lock"
+"""The file in a run folder that is locked; the file stays, the lock ends with its process."""
 
 SWEEP_CONFIG = "multirun.yaml"
 """What Hydra writes into the folder of a sweep before its first job."""
@@ -73,13 +76,6 @@ def _named_folder(composed: DictConfig, kind: str) -> Path:
     if not name.strip():
         raise ConfigError(f"{key} must be the name of a folder, got {name!r}")
     return Path(name)
-
-
-def check_job_name(composed: DictConfig) -> None:
-    """Refuses a name of the log, ``<name>.log`` in the run folder, that is none of a file."""
-    name = str(OmegaConf.select(composed, "hydra.job.name") or "")
-    if not name.strip() or "/" in name or "\0" in name or len(os.fsencode(name)) > _LONGEST_NAME:
-        raise ConfigError(f"hydra.job.name must be the name of a file, got {shown(name)}")
 
 
 def sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> Path:
@@ -141,3 +137,30 @@ def quoted(path: Path) -> str:
     """Returns a path as a value that Hydra reads as it is."""
     text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
     return f"'{text}'"
+
+
+@contextmanager
+def run_lock(folder: Path) -> Iterator[None]:
+    """Holds the lock of a run folder; in a process that holds it already, it is held on.
+
+    The operating system lets the lock go when the process ends, however it ends.
+
+    Raises:
+        ConfigError: another process holds it, or the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder.resolve() / LOCK, is_singleton=True)
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        raise ConfigError(
+            f"another process is at work in {folder}: wait until it has ended, or end it"
+        ) from error
+    except OSError as error:
+        raise ConfigError(
+            f"{folder} cannot be used as a run folder: {error.strerror or error}"
+        ) from error
+    try:
+        yield
+    finally:
+        lock.release()

@@ -9,7 +9,8 @@ from bbq_torchrl.cli.resume import description, run_config
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.shipped import is_shipped, run_folder
-from bbq_torchrl.trainers import BestWeights, CheckpointDamagedError, CheckpointFolder
+from bbq_torchrl.trainers import BestWeights, CheckpointFolder
+from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -92,8 +93,8 @@ def trained_policy(
     The environment enters the round in which that was saved.
 
     Raises:
-        ConfigError: a mode that the agent lacks, no checkpoint that can be read, or none of such
-            weights.
+        ConfigError: a mode that the agent lacks, or no checkpoint of such weights.
+        TrainingError: no checkpoint that can be read, or one of another configuration.
     """
     config.agent.check_mode(mode)
     agent = make_agent(config, env)
@@ -111,13 +112,10 @@ def trained_policy(
     saved: dict[str, Any] = {"loss": agent.loss} if best is None else {"best": best}
     if is_shipped(folder):
         saved = {"actor": agent.actor}
-    try:
-        found = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(description(config))
-    except CheckpointDamagedError as error:
-        raise ConfigError(str(error)) from error
+    found = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(description(config))
     if found is None:
         raise ConfigError(f"{folder} has no checkpoint yet")
-    config.env.enter_round(env, max(int(found[1]["round"]) - 1, 0))
+    enter_round(env, max(int(found[1]["round"]) - 1, 0))
     if best is not None:
         best.put_back()
     return policy, name

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
 
-from bbq_torchrl.cli.launchers import LAUNCHER, LAUNCHER_EXTRAS
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import CalibrateConfig, Config, ConfigError, EvaluateConfig, schemas
 from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options_folder
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 __all__ = [
+    "LAUNCHER",
     "explain",
     "not_an_option",
     "take_config_dir",
@@ -32,6 +32,12 @@ __all__ = [
     "unknown_key",
     "unreadable",
 ]
+
+LAUNCHER = "hydra/launcher"
+"""The group of the launchers, Hydra's own."""
+
+LAUNCHER_EXTRAS = {"submitit_slurm": "slurm", "submitit_local": "slurm", "ray": "ray"}
+"""Plug-in's option that a launcher of ours extends -> the extra that installs the plug-in."""
 
 ONE_VALUE = "each key has one value in this command"
 

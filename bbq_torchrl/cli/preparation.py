@@ -11,32 +11,34 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from hydra._internal.callbacks import Callbacks
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import run_job
 from hydra.errors import HydraException
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import (
     SWEEP_CONFIG,
-    check_job_name,
     job_subfolder,
     quoted,
     refuse_other_folder,
     run_folder,
+    run_lock,
     sweep_folder,
 )
-from bbq_torchrl.cli.launchers import LAUNCHER, check_launcher
-from bbq_torchrl.cli.messages import explain, too_large
+from bbq_torchrl.cli.messages import LAUNCHER, explain, too_large
 from bbq_torchrl.cli.resume import restarted_config, resumed_config
-from bbq_torchrl.cli.run_lock import run_lock
-from bbq_torchrl.cli.single_run import SingleRun, compose_single, override_hydra, without_hydra
 from bbq_torchrl.cli.store import (
     compose_raw,
     options,
@@ -55,30 +57,39 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator
 
-    from omegaconf import DictConfig
-
     from bbq_torchrl.domains import Domain
 
-__all__ = ["FULL_ERROR", "Check", "Prepared", "Sweep", "prepare", "prepare_command"]
+__all__ = ["FULL_ERROR", "Check", "Prepared", "SingleRun", "Sweep", "prepare"]
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
+
+_SLURM = ("slurm", "submitit_slurm")
 
 Check = Callable[[Config], "Domain | None"]
 
 
-def prepare(arguments: Sequence[str], check: Check) -> list[str]:
-    """The command line for Hydra, once everything on it has been checked.
+@dataclass(frozen=True)
+class SingleRun:
+    """A single run, which nothing has to be composed, checked or loaded for any more."""
 
-    Args:
-        arguments: the command line without the program's name.
-        check: see :func:`command`.
+    composed: DictConfig
+    config: Config
+    domain: Domain | None
+    loader: Any
 
-    Raises:
-        ConfigError: one sentence that says what is wrong and what is allowed.
-        ValueError or OSError: what ``check`` raises.
-    """
-    with ExitStack() as held:
-        return prepare_command(arguments, check, held).arguments
+    def start(self, task: Callable[[SingleRun], float]) -> None:
+        """Runs it as Hydra runs a job: with its folder, log and record of the configuration."""
+        callbacks = Callbacks(self.composed)
+        callbacks.on_run_start(config=self.composed, config_name="config")
+        ended = run_job(
+            lambda _: task(self),
+            config=self.composed,
+            job_dir_key="hydra.run.dir",
+            job_subdir_key=None,
+            hydra_context=HydraContext(config_loader=self.loader, callbacks=callbacks),
+        )
+        callbacks.on_run_end(config=self.composed, config_name="config", job_return=ended)
+        _ = ended.return_value  # raises what the task raised
 
 
 @dataclass(frozen=True)
@@ -124,8 +135,19 @@ def _stop_workers() -> None:
         worker.terminate()
 
 
-def prepare_command(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared:
-    """What the command line is, checked; ``held`` takes the lock of a single run."""
+def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared:
+    """The command line for Hydra, once everything on it has been checked.
+
+    Args:
+        arguments: the command line without the program's name.
+        check: what else to check of a configuration before anything runs, such as its device and
+            its corpus; returns the domain that it loaded, if any.
+        held: takes the lock of a single run.
+
+    Raises:
+        ConfigError: one sentence that says what is wrong and what is allowed.
+        ValueError or OSError: what ``check`` raises.
+    """
     parser = get_args_parser()
     parser.error = _refuse_flag  # type: ignore[method-assign]
     parsed = parser.parse_args(list(arguments))
@@ -139,24 +161,28 @@ def prepare_command(arguments: Sequence[str], check: Check, held: ExitStack) -> 
         raise ConfigError(refusal)
     with session() as hydra_session:
         _refuse_unread(parsed)
-        composed = None if parsed.multirun else compose_single(hydra_session, parsed.overrides)
+        composed = None if parsed.multirun else _compose_single(hydra_session, parsed.overrides)
         if composed is not None:
-            check_job_name(composed)
             refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
             folder = _resumed_folder(composed.resume)
             if folder is not None:
                 held.enter_context(run_lock(folder))
-            config = _run_config(without_hydra(composed), parsed.overrides)
+            config = _run_config(_without_hydra(composed), parsed.overrides)
             domain = check(config)
             extra = run_folder(composed, folder, held)
-            override_hydra(composed, extra, hydra_session)
+            _override_hydra(composed, extra, hydra_session)
             run = SingleRun(composed, config, domain, hydra_session.config_loader)
             return Prepared([*arguments, *extra], run=run)
         composed, jobs = _sweep(hydra_session, parsed.overrides)
-        check_job_name(composed)
         refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
         launcher = composed.hydra.runtime.choices[LAUNCHER]
-        check_launcher(launcher, composed.hydra.launcher)
+        if composed.hydra.launcher.get("n_jobs") == 0:
+            raise ConfigError("hydra.launcher.n_jobs must be a number of processes or -1, got 0")
+        if launcher in _SLURM and shutil.which("sbatch") is None:
+            raise ConfigError(
+                f"{LAUNCHER}={launcher} needs the program sbatch, which is not on this machine: "
+                "start the sweep where SLURM's jobs are submitted"
+            )
         configs = []
         for overrides in jobs:
             job = compose_raw(overrides)
@@ -229,3 +255,34 @@ def _resumed_folder(resume: str | None) -> Path | None:
         return None
     folder = Path(resume).expanduser().resolve()
     return folder if (folder / CONFIG).is_file() else None
+
+
+def _compose_single(hydra_session: Any, overrides: Sequence[str]) -> DictConfig | None:
+    """The configuration of a single run with Hydra's part, None where a sweep is asked for."""
+    try:
+        composed = compose_raw(overrides, with_hydra=True)
+    except ConfigError:
+        # Values of a sweep cannot be composed; an experiment, too, may ask for one.
+        if hydra_session.get_mode("config", list(overrides)) is RunMode.MULTIRUN:
+            return None
+        raise
+    return None if composed.hydra.mode is RunMode.MULTIRUN else composed
+
+
+def _override_hydra(composed: DictConfig, overrides: Sequence[str], hydra_session: Any) -> None:
+    """Changes keys of Hydra's own part, as if they had been on the command line."""
+    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
+    with read_write(composed), open_dict(composed):
+        composed.hydra.mode = RunMode.RUN
+        for override in parser.parse_overrides(list(overrides)):
+            OmegaConf.update(composed, override.key_or_group, override.value())
+            composed.hydra.overrides.hydra.append(override.input_line)
+
+
+def _without_hydra(composed: DictConfig) -> DictConfig:
+    """The configuration without Hydra's own part."""
+    plain = composed.copy()
+    OmegaConf.set_struct(plain, False)
+    OmegaConf.set_readonly(plain, False)
+    del plain["hydra"]
+    return plain

@@ -1,4 +1,4 @@
-"""Going on with a run: its folder's configuration, and the few keys that may differ from it."""
+"""The configuration in a run folder: written, read, also of earlier versions, and gone on with."""
 
 from __future__ import annotations
 
@@ -7,23 +7,27 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.cli.saved import load_config
+from omegaconf import DictConfig, OmegaConf
+
+from bbq_torchrl.cli.store import typed
+from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
-from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
+from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bbq_torchrl.options import Config
 
 __all__ = [
     "description",
     "has_result",
     "is_finished",
+    "load_config",
     "restarted_config",
     "resumed_config",
     "run_config",
+    "save_config",
 ]
 
 CHANGEABLE = ("protocol.rounds", "protocol.keep_checkpoints", "logger", "device")
@@ -43,6 +47,15 @@ _NOT_OF_THE_TRAINING = (
     "agent.evaluate_draws",
 )
 """Keys, and groups, that a checkpoint does not depend on."""
+
+_ADDED = {"intrinsic": "none"}
+"""Groups that configurations of earlier versions lack, and the option that those versions were."""
+
+_ADDED_KEYS = {"protocol": {"eval_every": 0}}
+"""Keys that configurations of earlier versions lack, and what those versions did."""
+
+_REMOVED_KEYS = ("cuda_graph",)
+"""Keys of earlier versions that changed no number."""
 
 
 def description(config: Config) -> dict[str, Any]:
@@ -79,6 +92,42 @@ def run_config(folder: Path) -> Config:
     if not (folder / CONFIG).is_file():
         raise ConfigError(f"{folder} is not a run folder: it has no {CONFIG}")
     return load_config(folder / CONFIG)
+
+
+def save_config(config: Config, file: Path) -> None:
+    """Writes a configuration as YAML, atomically, so that a reader never sees half of it."""
+    write_text(file, OmegaConf.to_yaml(OmegaConf.structured(config)))
+
+
+def load_config(file: Path) -> Config:
+    """Reads a configuration that :func:`save_config` wrote; keys it lacks take their defaults.
+
+    Raises:
+        ConfigError: no readable configuration, or one that cannot be run.
+    """
+    try:
+        plain = OmegaConf.load(file)
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
+    except Exception as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise ConfigError(f"{file} is not a YAML file of a run: {reason}") from error
+    if not isinstance(plain, DictConfig):
+        raise ConfigError(f"{file} must hold a mapping of groups, got a list")
+    for key in _REMOVED_KEYS:
+        plain.pop(key, None)
+    for group, option in _ADDED.items():
+        if group not in plain and "agent" in plain:
+            plain[group] = {"name": option}
+    for group, keys in _ADDED_KEYS.items():
+        if OmegaConf.is_dict(plain.get(group)):
+            for key, value in keys.items():
+                if key not in plain[group]:
+                    plain[group][key] = value
+    try:
+        return typed(plain, Config)
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error
 
 
 def resumed_config(given: Config, overrides: Sequence[str]) -> Config:

@@ -10,17 +10,16 @@ all trials have.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf import OmegaConf
 
 from bbq_torchrl.cli.messages import unreadable
-from bbq_torchrl.cli.parameters import Parameter, parse_parameter
+from bbq_torchrl.cli.parameters import Parameter, as_entry, parse_parameter
 from bbq_torchrl.cli.store import compose_raw, config_folders, options, session, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.settings import (
@@ -29,7 +28,7 @@ from bbq_torchrl.options.settings import (
     COUNT,
     SEED,
     ConfigError,
-    check_settings,
+    filled,
     one_of,
     optional,
     setting,
@@ -85,13 +84,13 @@ class Search:
     Attributes:
         name: of its YAML file.
         settings: how it searches.
-        space: what varies.
+        space: key to what it may be.
         fixed: the overrides of ``train.py`` that all trials have.
     """
 
     name: str
     settings: SearchConfig
-    space: tuple[Parameter, ...]
+    space: dict[str, Parameter]
     fixed: tuple[str, ...]
 
     @property
@@ -106,11 +105,11 @@ class Search:
 
     def corners(self) -> Iterator[dict[str, Any]]:
         """Values of trials between which those of all others lie, one key at a bound each time."""
-        lowest = {item.name: item.probes()[0] for item in self.space}
+        lowest = {name: item.probes[0] for name, item in self.space.items()}
         yield lowest
-        for item in self.space:
-            for value in item.probes()[1:]:
-                yield {**lowest, item.name: value}
+        for name, item in self.space.items():
+            for value in item.probes[1:]:
+                yield {**lowest, name: value}
 
     def config(self, values: Mapping[str, Any]) -> Config:
         """The configuration of a trial.
@@ -128,7 +127,7 @@ class Search:
             del settings[free]
         return {
             **{f"{SEARCH}.{key}": value for key, value in settings.items()},
-            **{f"{_SPACE}{item.name}": item.plain() for item in self.space},
+            **{f"{_SPACE}{name}": as_entry(item) for name, item in self.space.items()},
             "fixed": sorted(self.fixed),
         }
 
@@ -154,7 +153,7 @@ def compose_search(arguments: Sequence[str]) -> Search:
 
     Example:
         >>> search = compose_search(["search=bbqn", "search.trials=9", "agent.prior_std=.1"])
-        >>> [parameter.name for parameter in search.space], search.settings.trials
+        >>> list(search.space), search.settings.trials
         (['agent.mean_init', 'agent.std_init', 'agent.kl_temperature'], 9)
     """
     chosen = [text.partition("=")[2] for text in arguments if text.partition("=")[0] == SEARCH]
@@ -176,11 +175,13 @@ def compose_search(arguments: Sequence[str]) -> Search:
         if key.partition(".")[0].partition("/")[0] in _REFUSED:
             raise ConfigError(f"{sentence(given.fixed[key])} cannot be part of a search")
         given.space.pop(key, None)
-    space = tuple(parse_parameter(f"{_SPACE}{name}", plain) for name, plain in given.space.items())
+    space = {name: parse_parameter(f"{_SPACE}{name}", item) for name, item in given.space.items()}
     if not space:
         raise ConfigError(f"{SEARCH}.space must have a key that varies, but all are given")
     name = Path(chosen[0]).stem
-    search = Search(name, _settings(given.settings), space, tuple(given.fixed.values()))
+    search = Search(
+        name, filled(SearchConfig, given.settings, f"{SEARCH}."), space, tuple(given.fixed.values())
+    )
     for values in search.corners():  # at every bound and choice: no trial fails for its values
         search.config(values)
     return search
@@ -232,7 +233,7 @@ def _value(argument: str, text: str) -> Any:
         return text  # which YAML would take for null
     try:
         parsed = OmegaConf.from_dotlist([f"value={text}"])
-        return OmegaConf.to_container(parsed, resolve=False)["value"]  # type: ignore[index, call-overload]
+        return OmegaConf.to_container(parsed, resolve=True)["value"]  # type: ignore[index, call-overload]
     except Exception as error:
         raise ConfigError(unreadable(argument)) from error
 
@@ -255,32 +256,6 @@ def _change_space(space: dict[str, Any], key: str, value: Any) -> None:
 
 def _what_varies(space: Mapping[str, Any]) -> str:
     return f"what varies is {', '.join(space)}"
-
-
-def _settings(given: Mapping[str, Any]) -> SearchConfig:
-    known = [item.name for item in fields(SearchConfig)]
-    for key in given:
-        if key not in known:
-            raise ConfigError(f"{SEARCH}.{key} is not a key; there are {', '.join(known)}, space")
-    typed = OmegaConf.structured(SearchConfig)
-    for item in fields(SearchConfig):
-        if item.name in given:
-            try:
-                typed[item.name] = given[item.name]
-            except OmegaConfBaseException as error:
-                raise ConfigError(
-                    f"{SEARCH}.{item.name} must be {item.metadata['allowed'].text}, "
-                    f"got {shown(given[item.name])}"
-                ) from error
-    assert isinstance(typed, DictConfig)
-    try:
-        settings: SearchConfig = OmegaConf.to_object(typed)  # type: ignore[assignment]
-        check_settings(settings)
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"{SEARCH}.{error.full_key}: {str(error).splitlines()[0]}") from error
-    except ConfigError as error:
-        raise ConfigError(f"{SEARCH}.{error}") from error
-    return settings
 
 
 def _override(name: str, value: Any) -> str:

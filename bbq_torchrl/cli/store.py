@@ -228,7 +228,7 @@ def typed(plain: DictConfig, root: type[Root]) -> Root:
         config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
     except OmegaConfBaseException as error:
         raise ConfigError(explain(error, (), options)) from error
-    config.domain.resolve_paths()
+    config.domain.resolve_path()
     validate(config)
     return config
 

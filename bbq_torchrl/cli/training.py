@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers.hooks import RoundCallback
 
-__all__ = ["build_trainer", "evaluation_places"]
+__all__ = ["build_trainer"]
 
 
 def build_trainer(
@@ -99,20 +99,12 @@ def _transition_keys(env: EnvBase) -> list[NestedKey]:
     return [key for key in TRANSITION_KEYS if key not in masks]
 
 
-def evaluation_places(config: Config, dialogues: int) -> int:
-    """Returns how many of a replica's evaluation dialogues are played side by side.
-
-    A rollout holds every turn's observations: of 12,500 dialogues they fill two gigabytes.
-    """
-    return min(dialogues, max(1, config.protocol.eval_batch // config.replicas))
-
-
 def _evaluator(config: Config, domain: Domain | None, agent: Agent) -> RoundEvaluator | None:
     """Returns what evaluates the agent while it is trained, if anything does."""
     protocol = config.protocol
     if not protocol.eval_every:
         return None
-    places = evaluation_places(config, protocol.eval_every_dialogues)
+    places = protocol.places(protocol.eval_every_dialogues, config.replicas)
     return RoundEvaluator(
         config.env.make(
             domain,
@@ -124,7 +116,6 @@ def _evaluator(config: Config, domain: Domain | None, agent: Agent) -> RoundEval
         dialogues=protocol.eval_every_dialogues,
         seed=config.seed,
         max_steps=config.env.steps(),
-        enter_round=config.env.enter_round,
         changes=config.env.additions(domain),
     )
 

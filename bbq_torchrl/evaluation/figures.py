@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["Curves", "draw_comparison", "draw_panels", "draw_run", "moving_average"]
+__all__ = ["Curves", "draw_comparison", "draw_run", "moving_average"]
 
 WINDOW = 10
 """Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
@@ -101,7 +101,8 @@ def draw_run(
             axes.axvline(start, color="0.6", lw=0.8, ls=":")
             axes.text(start, 1.0, f" {slot}", rotation=90, va="top", ha="left", fontsize=7)
     _draw_references(axes, references or {})
-    _finish(figure, axes, file, title)
+    axes.set(xlabel="round", ylabel="success rate", ylim=(0, 1), title=title)
+    _save(figure, [axes], file)
 
 
 def draw_comparison(
@@ -110,62 +111,46 @@ def draw_comparison(
     *,
     title: str,
     references: Mapping[str, float] | None = None,
+    panels: bool = False,
 ) -> None:
     """Draws groups of seeds: every seed's curve, their mean, and its 95 % band.
 
-    The band is the bootstrap interval of the mean over seeds (five or more), round by round.
-
-    Args:
-        file: a PNG or SVG file.
-        groups: at most seven, one for each setting.
-        title: the heading.
-        references: success rates of privileged policies, by name.
-    """
-    if not 1 <= len(groups) <= len(COLORS):
-        raise ValueError(f"between 1 and {len(COLORS)} groups can be drawn, got {len(groups)}")
-    figure, axes = _axes()
-    for group, color in zip(groups, COLORS, strict=False):
-        _draw_group(axes, group, color, band=True)
-    _draw_references(axes, references or {})
-    _finish(figure, axes, file, title)
-
-
-def draw_panels(file: Path, groups: Sequence[Curves], *, title: str) -> None:
-    """Draws training success, success in evaluation while training, and training reward.
-
-    As :func:`draw_comparison`, one panel above the other. Groups beyond the seventh are dashed. A
-    group without evaluations or reward is not in that panel, and where no group has them there is
-    none.
+    The band is the bootstrap interval of the mean over seeds (five or more), round by round. Groups
+    beyond the seventh are dashed.
 
     Args:
         file: a PNG or SVG file.
         groups: at most fourteen, one for each setting.
         title: the heading.
+        references: success rates of privileged policies, by name.
+        panels: whether success in evaluation while training, and training reward, stand below
+            training success, as far as there are groups that have them.
     """
     styles = [(color, line) for line in ("-", "--") for color in COLORS]
     if not 1 <= len(groups) <= len(styles):
         raise ValueError(f"between 1 and {len(styles)} groups can be drawn, got {len(groups)}")
-    names = {"success": "training success"}
-    if any(group.evaluated is not None for group in groups):
+    names = {"success": "training success" if panels else "success rate"}
+    if panels and any(group.evaluated is not None for group in groups):
         names["evaluated"] = "success in evaluation"
-    if any(group.reward is not None for group in groups):
+    if panels and any(group.reward is not None for group in groups):
         names["reward"] = "training reward"
     figure, found = _axes(rows=len(names))
-    panels = dict(zip(names, np.atleast_1d(found), strict=True))
+    drawn = dict(zip(names, np.atleast_1d(found), strict=True))
     for group, (color, line) in zip(groups, styles, strict=False):
-        _draw_group(panels["success"], group, color, band=True, line=line)
-        if group.evaluated is not None:
+        _draw_group(drawn["success"], group, color, band=True, line=line)
+        if "evaluated" in drawn and group.evaluated is not None:
             evaluated = np.asarray(group.evaluated, dtype=float)
             (rounds,) = (~np.isnan(evaluated).any(1)).nonzero()
-            _draw_seeds(panels["evaluated"], rounds + 1, evaluated[rounds], color, line=line)
-        if group.reward is not None:
+            _draw_seeds(drawn["evaluated"], rounds + 1, evaluated[rounds], color, line=line)
+        if "reward" in drawn and group.reward is not None:
             smooth = moving_average(group.reward)
-            _draw_seeds(panels["reward"], np.arange(len(smooth)), smooth, color, line=line)
-    for name, axes in panels.items():
+            _draw_seeds(drawn["reward"], np.arange(len(smooth)), smooth, color, line=line)
+    for name, axes in drawn.items():
         axes.set(ylabel=names[name], **({} if name == "reward" else {"ylim": (0, 1)}))
-    panels["success"].set(title=title)
+    _draw_references(drawn["success"], references or {})
+    drawn["success"].set(title=title)
     axes.set(xlabel="round")
-    _save(figure, list(panels.values()), file)
+    _save(figure, list(drawn.values()), file)
 
 
 def _colors(count: int) -> Sequence[Any]:
@@ -211,8 +196,9 @@ def _draw_seeds(axes: Any, rounds: Any, values: Any, color: str, *, line: str) -
 def _draw_band(axes: Any, rounds: Any, values: Any, color: str) -> None:
     """Draws the interval of the mean of values [rounds, seeds], where there are enough seeds."""
     if values.shape[1] >= MIN_BOOTSTRAP:
-        bounds = np.array([_bounds(row) for row in values])
-        axes.fill_between(rounds, bounds[:, 0], bounds[:, 1], color=color, alpha=0.15, lw=0)
+        found = [estimate(row) for row in values]
+        low, high = [item.low for item in found], [item.high for item in found]
+        axes.fill_between(rounds, low, high, color=color, alpha=0.15, lw=0)
 
 
 def _draw_evaluated(axes: Any, group: Curves, color: Any) -> None:
@@ -235,16 +221,6 @@ def _draw_references(axes: Any, references: Mapping[str, float]) -> None:
     for name, rate in references.items():
         label = f"{name} (privileged: it reads what no agent is shown): {rate:.3f}"
         axes.axhline(rate, color="0.35", lw=1, ls=":", label=label)
-
-
-def _bounds(row: Any) -> tuple[float, float]:
-    interval = estimate(row)
-    return interval.low, interval.high
-
-
-def _finish(figure: Any, axes: Any, file: Path, title: str) -> None:
-    axes.set(xlabel="round", ylabel="success rate", ylim=(0, 1), title=title)
-    _save(figure, [axes], file)
 
 
 def _save(figure: Any, panels: Sequence[Any], file: Path) -> None:

@@ -7,22 +7,20 @@ level, what looks like better exploration is better learning.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.markdown import table
 from bbq_torchrl.evaluation.names import agent_name
-from bbq_torchrl.evaluation.pairs import pair
+from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.statistics import summarize
-from bbq_torchrl.evaluation.table1 import NOT_RUN, shown_p_value, verdict
-from bbq_torchrl.study.statistics import holm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bbq_torchrl.evaluation.groups import Group
-    from bbq_torchrl.evaluation.statistics import Estimate
+    from bbq_torchrl.evaluation.pairs import Comparison
 
-__all__ = ["GRID_NOTE", "Deviation", "Grid", "deviations", "find_grid", "grid_text"]
+__all__ = ["GRID_NOTE", "Grid", "deviations", "find_grid", "grid_text"]
 
 QUANTITIES = {"final_success": "final success", "training_success": "cumulative training success"}
 
@@ -79,35 +77,10 @@ def _keys(group: Group) -> dict[str, Any]:
     return {key: value for key, value in setting.items() if key.startswith("agent.")}
 
 
-class Deviation(NamedTuple):
-    """What another explorer does to a learner.
-
-    Attributes:
-        learner: of the grid.
-        first: the explorer that it is compared with.
-        other: the explorer.
-        difference: other minus first, mean over pairs with its t interval; None without pairs.
-        p_value: adjusted by Holm's method over the learner's explorers.
-    """
-
-    learner: str
-    first: str
-    other: str
-    difference: Estimate | None
-    p_value: float
-
-
-def deviations(grid: Grid, quantity: str) -> list[Deviation]:
-    """Returns each learner's explorers beside its first, by ``final_success`` or the like."""
-    found = []
-    for learner, row in grid.items():
-        first, *others = row
-        pairings = [pair(row[other], row[first]) for other in others]
-        adjusted = holm([item.p_values[quantity] if item.pairs > 1 else 1.0 for item in pairings])
-        for other, item, p_value in zip(others, pairings, adjusted, strict=True):
-            difference = item.differences[quantity].t if item.pairs > 1 else None
-            found.append(Deviation(learner, first, other, difference, p_value))
-    return found
+def deviations(row: Mapping[str, Group], quantity: str) -> list[Comparison]:
+    """Returns a learner's explorers minus its first, by ``final_success`` or the like."""
+    first, *others = row
+    return compare(row, [(other, first) for other in others], quantity)
 
 
 def grid_text(groups: Sequence[Group]) -> str:
@@ -126,14 +99,9 @@ def grid_text(groups: Sequence[Group]) -> str:
         ]
         parts += [f"## {title.capitalize()}", table(("learner", *explorers), rows)]
         compared = [
-            (
-                item.learner,
-                f"{item.other} minus {item.first}",
-                "–" if item.difference is None else f"{item.difference:+.3f}",
-                "–" if item.difference is None else shown_p_value(item.p_value),
-                verdict(item.difference, item.p_value),
-            )
-            for item in deviations(grid, quantity)
+            (learner, f"{item.one} minus {item.other}", *item.cells())
+            for learner, row in grid.items()
+            for item in deviations(row, quantity)
         ]
         if compared:
             head = ("learner", "by pairs", "difference", "p", "better?")

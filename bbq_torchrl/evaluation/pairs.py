@@ -8,19 +8,33 @@ simulator. So the luck that both share cancels out of their difference.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from bbq_torchrl.evaluation.learning import areas
 from bbq_torchrl.evaluation.statistics import Summary, paired_differences, summarize, t_test
+from bbq_torchrl.study.statistics import holm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.evaluation.groups import Group
+    from bbq_torchrl.evaluation.statistics import Estimate
 
-__all__ = ["Pairing", "pair", "pairings"]
+__all__ = [
+    "NOT_RUN",
+    "Comparison",
+    "Pairing",
+    "compare",
+    "pair",
+    "pairings",
+    "shown_p_value",
+    "verdict",
+]
+
+ALPHA = 0.05
+NOT_RUN = "not run"
 
 _OF_DIALOGUES = (
     "env.",
@@ -135,3 +149,59 @@ def _compared(one: Group, other: Group) -> dict[str, tuple[Sequence[float], Sequ
                 areas(np.where(in_both, second, np.nan)),
             )
     return quantities
+
+
+class Comparison(NamedTuple):
+    """One of some groups minus another one, as declared before anything was run.
+
+    Attributes:
+        one: the name of the one.
+        other: the name of the one that is subtracted.
+        difference: its mean over pairs with the t interval; None if it was not run.
+        p_value: by a t test of the differences, adjusted by Holm's method; 1 if it was not run.
+    """
+
+    one: str
+    other: str
+    difference: Estimate | None
+    p_value: float
+
+    def cells(self) -> tuple[str, str, str]:
+        """Returns difference, p-value and verdict as they stand in a table."""
+        if self.difference is None:
+            return "–", "–", NOT_RUN
+        decided = verdict(self.difference, self.p_value)
+        return f"{self.difference:+.3f}", shown_p_value(self.p_value), decided
+
+
+def compare(
+    groups: Mapping[str, Group], declared: Sequence[tuple[str, str]], quantity: str
+) -> list[Comparison]:
+    """Compares what was declared by ``final_success`` or the like, what was not run included."""
+    found = [
+        pair(groups[one], groups[other]) if {one, other} <= groups.keys() else None
+        for one, other in declared
+    ]
+    compared = [item if item is not None and item.pairs > 1 else None for item in found]
+    adjusted = holm([1.0 if item is None else item.p_values[quantity] for item in compared])
+    return [
+        Comparison(*names, None if item is None else item.differences[quantity].t, p_value)
+        for names, item, p_value in zip(declared, compared, adjusted, strict=True)
+    ]
+
+
+def verdict(difference: Estimate | None, p_value: float) -> str:
+    """Returns what a difference says of the claim that it is above 0.
+
+    ``yes``, ``no`` (it is below 0), ``not decided`` or ``not run``.
+    """
+    if difference is None:
+        return NOT_RUN
+    if p_value >= ALPHA:
+        return "not decided"
+    return "yes" if difference.value > 0 else "no"
+
+
+def shown_p_value(p_value: float) -> str:
+    """Returns a p-value with three decimals, such as ``0.021`` or ``< .001``."""
+    return f"{p_value:.3f}" if p_value >= 0.001 else "< .001"

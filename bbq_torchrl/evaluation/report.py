@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.evaluation.csv_tables import write_replicas, write_tables
-from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison, draw_panels
+from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison
 from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.pairs import pairings
@@ -100,7 +100,8 @@ def draw_table1(groups: Sequence[Group], env: str, file: Path) -> bool:
     """Draws the agents of Table 1 in one environment; returns whether there are any."""
     cells = [group for group in cells_of_table1(groups) if group.first.env == env]
     if cells:
-        draw_panels(file, [curves(group) for group in cells], title=f"Table 1, env={env}")
+        shown = [curves(group) for group in cells]
+        draw_comparison(file, shown, title=f"Table 1, env={env}", panels=True)
     return bool(cells)
 
 

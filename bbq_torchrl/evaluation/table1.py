@@ -8,34 +8,28 @@ for all eight, whether they have been run or not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.evaluation.learning import reach
 from bbq_torchrl.evaluation.markdown import table
-from bbq_torchrl.evaluation.pairs import Pairing, pair
+from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.statistics import summarize
-from bbq_torchrl.study.statistics import holm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bbq_torchrl.evaluation.groups import Group
-    from bbq_torchrl.evaluation.statistics import Estimate
+    from bbq_torchrl.evaluation.pairs import Comparison
 
 __all__ = [
-    "NOT_RUN",
     "PAPER",
     "TABLE1_NOTE",
-    "Comparison",
     "PaperCell",
     "comparisons",
     "comparisons_table",
     "find_cells",
     "missing_cells",
-    "shown_p_value",
     "table1",
-    "verdict",
 ]
 
 
@@ -80,9 +74,7 @@ PAPER = {
 OURS = "BBQN-MAP"
 """What each other agent is compared with."""
 
-ALPHA = 0.05
 LEVELS = (0.5, 0.6, 0.7)
-NOT_RUN = "not run"
 
 TABLE1_NOTE = """\
 Means over seeds with their 95 % Student t interval; IQM: interquartile mean with a bootstrap
@@ -124,55 +116,10 @@ def missing_cells(groups: Sequence[Group]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """BBQN-MAP minus another agent, as declared.
-
-    Attributes:
-        other: the other agent.
-        quantity: ``final_success`` or ``training_success``.
-        difference: its mean over pairs with the t interval; None if it was not run.
-        p_value: by a t test of the differences, adjusted by Holm's method; 1 if it was not run.
-    """
-
-    other: str
-    quantity: str
-    difference: Estimate | None
-    p_value: float
-
-
 def comparisons(groups: Sequence[Group], env: str, quantity: str) -> list[Comparison]:
     """Returns the declared comparisons of an environment by one quantity."""
-    cells = find_cells(groups, env)
-    others = [name for name in PAPER[env] if name != OURS]
-    found: dict[str, Pairing] = {
-        name: pair(cells[OURS], cells[name]) for name in others if OURS in cells and name in cells
-    }
-    found = {name: item for name, item in found.items() if item.pairs > 1}
-    adjusted = holm([found[name].p_values[quantity] if name in found else 1.0 for name in others])
-    return [
-        Comparison(
-            name, quantity, found[name].differences[quantity].t if name in found else None, p_value
-        )
-        for name, p_value in zip(others, adjusted, strict=True)
-    ]
-
-
-def verdict(difference: Estimate | None, p_value: float) -> str:
-    """Returns what a difference says of the claim that it is above 0.
-
-    ``yes``, ``no`` (it is below 0), ``not decided`` or ``not run``.
-    """
-    if difference is None:
-        return NOT_RUN
-    if p_value >= ALPHA:
-        return "not decided"
-    return "yes" if difference.value > 0 else "no"
-
-
-def shown_p_value(p_value: float) -> str:
-    """Returns a p-value with three decimals, such as ``0.021`` or ``< .001``."""
-    return f"{p_value:.3f}" if p_value >= 0.001 else "< .001"
+    declared = [(OURS, name) for name in PAPER[env] if name != OURS]
+    return compare(find_cells(groups, env), declared, quantity)
 
 
 def table1(groups: Sequence[Group], env: str) -> str:
@@ -218,18 +165,12 @@ def table1(groups: Sequence[Group], env: str) -> str:
 
 def comparisons_table(groups: Sequence[Group], env: str) -> str:
     """Returns the declared comparisons of an environment as Markdown, a row for each."""
-    rows: list[tuple[object, ...]] = []
     finals, speeds = (
         comparisons(groups, env, quantity) for quantity in ("final_success", "training_success")
     )
-    for final, speed in zip(finals, speeds, strict=True):
-        row: list[object] = [f"{OURS} minus {final.other}"]
-        for item in (final, speed):
-            if item.difference is None:
-                row += ["–", "–", NOT_RUN]
-            else:
-                decided = verdict(item.difference, item.p_value)
-                row += [f"{item.difference:+.3f}", shown_p_value(item.p_value), decided]
-        rows.append(tuple(row))
+    rows = [
+        (f"{OURS} minus {final.other}", *final.cells(), *speed.cells())
+        for final, speed in zip(finals, speeds, strict=True)
+    ]
     head = ("by pairs", "final success", "p", "ends higher?", "cumulative", "p", "learns faster?")
     return table(head, rows, numbers=len(head) - 1)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.trainers import BestWeights, derive_seed
+from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -35,7 +36,6 @@ class RoundEvaluator:
         dialogues: of an evaluation, for each replica.
         seed: the run's.
         max_steps: the most turns of a dialogue.
-        enter_round: has the environment be as in a round of the training.
         changes: the rounds in which the environment becomes another one.
 
     Attributes:
@@ -52,7 +52,6 @@ class RoundEvaluator:
         dialogues: int,
         seed: int,
         max_steps: int = 1000,
-        enter_round: Callable[[EnvBase, int], None] = lambda env, round: None,
         changes: Collection[int] = (),
     ) -> None:
         self.env = env
@@ -61,7 +60,6 @@ class RoundEvaluator:
         self.dialogues = dialogues
         self.seed = seed
         self.max_steps = max_steps
-        self.enter_round = enter_round
         self.changes = changes
         self.best = BestWeights(policy(), env.batch_size[0])
 
@@ -69,7 +67,7 @@ class RoundEvaluator:
         """Returns mean outcomes, [replicas] each; NaN in a round without an evaluation."""
         if (round_number + 1) % self.every:
             return dict.fromkeys(_COLUMNS, math.nan)
-        self.enter_round(self.env, round_number)
+        enter_round(self.env, round_number)
         seed = derive_seed(self.seed, "evaluate while training", round_number)
         played = evaluate(
             self.env, self.policy(), self.dialogues, seed=seed, max_steps=self.max_steps

@@ -8,8 +8,9 @@ Importing an option does not import torch: making it does.
 from __future__ import annotations
 
 import importlib.util
+import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options.settings import (
@@ -22,7 +23,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import parameters
 from bbq_torchrl.options.values import spread
 
 if TYPE_CHECKING:
@@ -73,17 +73,6 @@ class Option:
         Raises:
             ConfigError: one sentence that names the key, its value and what is allowed.
         """
-
-    def resolve_paths(self) -> None:
-        """Makes paths absolute, as a run may go on from another folder."""
-
-    def floats(self, inputs: int, actions: int) -> int:
-        """Returns how many numbers a replica's networks take while they are trained, about."""
-        return 0
-
-    def sizes(self) -> dict[str, Any]:
-        """Returns the keys that what it makes grows with, and their values."""
-        return {}
 
 
 @dataclass
@@ -161,14 +150,6 @@ class AgentOption(Option):
         """Returns what the replay buffer has to do for the agent."""
         return []
 
-    def floats(self, inputs: int, actions: int) -> int:
-        """A weight is held as itself, its gradient, two moments and a frozen copy."""
-        return 5 * parameters([inputs, *self.hidden, actions])
-
-    def sizes(self) -> dict[str, Any]:
-        """The layers."""
-        return {"agent.hidden": self.hidden}
-
 
 Exploration = tuple["TensorDictModuleBase", "dict[str, Callable[[], float | Tensor]]"]
 """A policy, and what of it is worth a column of the metrics: one number, or [replicas]."""
@@ -219,6 +200,11 @@ class DomainOption(Option):
 
     group: ClassVar[str] = "domain"
 
+    def resolve_path(self) -> None:
+        """Makes the key ``path`` absolute, where there is one: a run may go on elsewhere."""
+        if path := getattr(self, "path", ""):
+            self.path = os.path.abspath(os.path.expanduser(path))
+
     def make(self) -> Domain:
         """Loads the domain.
 
@@ -247,9 +233,9 @@ class LoggerOption(Option):
         raise NotImplementedError
 
     def check_package(self) -> None:
-        """Raises ImportError, which names the extra to install, where the package is missing."""
+        """Raises ConfigError, which names the extra to install, where the package is missing."""
         if self.package and importlib.util.find_spec(self.package) is None:
-            raise ImportError(
+            raise ConfigError(
                 f"logger={self.name} needs the package {self.package}: "
                 f"{install_command(self.package)}"
             )

@@ -65,10 +65,6 @@ class EnvOption(Option):
         """Returns how many steps an episode lasts at most."""
         raise NotImplementedError
 
-    def shape(self, domain: Domain | None) -> tuple[int, int]:
-        """Returns how many features an observation has, and how many actions there are."""
-        raise NotImplementedError
-
     def policies(self, domain: Domain | None) -> tuple[str, ...]:
         """Returns the names of the scripted policies; there is also ``random``."""
         return ()
@@ -102,6 +98,3 @@ class EnvOption(Option):
     def additions(self, domain: Domain | None) -> dict[int, str]:
         """Returns what each round adds that there was not before."""
         return {}
-
-    def enter_round(self, env: EnvBase, round: int) -> None:
-        """Has the environment be as in a round of the training."""

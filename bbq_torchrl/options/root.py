@@ -17,14 +17,17 @@ from bbq_torchrl.options.protocols import ProtocolOption  # noqa: TC001 (OmegaCo
 from bbq_torchrl.options.registry import explorations
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
+    BATCH,
     COUNT,
     PROBABILITY,
     REQUIRED,
     SEED,
+    SIZE,
     THREADS,
     Allowed,
     ConfigError,
     check_settings,
+    integers,
     one_of,
     optional,
     setting,
@@ -34,6 +37,7 @@ from bbq_torchrl.options.values import check_values
 
 __all__ = ["CalibrateConfig", "Config", "EvaluateConfig", "validate"]
 
+PLAYED = integers(1, 10**7)
 DEVICE = Allowed(
     "'cpu', 'cuda' or 'cuda:<number>'",
     lambda value: (
@@ -55,7 +59,7 @@ class Config:
     spike: SpikeOption = REQUIRED  # type: ignore[assignment]
     protocol: ProtocolOption = REQUIRED  # type: ignore[assignment]
     logger: LoggerOption = REQUIRED  # type: ignore[assignment]
-    replicas: int = setting(1, COUNT, "independent seeds trained side by side")
+    replicas: int = setting(1, SIZE, "independent seeds trained side by side")
     seed: int = setting(0, SEED, "seed that all random numbers derive from")
     device: str = setting("cpu", DEVICE, "where tensors live")
     threads: int = setting(1, THREADS, "CPU threads of torch")
@@ -76,8 +80,8 @@ class EvaluateConfig:
         "random, a scripted policy of the domain (rule, ...), the privileged clairvoyant, a run, "
         "or shipped:<name>",
     )
-    dialogues: int = setting(10_000, COUNT, "dialogues played; for each replica of a run folder")
-    batch: int = setting(2_500, COUNT, "dialogues that run side by side")
+    dialogues: int = setting(10_000, PLAYED, "dialogues played; for each replica of a run folder")
+    batch: int = setting(2_500, BATCH, "dialogues that run side by side")
     mode: str | None = setting(
         None,
         optional(ANY_TEXT, "the agent's own"),
@@ -104,8 +108,8 @@ class CalibrateConfig:
     domain: DomainOption = REQUIRED  # type: ignore[assignment]
     policy: str = setting("rule", ANY_TEXT, "scripted policy of the domain")
     success: float = setting(0.183, PROBABILITY, "success rate that the policy is to have")
-    dialogues: int = setting(100_000, COUNT, "dialogues played for each probability tried")
-    batch: int = setting(2_500, COUNT, "dialogues that run side by side")
+    dialogues: int = setting(100_000, PLAYED, "dialogues played for each probability tried")
+    batch: int = setting(2_500, BATCH, "dialogues that run side by side")
     seed: int = setting(0, SEED, "seed that all random numbers derive from")
     device: str = setting("cpu", DEVICE, "where tensors live")
     threads: int = setting(1, THREADS, "CPU threads of torch")

@@ -11,14 +11,13 @@ names the key, what is allowed and what was given.
 from __future__ import annotations
 
 import copy
-import os
 from dataclasses import Field, dataclass, field, fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     Values = float | list[float]
 else:
@@ -28,6 +27,7 @@ else:
 __all__ = [
     "ABOVE_ZERO_TO_ONE",
     "ANY_TEXT",
+    "BATCH",
     "BELOW_ONE",
     "BOOLEAN",
     "COUNT",
@@ -39,13 +39,14 @@ __all__ = [
     "REQUIRED",
     "REWARD",
     "SEED",
+    "SIZE",
     "STEP_SIZE",
     "THREADS",
     "Allowed",
     "ConfigError",
     "Values",
-    "absolute",
     "check_settings",
+    "filled",
     "integers",
     "numbers",
     "one_of",
@@ -58,6 +59,8 @@ __all__ = [
     "walk",
 ]
 
+
+Schema = TypeVar("Schema")
 
 REQUIRED = "???"
 """OmegaConf's mark for a value that somebody has to give."""
@@ -123,14 +126,18 @@ ABOVE_ZERO_TO_ONE = Allowed(
 )
 COUNT = integers(1)
 NON_NEGATIVE_INTEGER = integers(0)
+SIZE = integers(1, 1_000)  # what memory is multiplied with
+BATCH = integers(1, 100_000)
 THREADS = integers(1, 1024)  # torch crashes where it gets many times as many
 SEED = Allowed(
     "an integer from 0 to 2**63 - 1", lambda value: _is_integer(value) and 0 <= value < 2**63
 )
 COUNTS = Allowed(
-    "a list of up to 100 integers from 1 to 10**9, such as [256,256]",
+    "a list of up to 10 integers from 1 to 10000, such as [256,256]",
     lambda value: (
-        isinstance(value, list) and 1 <= len(value) <= 100 and all(map(COUNT.test, value))
+        isinstance(value, list)
+        and 1 <= len(value) <= 10
+        and all(map(integers(1, 10_000).test, value))
     ),
 )
 BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
@@ -204,11 +211,6 @@ def option(name: str) -> Any:
     return setting(name, one_of(name), "the option of the group; chosen by <group>=<option>")
 
 
-def absolute(path: str) -> str:
-    """Returns a path as an absolute one, with the user's folder for a tilde."""
-    return os.path.abspath(os.path.expanduser(path)) if path else path
-
-
 def walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any], Any]]:
     """Yields (dotted key, dataclass field, value) of every leaf of a configuration dataclass."""
     for item in fields(config):
@@ -242,3 +244,26 @@ def check_settings(config: Any) -> None:
             raise ConfigError(f"{key} must be given: it must be {allowed.text}")
         if not allowed.test(value):
             raise ConfigError(f"{key} must be {allowed.text}, got {shown(value)}")
+
+
+def filled(schema: type[Schema], given: Mapping[str, Any], prefix: str) -> Schema:
+    """Returns a dataclass of settings with the values that are given, checked.
+
+    Args:
+        schema: the dataclass.
+        given: key to value.
+        prefix: what stands before a key where errors name it.
+
+    Raises:
+        ConfigError: naming the first key that there is not, or whose value is not allowed.
+    """
+    known = list(schema.__dataclass_fields__)  # type: ignore[attr-defined]
+    for key in given:
+        if key not in known:
+            raise ConfigError(f"{prefix}{key} is not a key; there are {', '.join(known)}")
+    config = schema(**given)
+    try:
+        check_settings(config)
+    except ConfigError as error:
+        raise ConfigError(f"{prefix}{error}") from error
+    return config

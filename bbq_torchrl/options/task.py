@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import torch
     from torch import Tensor
     from torchrl.data import TensorSpec
     from torchrl.envs import EnvBase
 
-__all__ = ["Task", "action_mask_key", "parameters"]
+__all__ = ["Task", "action_mask_key"]
 
 
 @dataclass(frozen=True)
@@ -61,13 +58,3 @@ class Task:
 def action_mask_key(env: EnvBase) -> str | None:
     """Returns where an environment says which actions are legal; None: all of them always are."""
     return "action_mask" if "action_mask" in list(env.observation_spec.keys()) else None
-
-
-def parameters(sizes: Sequence[int]) -> int:
-    """Returns how many weights and biases a network of these layers has.
-
-    Example:
-        >>> parameters([3, 4, 2])
-        26
-    """
-    return sum((before + 1) * after for before, after in pairwise(sizes))

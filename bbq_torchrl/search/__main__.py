@@ -52,7 +52,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from bbq_torchrl.cli.checks import check
         from bbq_torchrl.run import run
         from bbq_torchrl.search.study import run_search
-        from bbq_torchrl.trainers import CheckpointDamagedError, NonFiniteLossError, SpikeError
 
         for values in search.corners():
             check(search.config(values))
@@ -61,9 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
-        best = run_search(
-            search, run, (NonFiniteLossError, CheckpointDamagedError, SpikeError), check
-        )
+        best = run_search(search, run, check)
     except interruption.Interrupted as end:
         output.complain(interruption.line())
         return end.exit_code

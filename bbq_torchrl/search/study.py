@@ -18,11 +18,20 @@ import yaml
 from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 
+from bbq_torchrl.cli.parameters import Choices
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.search.tables import best_trial, trial_name, write_tables
-from bbq_torchrl.search.trials import Outcome, Runner, play_trial, suggest
+from bbq_torchrl.run_folder import write_text
+from bbq_torchrl.search.trials import (
+    Outcome,
+    Runner,
+    best_trial,
+    play_trial,
+    suggest,
+    trial_name,
+    write_tables,
+)
 from bbq_torchrl.text import sentence, shown
-from bbq_torchrl.trainers.seeding import derive_seed
+from bbq_torchrl.trainers import TrainingError, derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -40,7 +49,6 @@ _DEFINITION = "search.yaml"
 def run_search(
     search: Search,
     runner: Runner,
-    usage_errors: tuple[type[Exception], ...] = (),
     check: Callable[[Config], object] | None = None,
 ) -> dict[str, Any] | None:
     """Runs trials until there are as many as wanted. Returns the best; None if there is none.
@@ -50,9 +58,9 @@ def run_search(
 
     Args:
         search: what to search.
-        runner: trains one trial: ``bbq_torchrl.run.run``.
-        usage_errors: errors of a trial that the search goes on after; any other one ends it, and
-            the trial is taken up when the search is started again.
+        runner: trains one trial: ``bbq_torchrl.run.run``. The search goes on after a
+            TrainingError of it; any other error ends the search, and the trial is taken up when it
+            is started again.
         check: what else is checked of a trial's configuration; raises ``ConfigError``. Values that
             cannot be run together fail their trial, and the search goes on.
 
@@ -81,12 +89,10 @@ def run_search(
                 config = search.config(values)
                 if check is not None:
                     check(config)
-            except ConfigError as error:
+            except (ConfigError, TrainingError) as error:
                 outcome = Outcome(optuna.trial.TrialState.FAIL, reason=sentence(error))
             else:
-                outcome = play_trial(
-                    trial, config, run_folder, search.settings, runner, usage_errors
-                )
+                outcome = play_trial(trial, config, run_folder, search.settings, runner)
             _tell(study, trial, outcome)
         with FileLock(folder / ".tables.lock"):
             write_tables(search, study)
@@ -114,9 +120,7 @@ def _check_definition(search: Search, file: Path) -> None:
 
 def _write_definition(search: Search, file: Path) -> None:
     if not file.exists():
-        temporary = file.with_name(f".{file.name}.new")
-        temporary.write_text(yaml.safe_dump(search.definition(), sort_keys=False), encoding="utf-8")
-        temporary.replace(file)
+        write_text(file, yaml.safe_dump(search.definition(), sort_keys=False))
 
 
 def _study(search: Search, folder: Path) -> optuna.Study:
@@ -188,22 +192,22 @@ def _is_free(lock: FileLock) -> bool:
 def _values(search: Search, study: optuna.Study, trial: optuna.Trial) -> dict[str, Any]:
     """The trial's values: drawn from seeds of its own, so that an interruption changes none."""
     values = {}
-    for parameter in search.space:
-        seed = derive_seed(search.settings.seed, "search", trial.number, parameter.name)
+    for name, parameter in search.space.items():
+        seed = derive_seed(search.settings.seed, "search", trial.number, name)
         study.sampler = _sampler(search, seed % 2**32)
-        values[parameter.name] = suggest(trial, parameter)
+        values[name] = suggest(trial, name, parameter)
     return values
 
 
 def _has_choices_only(search: Search) -> bool:
-    return all(parameter.type == "categorical" for parameter in search.space)
+    return all(isinstance(parameter, Choices) for parameter in search.space.values())
 
 
 def _most_trials(search: Search) -> int:
     """How many trials there are to be: of choices alone no setting is tried twice."""
     if not _has_choices_only(search):
         return search.settings.trials
-    return min(search.settings.trials, prod(len(item.choices) for item in search.space))
+    return min(search.settings.trials, prod(len(item.probes) for item in search.space.values()))
 
 
 def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:

@@ -1,31 +1,41 @@
-"""One trial: a run with a trial's values, what is reported while it runs, and what it is worth."""
+"""One trial: a run with a trial's values, what it is worth, and the table that all are in."""
 
 from __future__ import annotations
 
-import dataclasses
+import csv
 import math
+import shlex
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import optuna
 
+from bbq_torchrl.cli.messages import train_command
+from bbq_torchrl.cli.parameters import Choices, IntegerRange
 from bbq_torchrl.cli.resume import is_finished
-from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.evaluation.statistics import interquartile_mean
-from bbq_torchrl.run_folder import CONFIG
+from bbq_torchrl.run_folder import CONFIG, write_text
+from bbq_torchrl.text import sentence
+from bbq_torchrl.trainers import TrainingError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.cli.parameters import Parameter
-    from bbq_torchrl.cli.searches import SearchConfig
+    from bbq_torchrl.cli.searches import Search, SearchConfig
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import RoundTrainer
     from bbq_torchrl.trainers.metrics import MetricRow
 
-__all__ = ["Outcome", "Runner", "play_trial", "suggest"]
+__all__ = ["Outcome", "best_trial", "play_trial", "suggest", "trial_name", "write_tables"]
+
+TRIALS = "trials.csv"
+BEST = "best.json"
 
 Runner = Callable[["Config", "Path", "Sequence[Any]"], "RunResult"]
 """Trains a configuration in a folder, with callbacks for rounds: ``bbq_torchrl.run.run``."""
@@ -46,19 +56,14 @@ class Outcome:
     reason: str | None = None
 
 
-def suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
+def suggest(trial: optuna.Trial, name: str, parameter: Parameter) -> Any:
     """Returns the trial's value for a key; a trial that goes on gets the value it has."""
-    name = parameter.name
-    if parameter.type == "categorical":
+    if isinstance(parameter, Choices):
         return trial.suggest_categorical(name, parameter.choices)
-    assert parameter.low is not None
-    assert parameter.high is not None
-    bounds: dict[str, Any] = {"log": parameter.log}
-    if parameter.step is not None:
-        bounds["step"] = parameter.step
-    if parameter.type == "int":
-        return trial.suggest_int(name, int(parameter.low), int(parameter.high), **bounds)
-    return trial.suggest_float(name, parameter.low, parameter.high, **bounds)
+    bounds = {key: value for key, value in asdict(parameter).items() if value is not None}
+    if isinstance(parameter, IntegerRange):
+        return trial.suggest_int(name, **bounds)
+    return trial.suggest_float(name, **bounds)
 
 
 def play_trial(
@@ -67,7 +72,6 @@ def play_trial(
     folder: Path,
     settings: SearchConfig,
     runner: Runner,
-    usage_errors: tuple[type[Exception], ...],
 ) -> Outcome:
     """Runs a trial from where it is: new, from its last checkpoint, or finished already.
 
@@ -77,13 +81,11 @@ def play_trial(
         folder: the trial's run folder.
         settings: of the search.
         runner: see :data:`Runner`.
-        usage_errors: errors that tell something of the values, such as a loss that is not finite;
-            the search goes on after them.
     """
     states = optuna.trial.TrialState
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / CONFIG).is_file():
-        config = dataclasses.replace(config, resume=str(folder))
+        config = replace(config, resume=str(folder))
     try:
         if is_finished(folder, config.protocol.rounds):
             result = read_result(folder)
@@ -91,8 +93,8 @@ def play_trial(
             result = runner(config, folder, [_Reports(trial, settings)])
     except optuna.TrialPruned:
         return Outcome(states.PRUNED)
-    except usage_errors as error:
-        return Outcome(states.FAIL, reason=" ".join(str(error).split()))
+    except TrainingError as error:
+        return Outcome(states.FAIL, reason=sentence(error))
     return Outcome(states.COMPLETE, _worth(result, settings))
 
 
@@ -129,3 +131,54 @@ class _Reports:
             self._trial.report(_sum_up(so_far, self._settings), step=done - 1)
         if done < trainer.settings.rounds and self._trial.should_prune():
             raise optuna.TrialPruned
+
+
+def trial_name(number: int) -> str:
+    """The folder of a trial."""
+    return f"trial_{number:04d}"
+
+
+def best_trial(search: Search, study: optuna.Study) -> dict[str, Any] | None:
+    """The best complete trial, and the command that trains it again; None if there is none."""
+    trials = study.get_trials(deepcopy=False)
+    complete = [item for item in trials if item.state is optuna.trial.TrialState.COMPLETE]
+    if not complete:
+        return None
+    # Of equals the first, however the trials were shared out among processes.
+    best = max(complete, key=lambda item: (item.value, -item.number))
+    values = {name: best.params[name] for name in search.space}
+    return {
+        "trial": best.number,
+        "value": best.value,
+        "objective": search.settings.objective,
+        "statistic": search.settings.statistic,
+        "values": values,
+        "folder": str(search.folder / trial_name(best.number)),
+        "command": shlex.join([*train_command(), *search.overrides(values)]),
+        "trials": dict(sorted(Counter(item.state.name.lower() for item in trials).items())),
+    }
+
+
+def write_tables(search: Search, study: optuna.Study) -> None:
+    """Writes ``trials.csv`` and ``best.json``, atomically."""
+    rows = [
+        {
+            "trial": item.number,
+            "state": item.state.name.lower(),
+            "value": "" if item.values is None else item.value,
+            **{name: item.params.get(name, "") for name in search.space},
+            "rounds": len(item.intermediate_values),
+            "seconds": "" if item.duration is None else round(item.duration.total_seconds(), 1),
+            "folder": trial_name(item.number),
+            "reason": item.user_attrs.get("reason", ""),
+        }
+        for item in study.get_trials(deepcopy=False)
+    ]
+    text = StringIO()
+    writer = csv.DictWriter(text, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(search.folder / TRIALS, text.getvalue())
+    best = best_trial(search, study)
+    if best is not None:
+        write_json(best, search.folder / BEST)

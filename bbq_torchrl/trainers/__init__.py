@@ -10,6 +10,7 @@ from bbq_torchrl.trainers.errors import (
     CheckpointMismatchError,
     NonFiniteLossError,
     SpikeError,
+    TrainingError,
 )
 from bbq_torchrl.trainers.hooks import Evaluator, RoundCallback, RoundEnv
 from bbq_torchrl.trainers.memory import keep_freed_memory
@@ -40,6 +41,7 @@ __all__ = [
     "RoundTrainer",
     "SpikeError",
     "SpikeSettings",
+    "TrainingError",
     "derive_seed",
     "keep_freed_memory",
     "outcomes",

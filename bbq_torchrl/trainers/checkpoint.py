@@ -16,11 +16,13 @@ One process writes, any number may read: a reader changes nothing in the folder.
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
 import re
 import shutil
+import tempfile
 import uuid
 import zipfile
 from textwrap import shorten
@@ -31,7 +33,6 @@ from torch.utils import _pytree as pytree
 from torchrl.checkpoint import Checkpoint, CheckpointError
 
 from bbq_torchrl.trainers.archive import TensorFiles, read_archive
-from bbq_torchrl.trainers.disk import check_room, force_to_disk
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
 
 if TYPE_CHECKING:
@@ -69,8 +70,6 @@ class CheckpointFolder:
     """
 
     def __init__(self, folder: Path, *, keep: int | None = 2, **components: Any) -> None:
-        if keep is not None and keep < 1:
-            raise ValueError(f"keep must be at least 1, got {keep}")
         self.folder = folder
         self.keep = keep
         self._checkpoint = Checkpoint(format="archive")
@@ -91,8 +90,8 @@ class CheckpointFolder:
         path = self.folder / f"{name or f'round-{rounds:06d}'}{_SUFFIX}"
         self._check_room()
         self._checkpoint.save(path, metadata={"round": rounds, **metadata})
-        force_to_disk(path)
-        force_to_disk(self.folder)
+        _force_to_disk(path)
+        _force_to_disk(self.folder)
         if name is None and self.keep is not None:
             for old in self._files()[self.keep :]:
                 old.unlink()
@@ -113,13 +112,6 @@ class CheckpointFolder:
         if found is not None and damages:
             _LOG.warning("taking the checkpoint before it: %s", found[0])
         return found
-
-    def holds(self, *names: str) -> bool:
-        """Returns whether there is a checkpoint with these components; errors are :meth:`newest`'s.
-
-        Nothing is loaded, and nothing logged.
-        """
-        return self._newest(names)[0] is not None
 
     def restore(self, expected: Mapping[str, Any]) -> tuple[Path, dict[str, Any]] | None:
         """Restores all components from the newest readable checkpoint; None if there is none.
@@ -149,18 +141,23 @@ class CheckpointFolder:
                 continue  # the process that writes has removed it: there is a newer one
             return found
 
-    def check(self, expected: Mapping[str, Any]) -> None:
-        """Refuses the newest readable checkpoint, if there is one, as :meth:`restore` would.
+    def check(self, expected: Mapping[str, Any], *components: str) -> bool:
+        """Refuses the newest readable checkpoint as :meth:`restore` would; whether there is one.
 
         Nothing is loaded, and nothing logged.
+
+        Args:
+            expected (mapping): as of :meth:`restore`.
+            *components (str): what it must hold.
 
         Raises:
             CheckpointDamagedError: as :meth:`newest`.
             CheckpointMismatchError: if the checkpoint is one of another seed or configuration.
         """
-        found, _ = self._newest(())
+        found, _ = self._newest(components)
         if found is not None:
             _compare(*found, expected)
+        return found is not None
 
     def load(self, path: Path) -> None:
         """Restores all components from a checkpoint that :meth:`newest` returned.
@@ -201,11 +198,11 @@ class CheckpointFolder:
                         member = f"{record['path']}/{file}"
                         new.writestr(member, old.read(member))
                 new.writestr("manifest.json", json.dumps(manifest))
-            force_to_disk(smaller)
+            _force_to_disk(smaller)
             os.replace(smaller, path)
         finally:
             smaller.unlink(missing_ok=True)
-        force_to_disk(self.folder)
+        _force_to_disk(self.folder)
         for other in self._files():
             if other != path:
                 other.unlink()
@@ -273,7 +270,7 @@ class CheckpointFolder:
         """Raises OSError where the disk has no room for a checkpoint, staged and archived."""
         states = [part.state_dict() for part in self._checkpoint.components.values()]
         tensors = [leaf for leaf in pytree.tree_leaves(states) if isinstance(leaf, torch.Tensor)]
-        check_room(self.folder, 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE)
+        _check_room(self.folder, 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE)
 
 
 def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
@@ -283,3 +280,29 @@ def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any
             raise CheckpointMismatchError(
                 f"{name} must be {metadata[name]}, as in the checkpoint {path}, got {value}"
             )
+
+
+def _check_room(folder: Path, size: int) -> None:
+    """Raises OSError where a folder's disk has no room for so many bytes; makes the folder.
+
+    TorchRL writes through memory maps: one that meets a full disk is no error, but a signal that
+    kills the process.
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder) as file:
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
+                raise OSError(error.errno, error.strerror, os.fspath(folder)) from error
+
+
+def _force_to_disk(path: Path) -> None:
+    """Has a file, or the names in a folder, outlive a crash of the machine."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
+
+from bbq_torchrl.hooks import provides
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from torch import Tensor
+    from torchrl.envs import EnvBase
 
     from bbq_torchrl.trainers.best_weights import BestWeights
     from bbq_torchrl.trainers.metrics import MetricRow
     from bbq_torchrl.trainers.round_trainer import RoundTrainer
 
-__all__ = ["Evaluator", "RoundCallback", "RoundEnv"]
+__all__ = ["Evaluator", "RoundCallback", "RoundEnv", "enter_round"]
 
 
 class RoundEnv(Protocol):
@@ -23,11 +27,14 @@ class RoundEnv(Protocol):
         """Enters a round; called before its dialogues are played, and before spiking with 0."""
 
 
-class RoundCallback(Protocol):
-    """What is called after every round with the trainer and the round's rows."""
+def enter_round(env: EnvBase, round: int) -> None:
+    """Has an environment that changes with the rounds be as in one of them."""
+    if provides(env, RoundEnv):
+        env.set_round(round)
 
-    def __call__(self, trainer: RoundTrainer, rows: Sequence[MetricRow], /) -> None:
-        """Takes in the round's rows, one for each replica."""
+
+RoundCallback = Callable[["RoundTrainer", "Sequence[MetricRow]"], None]
+"""What is called after every round with the trainer and the round's rows, one for each replica."""
 
 
 class Evaluator(Protocol):

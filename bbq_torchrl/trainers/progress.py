@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import multiprocessing
-from datetime import datetime, timedelta
 from statistics import fmean
 from typing import TYPE_CHECKING
 
@@ -25,7 +24,7 @@ LINES = 40
 
 
 class RoundProgress:
-    """Shows success, reward, KL, seconds a round and the expected end; means over the replicas.
+    """Shows success, reward, KL and the time that is left; means over the replicas.
 
     Where no bar is shown, the log gets a line after every round, of a training of more than 40
     rounds after every so many that it is at most 40 lines: means over the rounds since the last.
@@ -56,7 +55,6 @@ class RoundProgress:
             dynamic_ncols=True,
             disable=None if visible is None else not visible,
         )
-        self._seconds: list[float] = []
 
     def update(self, rows: Sequence[MetricRow]) -> None:
         """Takes in the rows of one round, one for each replica."""
@@ -65,10 +63,6 @@ class RoundProgress:
         if self._bar.disable:
             self._tell(means)
             return
-        # The last rounds predict the next ones: rounds get longer until the buffer is full.
-        self._seconds = [*self._seconds[-9:], means["seconds"]]
-        left = timedelta(seconds=self._left * fmean(self._seconds))
-        end = datetime.now().astimezone() + left
         shown = {"success": f"{means['success_rate']:.2f}", "reward": f"{means['reward']:.1f}"}
         evaluated = means.get("eval_success_rate", math.nan)
         self._evaluated = self._evaluated if math.isnan(evaluated) else evaluated
@@ -76,7 +70,6 @@ class RoundProgress:
             shown["eval"] = f"{self._evaluated:.2f}"
         if "kl" in means:
             shown["kl"] = f"{means['kl']:.0f}"
-        shown |= {"s/round": f"{means['seconds']:.1f}", "end": f"{end:%H:%M:%S}"}
         self._bar.set_postfix(shown, refresh=False)
         self._bar.update()
 

@@ -17,8 +17,8 @@ from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import Policy, collect_dialogues
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, NonFiniteLossError
-from bbq_torchrl.trainers.hooks import RoundEnv
-from bbq_torchrl.trainers.learner import Learner, TargetUpdater
+from bbq_torchrl.trainers.hooks import enter_round
+from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.seeding import derive_seed
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from torchrl.envs import EnvBase
+    from torchrl.objectives.utils import TargetNetUpdater
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.data import ReplicaReplay
@@ -63,7 +64,7 @@ class RoundTrainer:
             more of shape [replicas], which becomes a metric.
         replay (ReplicaReplay): the buffers, empty.
         optimizer (ReplicaOptimizer): of the loss's parameters.
-        target_updater (TargetUpdater): ``.step()`` freezes the target.
+        target_updater (HardUpdate): ``.step()`` freezes the target.
         settings (RoundSettings): the protocol.
         run_folder (Path): takes ``metrics.csv`` and ``checkpoint/``.
         spike_policy (callable, optional): fills the buffer before the first round.
@@ -89,7 +90,7 @@ class RoundTrainer:
         loss: nn.Module,
         replay: ReplicaReplay,
         optimizer: ReplicaOptimizer,
-        target_updater: TargetUpdater,
+        target_updater: TargetNetUpdater,
         settings: RoundSettings,
         run_folder: Path | str,
         *,
@@ -107,10 +108,6 @@ class RoundTrainer:
             raise ValueError(
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(env.batch_size)}"
-            )
-        if optimizer.replicas != replicas:
-            raise ValueError(
-                f"the optimizer must have {replicas} replicas, got {optimizer.replicas}"
             )
         self.spike = spike if spike is not None else SpikeSettings(dialogues=0)
         if self.spike.dialogues and spike_policy is None:
@@ -288,14 +285,17 @@ class RoundTrainer:
         broken = [r for r, loss in enumerate(means["loss"]) if not math.isfinite(loss)]
         if broken:
             saved = self._save(name=f"failed-round-{round_number:06d}")
-            raise NonFiniteLossError(round_number, broken, saved)
+            noun = "replica" if len(broken) == 1 else "replicas"
+            raise NonFiniteLossError(
+                f"the loss of {noun} {', '.join(map(str, broken))} is not finite in round "
+                f"{round_number}; the state is saved in {saved}"
+            )
         return means
 
     def _begin_phase(self, name: str, round_number: int) -> None:
         """Has dialogues be played from a seed of their own, in the environment as in a round."""
         self._seed_phase(name, round_number)
-        if provides(self.env, RoundEnv):
-            self.env.set_round(round_number)
+        enter_round(self.env, round_number)
 
     def _seed_phase(self, *path: str | int) -> None:
         """Seeds every source of random numbers for a phase."""

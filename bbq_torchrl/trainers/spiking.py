@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.trainers.settings import SpikeSettings
 
-__all__ = ["count_transitions", "drop_outgrown_spikes", "is_spike_outgrown", "spike_replay"]
+__all__ = ["drop_outgrown_spikes", "spike_replay"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -67,44 +68,6 @@ def spike_replay(
         )
 
 
-def count_transitions(
-    env: EnvBase, policy: Policy, dialogues: int, *, max_steps: int, enough: int
-) -> int:
-    """Returns how many transitions the dialogues of a policy are, in the longest replica.
-
-    Args:
-        env (EnvBase): batch size [replicas, places].
-        policy (callable): writes an action.
-        dialogues (int): how many each replica plays.
-        max_steps (int): the most turns of a dialogue.
-        enough (int): counting ends where there are so many.
-    """
-    total = 0
-    for rollout in play_dialogues(env, policy, dialogues, max_steps=max_steps):
-        total += int(rollout["valid"].sum((-2, -1)).max())
-        if total >= enough:
-            break
-    return total
-
-
-def is_spike_outgrown(success_rates: Sequence[float], spike: SpikeSettings) -> bool:
-    """Returns whether a replica's spiked transitions are to be dropped after a round.
-
-    Args:
-        success_rates (sequence of float): of all its rounds so far, this one the last.
-        spike (SpikeSettings): the threshold and over how many rounds the mean is taken.
-
-    Example:
-        >>> from bbq_torchrl.trainers import SpikeSettings
-        >>> spike = SpikeSettings(drop_above=0.5, drop_window=2)
-        >>> is_spike_outgrown([0.9], spike), is_spike_outgrown([0.4, 0.5, 0.6], spike)
-        (False, True)
-    """
-    if spike.drop_above is None or len(success_rates) < spike.drop_window:
-        return False
-    return fmean(success_rates[-spike.drop_window :]) > spike.drop_above
-
-
 def drop_outgrown_spikes(
     replay: ReplicaReplay,
     rows: Sequence[Mapping[str, Any]],
@@ -119,7 +82,8 @@ def drop_outgrown_spikes(
         success_rates (sequence of float): each replica's in this round.
         spike (SpikeSettings): when they are outgrown.
     """
+    threshold = math.inf if spike.drop_above is None else spike.drop_above
     for replica, rate in enumerate(success_rates):
-        before = [past["success_rate"] for past in rows[replica :: replay.replicas]]
-        if is_spike_outgrown([*before, rate], spike):
+        rates = [*(past["success_rate"] for past in rows[replica :: replay.replicas]), rate]
+        if len(rates) >= spike.drop_window and fmean(rates[-spike.drop_window :]) > threshold:
             replay.drop_protected(replica)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.pairs import pair
-from bbq_torchrl.evaluation.table1 import NOT_RUN, PAPER, comparisons, verdict
+from bbq_torchrl.evaluation.pairs import NOT_RUN, pair, verdict
+from bbq_torchrl.evaluation.table1 import PAPER, comparisons
 from scripts.docs_blocks.common import block, table
 from scripts.docs_blocks.results import DOMAINS, EXPERIMENTS, groups
 

@@ -13,8 +13,7 @@ import torch
 
 import train
 from bbq_torchrl import evaluate
-from bbq_torchrl.cli.resume import description
-from bbq_torchrl.cli.saved import load_config
+from bbq_torchrl.cli.resume import description, load_config
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
 

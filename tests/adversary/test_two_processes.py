@@ -134,15 +134,3 @@ def test_a_run_of_a_sweep_or_a_search_is_not_resumed_beside_it(
     command.send(signal.SIGCONT)
     assert command.end().code == 0
     record_property(TWO, 1)
-
-
-def test_a_lock_is_gone_with_its_process(commands, references, place):
-    reference = references(NAME)
-    command = first(commands, "new", place)
-    command.send(signal.SIGKILL)
-    command.send(signal.SIGCONT)
-    assert command.end().code == -signal.SIGKILL
-
-    commands.run("train", f"resume={place}")
-
-    assert_same(place, reference.folder)

@@ -24,7 +24,6 @@ from bbq_torchrl.bayes import (
 )
 from bbq_torchrl.bayes import kl_divergence as kl_of
 from bbq_torchrl.bayes.kl import posteriors
-from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
@@ -177,7 +176,7 @@ def test_a_gru_is_torchs(steps):
         torch.testing.assert_close(output, outputs[:, k])
 
 
-@pytest.mark.parametrize("name", ["linear", "conv", "gru"])
+@pytest.mark.parametrize("name", ["linear", "mlp", "conv", "gru"])
 def test_mode_local_is_a_weight_draw_of_its_own_for_each_row(name):
     # mean and covariance of the outputs of one input, by either way
     net, features = made(name)
@@ -233,24 +232,6 @@ def test_a_sampled_kl_is_not_taken_for_the_closed_one():
         loss(td)
     loss, td, _ = loss_on(BayesMLP(3, 4), Gain(4), kl="sampled")
     assert loss(td)["kl"].isfinite()
-
-
-@pytest.mark.parametrize("make", [BayesScale, Gain])
-def test_strategies_and_evaluations_act_on_a_layer_of_ones_own(make):
-    actor = q_actor(nn.Sequential(nn.Linear(3, 4), make(4)), Categorical(4), action_mask_key=None)
-    td = TensorDict(observation=torch.ones(5, 3), batch_size=[5])
-
-    def values(policy):
-        return policy(td.clone())["action_value"].detach()
-
-    held = ThompsonSampling(actor, per="round")
-    assert torch.equal(values(held), values(held))
-    step = ThompsonSampling(actor, shared=True)
-    assert not torch.equal(values(step), values(step))
-    for mode in ("average", "draw"):
-        policy = EvaluationPolicy(actor, mode=mode)
-        assert torch.equal(values(policy), values(policy))
-        assert not torch.equal(values(policy), values(EvaluationPolicy(actor)))
 
 
 # ------------------------------------------------------------------------- torch.func

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 from scipy import stats
-from torch import nn
 
-from bbq_torchrl.bayes import BayesLinear, BayesMLP, weight_scope
+from bbq_torchrl.bayes import BayesMLP, weight_scope
 from bbq_torchrl.bayes.noise_sources import NoisePool, SharedNoise
 
 # A test of chance fails by chance with this probability.
@@ -71,24 +70,6 @@ def test_draws_for_rows_are_not_concerned():
     with weight_scope(noise=pool), torch.no_grad():
         rows = net.draw_weights((50,))
     assert len(rows.unique()) == rows.numel()
-
-
-def test_only_what_draws_inside_is_concerned_and_pools_nest():
-    net = nn.Sequential(BayesLinear(3, 40), BayesLinear(40, 2))
-    outer, inner, x = NoisePool(2), NoisePool(2), torch.ones(3)
-    with weight_scope("draw"):
-        torch.manual_seed(0)
-        with weight_scope(noise=outer), weight_scope(noise=inner):
-            pass
-        plain = net(x)
-        torch.manual_seed(0)
-        with weight_scope(noise=outer):
-            with weight_scope(noise=inner):
-                net(x)
-            pooled = net(x)
-        torch.manual_seed(0)
-        assert torch.equal(net(x), plain)
-    assert not torch.equal(pooled, plain)
 
 
 def test_shared_noise_shares_what_comes_from_a_pool():

@@ -27,12 +27,9 @@ def naive(posterior, noise):
     """Returns draw, closed KL and sampled KL by autograd and torch.distributions."""
     sigma = torch.nn.functional.softplus(posterior.rho)
     q = Normal(posterior.mu, sigma)
-    std = torch.cat(
-        [
-            torch.full((n,), float(torch.nn.functional.softplus(r)), dtype=noise.dtype)
-            for n, r in zip(posterior.group_sizes, posterior.prior_rho, strict=True)
-        ]
-    )
+    std = torch.nn.functional.softplus(posterior.prior_rho)
+    if std.shape[-1] > 1:
+        std = torch.cat([s.expand(n) for n, s in zip(posterior.group_sizes, std, strict=True)])
     p = Normal(torch.zeros_like(std), std)
     weights = posterior.mu + sigma * noise
     closed = kl_divergence(q, p).sum(-1)
@@ -50,36 +47,26 @@ def with_noise(posterior, noise):
     posterior.fill_noise_ = fill
 
 
-@pytest.mark.parametrize("replicas", REPLICAS)
-def test_closed_kl_is_that_of_torch_distributions(replicas):
-    posterior = posterior_with(replicas)
-    _, closed, _ = naive(posterior, torch.zeros_like(posterior.mu))
-    torch.testing.assert_close(posterior.kl(), closed)
-    torch.testing.assert_close(posterior.sample_with_kl()[1], closed)
+CASES = [(replicas, (40, 21), std) for replicas in REPLICAS for std in ((0.1, 0.7), (0.3,))]
+CASES += [
+    ((3,), (7, 4), torch.tensor([0.05, 0.3, 1.7])),  # a prior for each replica
+    ((2, 2), (7, 4), torch.tensor([[0.05, 0.3], [0.7, 2.0]])),
+    # More weights than are worked on at a time.
+    ((5,), (40_001,), torch.tensor([0.05, 0.1, 0.2, 0.4, 0.8])),
+]
 
 
-def test_closed_kl_is_the_mean_of_the_sampled_one():
-    posterior = posterior_with(groups=(5, 4))
-    closed = posterior.kl().detach()
-    sampled = torch.stack([posterior.sample_with_kl("sampled")[1].detach() for _ in range(4000)])
-    error = sampled.std() / 4000**0.5
-    assert abs(sampled.mean() - closed) < 5 * error
-
-
-@pytest.mark.parametrize("replicas", REPLICAS)
+@pytest.mark.parametrize(("replicas", "groups", "prior_std"), CASES, ids=str)
 @pytest.mark.parametrize("kind", ["closed", "sampled"])
-@pytest.mark.parametrize("prior_std", [(0.1, 0.7), (0.3,)])
-def test_draw_kl_and_gradients_equal_naive_autograd(replicas, kind, prior_std):
-    posterior = posterior_with(replicas, prior_std=prior_std)
-    if len(prior_std) == 1:
-        posterior.prior_rho.resize_(1)
+def test_draw_kl_and_gradients_equal_naive_autograd(replicas, groups, prior_std, kind):
+    posterior = posterior_with(replicas, groups, prior_std)
     noise = torch.randn_like(posterior.mu)
     with_noise(posterior, noise)
     reference = deepcopy(posterior)
-    reference.prior_rho = reference.prior_rho.expand(2).clone()
     weights, kl = posterior.sample_with_kl(kind)
-    expected_weights, *kls = naive(reference, noise)
-    expected_kl = kls[kind == "sampled"]
+    expected_weights, closed, sampled = naive(reference, noise)
+    expected_kl = closed if kind == "closed" else sampled
+    torch.testing.assert_close(posterior.kl(), closed)
     torch.testing.assert_close(weights, expected_weights)
     torch.testing.assert_close(kl, expected_kl)
     probe, kl_probe = torch.randn_like(weights), torch.randn_like(kl)
@@ -87,6 +74,7 @@ def test_draw_kl_and_gradients_equal_naive_autograd(replicas, kind, prior_std):
         ((weights, kl), (expected_weights, expected_kl), (probe, kl_probe)),
         ((weights,), (expected_weights,), (probe,)),
         ((kl,), (expected_kl,), (kl_probe,)),
+        ((posterior.kl(),), (closed,), (kl_probe,)),
     ]:
         ours = torch.autograd.grad(
             outputs, (posterior.mu, posterior.rho), probes, retain_graph=True
@@ -95,46 +83,6 @@ def test_draw_kl_and_gradients_equal_naive_autograd(replicas, kind, prior_std):
             expected, (reference.mu, reference.rho), probes, retain_graph=True
         )
         torch.testing.assert_close(ours, theirs)
-
-
-def test_gradient_of_the_closed_kl_alone_equals_naive_autograd():
-    posterior = posterior_with((3,))
-    _, closed, _ = naive(posterior, torch.zeros_like(posterior.mu))
-    parameters = (posterior.mu, posterior.rho)
-    torch.testing.assert_close(
-        torch.autograd.grad(posterior.kl().sum(), parameters),
-        torch.autograd.grad(closed.sum(), parameters),
-    )
-
-
-@pytest.mark.parametrize("kind", ["closed", "sampled"])
-def test_gradcheck_of_draw_and_kl(kind):
-    posterior = posterior_with((2,), groups=(4, 3))
-
-    def draw(mu, rho):
-        torch.manual_seed(0)
-        return torch.func.functional_call(
-            _Drawing(posterior, kind), {"posterior.mu": mu, "posterior.rho": rho}, ()
-        )
-
-    assert torch.autograd.gradcheck(draw, (posterior.mu, posterior.rho))
-    assert torch.autograd.gradcheck(
-        lambda mu, rho: torch.func.functional_call(
-            _Drawing(posterior, "kl"), {"posterior.mu": mu, "posterior.rho": rho}, ()
-        ),
-        (posterior.mu, posterior.rho),
-    )
-
-
-class _Drawing(torch.nn.Module):
-    def __init__(self, posterior, kind):
-        super().__init__()
-        self.posterior, self.kind = posterior, kind
-
-    def forward(self):
-        if self.kind == "kl":
-            return self.posterior.kl()
-        return self.posterior.sample_with_kl(self.kind)
 
 
 @pytest.mark.parametrize("prior_std", [1e-3, 0.1, 0.3, 1.0, 7.7, 30.0])
@@ -184,15 +132,6 @@ def test_extreme_rho_gives_finite_values_and_gradients(rho, kind):
     assert posterior.kl() > 0
 
 
-def test_the_kl_pulls_a_vanishing_spread_back():
-    posterior = GaussianPosterior([8], 0.1, dtype=torch.double)
-    with torch.no_grad():
-        posterior.rho.fill_(-20.0)
-    posterior.kl().backward()
-    # d/dρ of -log σ is -1 where σ = e^ρ
-    torch.testing.assert_close(posterior.rho.grad, torch.full_like(posterior.rho, -1.0))
-
-
 def test_draws_have_the_posterior_mean_and_spread():
     posterior = posterior_with((2,), groups=(3, 2))
     draws = posterior.sample((20_000,))
@@ -204,37 +143,10 @@ def test_draws_have_the_posterior_mean_and_spread():
     assert ((draws.std(1) / sigma) - 1).abs().max() < 0.03
 
 
-def test_draws_are_differentiable_and_independent():
-    posterior = posterior_with(groups=(3, 2))
-    draws = posterior.sample((4,))
-    assert torch.unique(draws[:, 0]).numel() == 4
-    draws.sum().backward()
-    torch.testing.assert_close(posterior.mu.grad, torch.full_like(posterior.mu, 4.0))
-    assert posterior.rho.grad.abs().min() > 0
-
-
 @pytest.mark.parametrize("std", [1e-6, 0.1, 1.0, 50.0, 500.0])
 def test_inverse_softplus_inverts_softplus(std):
     value = torch.tensor(std, dtype=torch.double)
     torch.testing.assert_close(torch.nn.functional.softplus(inverse_softplus(value)), value)
-
-
-def test_changing_one_replica_leaves_the_others_gradient_bits_alone():
-    def gradients(spoil):
-        torch.manual_seed(0)
-        posterior = posterior_with((3,), groups=(1000, 501), dtype=torch.float)
-        if spoil:
-            with torch.no_grad():
-                posterior.mu[0] = float("nan")
-                posterior.rho[0] = 3.0
-        torch.manual_seed(1)
-        weights, kl = posterior.sample_with_kl()
-        (weights.square().sum() + (kl * 0.1).sum()).backward()
-        return posterior.mu.grad, posterior.rho.grad
-
-    for plain, spoilt in zip(gradients(False), gradients(True), strict=True):
-        assert torch.equal(plain[1:], spoilt[1:])
-        assert not torch.equal(plain[0], spoilt[0])
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("inf"), float("nan")])

@@ -105,18 +105,6 @@ def test_only_what_draws_inside_shares_and_blocks_nest():
     assert not torch.equal(layer(x, "draw"), first[0])
 
 
-def test_the_gradient_is_that_of_the_draw():
-    layer, x = trained(BayesLinear(4, 2, dtype=torch.double)), torch.randn(5, 4).double()
-    noise = SharedNoise()
-    gradients = []
-    for _ in range(2):
-        with weight_scope("draw", noise=noise.again(), kl="closed") as scope:
-            out = layer(x).square().sum() + scope.kl.total()
-        gradients.append(torch.autograd.grad(out, list(layer.parameters())))
-    for ours, theirs in zip(*gradients, strict=True):
-        assert torch.equal(ours, theirs)
-
-
 def test_draws_of_other_shapes_are_refused():
     layer, noise = BayesLinear(4, 2), SharedNoise()
     with weight_scope(noise=noise.again()):

@@ -27,15 +27,6 @@ def test_parameters_are_those_of_the_network() -> None:
     assert sum(p.numel() for p in network.parameters()) == PARAMETERS
 
 
-def test_only_bayesian_updates_need_normal_numbers_and_mc_runs_the_target_at_every_update() -> None:
-    normals = {agent: work.normals for agent, work in UPDATES.items()}
-    assert normals["bare dqn"] == normals["dqn"] == 0
-    assert 0 < normals["bbqn-map"] == normals["bbqn-mc"] < PARAMETERS
-    operations = {agent: work.operations for agent, work in UPDATES.items()}
-    assert operations["bbqn-mc"] == operations["bare dqn"]
-    assert operations["bbqn-map"] == operations["dqn"] < operations["bare dqn"]
-
-
 def test_turn_draws_what_the_simulator_draws(movie: Domain) -> None:
     env = DialogueEnv(movie, batch_size=(8,), seed=0)
     draws = env.simulator.draw_turn((1,))

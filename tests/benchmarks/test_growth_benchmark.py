@@ -37,12 +37,5 @@ def test_records_are_mixed_from_the_domains_own(movie: Domain) -> None:
     assert tensorize(domain).n_values.tolist() == tensorize(movie).n_values.tolist()
 
 
-def test_new_values_make_the_vocabulary_grow(movie: Domain) -> None:
-    domain = growth.varied(movie, 100, new_every=10)
-    more = tensorize(domain).n_values - tensorize(movie).n_values
-    assert more.sum() == 10
-    assert more[movie.slots.index("theater")] == 10
-
-
 def test_slope_of_a_square_is_two() -> None:
     assert slope([10, 20, 40], [100.0, 400.0, 1600.0]) == pytest.approx(2.0)

@@ -80,18 +80,6 @@ def test_the_level_of_text_hears_what_a_chat_hears(movie, agents, mouth, spellin
     assert (choices > 0) == (below != 0)
 
 
-def test_what_was_asked_again_counts_as_turns_in_a_chat(agents, mouth, decided):
-    from .conftest import Acts
-
-    partner = Partner(agents["bbqn"], Acts(), mouth)
-    decided(partner.agent, *["request(city)"] * 4)
-    answers, memory = [], None
-    for text in ("inform(moviename=barbie)", "?", "?", "inform(city=reno)"):
-        answers.append(partner.reply(memory, text, 0))
-        memory = answers[-1].memory
-    assert [answer.ended for answer in answers] == ["", "", "", "turns"]  # it has 8 acts
-
-
 def test_a_partner_can_be_more_cautious_than_the_understanding(agents, mouth, decided):
     from .conftest import Acts
 

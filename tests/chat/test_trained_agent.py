@@ -4,35 +4,17 @@ from __future__ import annotations
 
 import pytest
 import torch
-from scipy.stats import ks_2samp
 from torchrl.data import Categorical
 
-from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.bayes.kl import posteriors
-from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.chat import TrainedAgent
 from bbq_torchrl.chat.posterior import q_draws
-from bbq_torchrl.exploration import EvaluationPolicy, Greedy
+from bbq_torchrl.exploration import Greedy
 from bbq_torchrl.networks import FlatMLP, q_actor
 
 
 @pytest.fixture
 def observation(agents):
     return torch.rand(agents["bbqn"].simulator.layout.size)
-
-
-def test_rows_of_local_noise_are_draws_of_the_weights(movie):
-    network = BayesMLP(6, 3, (8,), std_init=0.3, mean_init="kaiming")
-    policy = EvaluationPolicy(q_actor(network, Categorical(3), action_mask_key=None), mode="mean")
-    state = torch.rand(1, 6)
-    rows = q_draws(policy, state, 4_000)
-    drawn = {one: one.sample((4_000,)) for one in posteriors(network)}
-    with torch.no_grad(), weight_scope(weights=drawn):
-        draws = network(state.expand(4_000, 6))
-    for function in (lambda q: q[:, 0], lambda q: q[:, 0] - q[:, 1], lambda q: q.amax(-1)):
-        with torch.no_grad():
-            assert ks_2samp(function(rows).numpy(), function(draws).numpy()).pvalue > 1e-3
-    assert not torch.equal(rows[0], rows[1])
 
 
 def test_dropout_is_a_posterior(agents):

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import train
-from bbq_torchrl.cli.command import REFUSED
 from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.train import REFUSED
 from bbq_torchrl.run import run
 
 from .trusted import TINY, one_line

@@ -107,11 +107,6 @@ def test_the_result_says_what_ran_and_how_well(finished):
     assert result["wall_seconds"] > 0
 
 
-def test_a_finished_run_is_not_resumed(finished):
-    _, message = train(f"resume={finished}", cwd=finished.parent, code=2)
-    assert "is finished" in message
-
-
 def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, capsys):
     answers = {}
     for mode in ("mean", "average", "thompson"):

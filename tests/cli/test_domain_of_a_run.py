@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import pickle
 import shutil
@@ -61,12 +60,3 @@ def test_a_result_says_what_of_a_corpus_was_left_out(played, tcbot, tmp_path_fac
         "goals.p, goals 0, 2: it must not constrain and request the same slots ['city']",
     )
     assert all(any(text in told for told in caplog.messages) for text in result.skipped)
-
-
-def test_results_of_versions_that_skipped_nothing_are_read(played, tmp_path):
-    result, _ = played()
-    plain = json.loads((tmp_path / "result.json").read_text())
-    del plain["skipped"]
-    (tmp_path / "result.json").write_text(json.dumps(plain))
-    assert read_result(tmp_path) == result
-    assert result.domain == "movie"

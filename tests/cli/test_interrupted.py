@@ -9,7 +9,7 @@ import signal
 import pytest
 
 from bbq_torchrl import interruption
-from bbq_torchrl.cli.saved import load_config
+from bbq_torchrl.cli.resume import load_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.sweeps import table_of_runs
 from bbq_torchrl.options import ConfigError

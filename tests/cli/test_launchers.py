@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import re
-import shlex
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from prepared import prepare
 
-from bbq_torchrl.cli.preparation import prepare
-from bbq_torchrl.cli.resume import restarted_config
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import restarted_config, save_config
 from bbq_torchrl.cli.store import compose, compose_raw, options, session
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import ConfigError
@@ -40,23 +35,14 @@ PLUGINS = {
 }
 
 
-def start(*arguments, cwd):
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
 def call(*arguments, cwd, code=0):
-    process = start(*arguments, cwd=cwd)
-    out, err = process.communicate(timeout=1_800)
-    assert process.returncode == code, out + err
-    return out, err
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *arguments]
+    done = subprocess.run(
+        command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=1_800
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout, done.stderr
 
 
 def needs(package, extra):
@@ -93,40 +79,6 @@ def test_a_job_that_fails_leaves_the_others_alone_and_is_named(launcher, tmp_pat
         assert "is not finite in round 0" in (tmp_path / "sweep" / failed / "train.log").read_text()
 
 
-@pytest.mark.slow
-def test_a_search_that_was_killed_goes_on_and_its_best_can_be_trained_again(tmp_path):
-    needs("optuna", "search")
-    command = [
-        *("-m", "bbq_torchrl.search", "search=bbqn", "search.trials=2", "search.folder=search"),
-        *("replicas=2", *TINY, "protocol.rounds=4"),
-    ]
-    process = start(*command, cwd=tmp_path)
-    waiting_until = time.monotonic() + 1_800
-    while not list(tmp_path.glob("search/trial_0001/checkpoint/round-*1.torchrl")):
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < waiting_until
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
-    first = (tmp_path / "search" / "trial_0000" / "result.json").read_text()
-
-    out, err = call(*command, cwd=tmp_path)
-    best = json.loads(out)
-    assert "trial 1 was interrupted and goes on" in err
-    assert (tmp_path / "search" / "trial_0000" / "result.json").read_text() == first
-    assert best["trials"] == {"complete": 2}
-    again, _ = call(*command, cwd=tmp_path)
-    assert json.loads(again) == best
-
-    overrides = shlex.split(best["command"])[2:]
-    call(str(ROOT / "train.py"), *overrides, "hydra.run.dir=best", cwd=tmp_path)
-    results = [
-        json.loads((tmp_path / folder / "result.json").read_text())["per_replica"]
-        for folder in ("best", best["folder"])
-    ]
-    assert results[0] == results[1]
-
-
 def test_a_sweep_runs_on_all_cores_with_a_thread_a_job_by_default():
     with session():
         composed = compose_raw([], with_hydra=True)
@@ -143,7 +95,7 @@ def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_p
     if importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is not None:
         message = "hydra/launcher=slurm needs the program sbatch"
     with pytest.raises(ConfigError, match=message):
-        prepare(["--multirun", f"hydra/launcher={name}"], lambda config: None)
+        prepare(["--multirun", f"hydra/launcher={name}"])
     assert not list(tmp_path.iterdir())
 
 
@@ -158,7 +110,7 @@ def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_p
 def test_a_wrong_launcher_is_refused_by_name(override, message, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError) as refused:
-        prepare(["--multirun", override], lambda config: None)
+        prepare(["--multirun", override])
     assert message in str(refused.value)
 
 

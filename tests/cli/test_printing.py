@@ -54,14 +54,6 @@ def test_what_a_full_disk_takes_no_more_is_a_sentence(standard_output, capsys, w
     assert error == "error: standard output cannot be written: No space left on device\n"
 
 
-def test_a_closed_standard_output_is_a_sentence(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdout", None)
-    with pytest.raises(SystemExit) as end:
-        output.write("text")
-    assert end.value.code == output.NOT_WRITTEN
-    assert "Bad file descriptor" in capsys.readouterr().err
-
-
 def test_what_was_logged_and_cannot_be_written_is_let_go(standard_output):
     standard_output(without_reader())
     print("logged")

@@ -11,13 +11,10 @@ import pytest
 from planted import plant
 
 from bbq_torchrl import evaluate
-from bbq_torchrl.cli.resume import is_finished, run_config
-from bbq_torchrl.cli.run_lock import LOCK, run_lock
-from bbq_torchrl.cli.saved import load_config, save_config
-from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.folders import LOCK, run_lock
+from bbq_torchrl.cli.resume import is_finished, load_config, run_config
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
-from bbq_torchrl.trainers import CheckpointDamagedError
 
 from .trusted import TINY, one_line, resumed, state_of
 
@@ -95,17 +92,6 @@ def test_a_run_that_lost_its_checkpoints_does_not_begin_anew(copy, kept, refused
     assert state_of(folder) == before
 
 
-def test_a_job_that_lost_its_checkpoints_does_not_begin_anew(copy, kept):
-    folder = copy(kept)
-    shutil.rmtree(folder / "checkpoint")
-    (folder / "result.json").unlink()
-    config = load_config(folder / "config.yaml")
-    config.resume = str(folder)
-
-    with pytest.raises(CheckpointDamagedError, match="no checkpoint to go on from"):
-        run(config, folder)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -125,15 +111,6 @@ def test_a_checkpoint_of_another_seed_or_configuration_is_refused(
     assert message in evaluation_refused(capsys, folder)
     with pytest.raises(ValueError, match=message):
         resumed(folder, "protocol.rounds=5")
-
-
-def test_an_evaluation_of_a_damaged_checkpoint_ends_in_a_line(copy, finished, capsys):
-    """Every damage is in tests/trainers/test_checkpoint.py."""
-    folder = copy(finished)
-    archive = folder / "checkpoint" / "round-000003.torchrl"
-    archive.write_bytes(archive.read_bytes()[:-100])
-
-    assert "every checkpoint in" in evaluation_refused(capsys, folder)
 
 
 @pytest.mark.parametrize("place", ["file", "file/run", "/proc/run"])
@@ -192,10 +169,3 @@ def test_a_new_run_in_the_folder_of_another_names_the_way(copy, kept, refused):
     folder = copy(kept)
     line = refused(*TINY, f"hydra.run.dir={folder}")
     assert f"already holds a run; go on with it by resume={folder}" in line
-
-
-def test_saved_configurations_of_earlier_versions_are_read(tmp_path):
-    save_config(compose(TINY), tmp_path / "config.yaml")
-    text = (tmp_path / "config.yaml").read_text()
-    (tmp_path / "config.yaml").write_text(text.replace("  keep_checkpoints: weights\n", ""))
-    assert load_config(tmp_path / "config.yaml").protocol.keep_checkpoints == "weights"

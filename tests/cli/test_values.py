@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -154,23 +152,3 @@ def test_results_say_which_replica_had_which_value(finished):
     assert [len(group.final) for group in groups] == [1] * 4
     assert groups[1].label == "BBQN-MAP, agent.lr=0.002, agent.prior_std=0.05"
     assert (finished / "curve.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-def test_the_command_trains_resumes_and_reports_several_values(restaurant_folder, tmp_path):
-    def call(*arguments: str) -> str:
-        command = [sys.executable, *arguments]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=1_800)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
-    values = {"agent.prior_std": "[.05,.2]", "explore.eps_init": "[.3,.1]"}
-    choices = ["agent=bbqn", "explore=thompson_epsilon", "replicas=4"]
-    command = overrides(choices, values, restaurant_folder)
-    train, folder = str(ROOT / "train.py"), tmp_path / "run"
-    call(train, *command, f"hydra.run.dir={folder}")
-    call(train, f"resume={folder}", "protocol.rounds=4")
-    table = call("-m", "bbq_torchrl.evaluation.report", str(folder))
-    assert "BBQN-MAP, agent.prior_std=0.05, explore.eps_init=0.3 | thompson_epsilon | 2 |" in table
-    assert "BBQN-MAP, agent.prior_std=0.2, explore.eps_init=0.1 | thompson_epsilon | 2 |" in table
-    assert "agent.prior_std, agent.std_init" in " ".join(call(train, "--help").split())

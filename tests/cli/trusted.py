@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 
-from bbq_torchrl.cli.run_lock import LOCK
+from bbq_torchrl.cli.folders import LOCK
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.run import run
 

@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import fields, is_dataclass
 from itertools import product
 
 import pytest
 from composing import checked, composed, own_conf
 from omegaconf import OmegaConf
 
-from bbq_torchrl.cli import store
-from bbq_torchrl.cli.saved import load_config, save_config
-from bbq_torchrl.cli.store import compose, conf_folder, options, to_config
-from bbq_torchrl.options import Config, ConfigError, EvaluateConfig, explorations, schemas
-from bbq_torchrl.options.settings import walk
-from bbq_torchrl.options.values import keys_with_lists, replica_values
-
-
-@pytest.mark.parametrize(("group", "option"), [(g, o) for g in schemas() for o in schemas()[g]])
-def test_every_key_of_every_option_says_what_it_means_and_allows(group, option):
-    for key, item, _ in walk(schemas()[group][option]()):
-        if key != "name":
-            assert item.metadata["meaning"], key
-            assert item.metadata["allowed"].text, key
+from bbq_torchrl.cli.resume import load_config, save_config
+from bbq_torchrl.cli.store import compose, options, to_config
+from bbq_torchrl.options import Config, ConfigError, explorations, schemas
+from bbq_torchrl.options.values import replica_values
 
 
 @pytest.mark.parametrize(("agent", "explore"), list(product(explorations(), options("explore"))))
@@ -127,17 +116,6 @@ def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkey
     assert compose(["+experiment=agents/warm", "agent.lr=.1"]).agent.lr == 0.1
 
 
-def test_the_folder_inside_an_installed_package_comes_first(tmp_path, monkeypatch):
-    package = tmp_path / "bbq_torchrl"
-    monkeypatch.setattr(store, "_PACKAGE", package)
-    with pytest.raises(FileNotFoundError, match="no configuration folder 'conf'"):
-        conf_folder()
-    for folder in (tmp_path / "conf", package / "conf"):
-        folder.mkdir(parents=True)
-        (folder / "config.yaml").touch()
-        assert conf_folder() == folder
-
-
 def test_a_list_is_shared_out_among_the_replicas(tmp_path):
     command = ["replicas=4", "explore=thompson_epsilon", "agent.prior_std=[.05,.1,.2,.4]"]
     config = compose([*command, "explore.eps_init=[.2,.5]", "agent.lr=.01"])
@@ -150,27 +128,3 @@ def test_a_list_is_shared_out_among_the_replicas(tmp_path):
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == config
     assert replica_values(compose(["replicas=2"])) == [{}, {}]
-
-
-def test_lists_are_for_these_keys():
-    assert list(keys_with_lists(schemas())) == [
-        "agent.lr",
-        "agent.gamma",
-        "agent.prior_std",
-        "agent.std_init",
-        "agent.noise_std",
-        "agent.kl_temperature",
-        "explore.eps_init",
-        "explore.eps_end",
-        "explore.temperature_init",
-        "explore.temperature_end",
-        "intrinsic.eta",
-    ]
-
-
-def test_evaluation_composes_from_the_same_groups():
-    config = compose(["policy=rule", "env=domain_ext"], EvaluateConfig)
-    assert is_dataclass(config.env)
-    assert config.env.name == "domain_ext"
-    shared = {item.name for item in fields(Config)} & {item.name for item in fields(EvaluateConfig)}
-    assert {"env", "domain", "seed", "device"} <= shared

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
+from prepared import prepare
 
 from bbq_torchrl.cli import store
 from bbq_torchrl.cli.messages import take_config_dir, train_command
-from bbq_torchrl.cli.preparation import prepare
-from bbq_torchrl.cli.resume import run_config
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import run_config, save_config
 from bbq_torchrl.cli.store import compose, options
 from bbq_torchrl.options import (
     AgentOption,
@@ -83,54 +82,40 @@ def load(folder, *rest):
 # --------------------------------------------------------------------------------------- register
 
 
-def test_a_class_that_is_no_dataclass_is_refused():
-    class Plain:
-        name = "plain"
-
-    with pytest.raises(TypeError, match="an option must be a dataclass, got <class"):
-        register(Plain)
+@dataclass
+class Homeless:
+    name: str = option("homeless")
 
 
-def test_a_dataclass_of_no_group_is_refused():
-    @dataclass
-    class Homeless:
-        name: str = option("homeless")
-
-    with pytest.raises(TypeError, match=r"Homeless must extend the option of a group, such as"):
-        register(Homeless)
+@dataclass
+class Vague(ExploreOption):
+    name: str = option("vague")
+    patience: int = 3
 
 
-def test_a_field_that_says_nothing_of_itself_is_refused():
-    @dataclass
-    class Vague(ExploreOption):
-        name: str = option("vague")
-        patience: int = 3
-
-    with pytest.raises(
-        TypeError, match=r"Vague.patience must be declared by setting\(default, all"
-    ):
-        register(Vague)
+@dataclass
+class Odd(ExploreOption):
+    name: str = option("../up")
 
 
-@pytest.mark.parametrize("given", ["two words", "", "../up"])
-def test_a_name_that_cannot_be_typed_is_refused(given):
-    @dataclass
-    class Odd(ExploreOption):
-        name: str = option(given)
-
-    with pytest.raises(
-        TypeError, match=re.escape(f"Odd.name must be option('<name>'), got {given!r}")
-    ):
-        register(Odd)
+@dataclass
+class Nameless(ExploreOption):
+    patience: int = setting(3, COUNT, "rounds")
 
 
-def test_an_option_without_a_name_is_refused():
-    @dataclass
-    class Nameless(ExploreOption):
-        patience: int = setting(3, COUNT, "rounds")
-
-    with pytest.raises(TypeError, match=r"Nameless.name must be option\('<name>'\), got '\?\?\?'"):
-        register(Nameless)
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (str, "an option must be a dataclass, got <class"),
+        (Homeless, "Homeless must extend the option of a group, such as"),
+        (Vague, r"Vague.patience must be declared by setting\(default, all"),
+        (Odd, r"Odd.name must be option\('<name>'\), got '../up'"),
+        (Nameless, r"Nameless.name must be option\('<name>'\), got '\?\?\?'"),
+    ],
+)
+def test_what_is_no_option_is_refused(given, message):
+    with pytest.raises(TypeError, match=message):
+        register(given)
 
 
 def test_a_name_is_taken_once_and_by_the_same_class_again():

@@ -7,10 +7,10 @@ import sys
 import pytest
 from composing import own_conf
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from prepared import prepare
 
-from bbq_torchrl.cli.command import command as main_function
-from bbq_torchrl.cli.preparation import prepare
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli import train
+from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
 
@@ -25,7 +25,7 @@ def test_a_sweep_may_be_over_lists(tmp_path, monkeypatch):
 def test_every_job_of_a_sweep_is_checked_before_the_first_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match="agent=dqn cannot be combined"):
-        prepare(["--multirun", "agent=bbqn,dqn", "explore=thompson"], lambda config: None)
+        prepare(["--multirun", "agent=bbqn,dqn", "explore=thompson"])
     assert not list(tmp_path.iterdir())
 
 
@@ -39,7 +39,7 @@ def test_the_jobs_of_a_sweep_that_an_experiment_asks_for_are_checked(tmp_path, m
     with pytest.raises(
         ConfigError, match=r"agent\.lr must be a number from 1e-30 to 1e30 .*, got -1"
     ):
-        prepare(["+experiment=sweep"], lambda config: None)
+        prepare(["+experiment=sweep"])
     checked = []
     prepare(["+experiment=sweep", "agent.lr=.3,.4"], checked.append)
     assert [config.agent.lr for config in checked] == [0.3, 0.4]
@@ -70,9 +70,12 @@ def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatc
         assert folder == tmp_path / "it"
         return 0.0
 
+    monkeypatch.setattr(train, "_check", check)
+    monkeypatch.setattr(train, "_train", task)
+
     monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
     monkeypatch.setattr(sys, "argv", ["train.py", "agent=dqn", f"hydra.run.dir={tmp_path / 'it'}"])
-    main_function(check, tuple)(task)()
+    train.main()
     assert len(composed) == len(checked) == len(ran) == 1
     assert all(one is other for one, other in zip(ran[0], checked[0], strict=True))
     assert "agent=dqn" in (tmp_path / "it" / ".hydra" / "overrides.yaml").read_text()
@@ -81,7 +84,7 @@ def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatc
 @pytest.mark.parametrize("command", [["agent=dqn"], ["--multirun", "agent=bbqn,dqn"]])
 def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
-    prepared = [prepare(command, lambda config: None)[-1] for _ in range(3)]
+    prepared = [prepare(command)[-1] for _ in range(3)]
     assert len(set(prepared)) == 3
 
 
@@ -116,7 +119,7 @@ def test_a_run_that_fails_its_check_leaves_no_folder(tmp_path, monkeypatch):
 )
 def test_what_hydra_would_misread_is_refused(command, message):
     with pytest.raises(ConfigError, match=message):
-        prepare(command, lambda config: None)
+        prepare(command)
 
 
 def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_path):
@@ -134,4 +137,4 @@ def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_pa
 def test_a_run_folder_is_not_used_twice(tmp_path):
     save_config(compose(), tmp_path / "config.yaml")
     with pytest.raises(ConfigError, match="already holds a run"):
-        prepare([f"hydra.run.dir={tmp_path}"], lambda config: None)
+        prepare([f"hydra.run.dir={tmp_path}"])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from bbq_torchrl.cli.resume import resumed_config
-from bbq_torchrl.cli.saved import load_config, save_config
+from bbq_torchrl.cli.resume import load_config, resumed_config, save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
 
@@ -26,22 +25,15 @@ def test_a_saved_configuration_is_read_back_as_it_was(tmp_path, command):
     assert load_config(tmp_path / "config.yaml") == config
 
 
-def test_a_run_of_a_version_without_evaluation_while_training_has_none(tmp_path):
+def test_a_run_of_a_version_without_evaluation_and_intrinsic_rewards_has_none(tmp_path):
     file = tmp_path / "config.yaml"
     save_config(compose(["agent=dqn"]), file)
     saved = yaml.safe_load(file.read_text())
     del saved["protocol"]["eval_every"], saved["protocol"]["eval_every_dialogues"]
-    file.write_text(yaml.safe_dump(saved))
-    assert load_config(file).protocol.eval_every == 0
-
-
-def test_a_run_of_a_version_without_intrinsic_rewards_has_none(tmp_path):
-    file = tmp_path / "config.yaml"
-    save_config(compose(["agent=dqn"]), file)
-    saved = yaml.safe_load(file.read_text())
-    del saved["intrinsic"]
-    file.write_text(yaml.safe_dump(saved))
-    assert load_config(file).intrinsic.name == "none"
+    del saved["intrinsic"], saved["protocol"]["keep_checkpoints"]
+    file.write_text(yaml.safe_dump({**saved, "cuda_graph": False}))
+    config = load_config(file)
+    assert (config.protocol.eval_every, config.intrinsic.name) == (0, "none")
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.sweeps import table_of_runs
 

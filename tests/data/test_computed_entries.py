@@ -6,18 +6,12 @@ from copy import deepcopy
 
 import pytest
 import torch
-from tensordict import TensorDict
+from numbered_rows import KEYS, rows
 
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.data.stored_rows import map_stored_rows
 
-KEYS = ["observation", ("next", "reward")]
 KEY = ("next", "square")
-
-
-def rows(first: int, count: int) -> TensorDict:
-    numbers = torch.arange(first, first + count, dtype=torch.float32).unsqueeze(-1)
-    return TensorDict({"observation": numbers, "next": {"reward": 100 * numbers}}, [count])
 
 
 def filled(*lengths: int, capacity: int = 2000) -> ReplicaReplay:

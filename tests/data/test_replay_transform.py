@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 import torch
-from tensordict import TensorDict
+from numbered_rows import KEYS, rows
 from torchrl.envs import Compose, Transform
 
 from bbq_torchrl.data import ReplicaReplay
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tensordict import TensorDictBase
-
-KEYS = ["observation", ("next", "reward")]
 
 
 class Novelty(Transform):
@@ -50,11 +48,6 @@ class Sign(Transform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         return tensordict
-
-
-def rows(first: int, count: int) -> TensorDict:
-    numbers = torch.arange(first, first + count, dtype=torch.float32).unsqueeze(-1)
-    return TensorDict({"observation": numbers, "next": {"reward": 100 * numbers}}, [count])
 
 
 def filled(*lengths: int, capacity: int = 20) -> ReplicaReplay:
@@ -130,9 +123,3 @@ def test_what_is_added_goes_along_when_protected_rows_are_dropped():
     replay.drop_protected(0)
 
     assert replay.buffers[0][:]["next", "novelty"].flatten().tolist() == [3, 4]
-
-
-def test_a_replica_without_new_rows_stores_nothing():
-    replay = filled(3, 0)
-
-    assert replay.lengths == (3, 0)

@@ -40,45 +40,21 @@ def test_one_hot_actions_are_understood():
         validate_transitions(bad)
 
 
-def _nan_observation(rows):
-    rows["observation"][1, 0] = torch.nan
-
-
-def _infinite_reward(rows):
-    rows["next", "reward"][2] = torch.inf
-
-
-def _masked_action(rows):
-    rows["action"][1] = 2
-
-
-def _unknown_action(rows):
-    rows["action"][0] = 3
-
-
-def _no_next_action(rows):
-    rows["next", "action_mask"][0] = False
-
-
-def _truncated_without_next_action(rows):
-    # Truncated, not terminated: the value of the next state counts.
-    rows["next", "terminated"][2] = False
-
-
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("key", "row", "value", "message"),
     [
-        (_nan_observation, r"observation of replica 1 must be finite, but row 1 .*1 of 3"),
-        (_infinite_reward, r"next/reward of replica 1 must be finite, but row 2"),
-        (_masked_action, r"action of replica 1 must be allowed by action_mask, but row 1"),
-        (_unknown_action, r"action of replica 1 must be allowed by action_mask, but row 0"),
-        (_no_next_action, r"must allow some action where the row is not terminated, but row 0"),
-        (_truncated_without_next_action, r"must allow some action .*, but row 2"),
+        ("observation", 1, torch.nan, r"observation of replica 1 must be finite, but row 1 .*1 of"),
+        (("next", "reward"), 2, torch.inf, "next/reward of replica 1 must be finite, but row 2"),
+        ("action", 1, 2, "action of replica 1 must be allowed by action_mask, but row 1"),  # masked
+        ("action", 0, 3, "action of replica 1 must be allowed by action_mask, but row 0"),
+        (("next", "action_mask"), 0, False, "some action where the row is not terminated, but row"),
+        # Truncated, not terminated: the value of the next state counts.
+        (("next", "terminated"), 2, False, "must allow some action .*, but row 2"),
     ],
 )
-def test_bad_transitions_are_named_and_nothing_is_stored(spoil, message):
+def test_bad_transitions_are_named_and_nothing_is_stored(key, row, value, message):
     bad = transitions()
-    spoil(bad)
+    bad[key][row] = value
     replay = ReplicaReplay(10, replicas=2)
 
     with pytest.raises(ValueError, match=message):

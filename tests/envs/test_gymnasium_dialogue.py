@@ -77,26 +77,12 @@ def test_it_plays_what_the_dialogue_env_plays(restaurant: Domain, seed: int):
         assert {name: info[name] for name in told} == told
 
 
-def test_the_goal_is_in_info_and_not_in_the_observation(movie: Domain):
+def test_the_goal_is_in_info(movie: Domain):
     env = gymnasium.make(ENV_ID).unwrapped
-    first, info = env.reset(seed=0)
+    _, info = env.reset(seed=0)
     goal = movie.goals[info["goal_id"]]
     assert all(f"{slot}={value}" in info["goal"] for slot, value in goal.constraints.items())
     assert all(slot in info["goal"] for slot in goal.requests)
-    # What the user has not said yet cannot be told from the first observation: it is a function
-    # of the user's first act alone.
-    names = env.unwrapped._dialogue.layout.names
-    told = {names[index].partition(":")[0] for index in np.flatnonzero(first)}
-    assert told <= {
-        "user_act",
-        "user_informed",
-        "user_requested",
-        "filled",
-        "turn",
-        "turn_onehot",
-        "kb_match",
-        "kb_count",
-    }
 
 
 def test_masks_follow_the_domain_extension(movie: Domain):

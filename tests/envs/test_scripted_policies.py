@@ -6,7 +6,6 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.domains import Goal, ScriptedPolicySpec
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
 from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
 
@@ -150,23 +149,3 @@ def test_a_policy_without_answers_offers_at_once():
 def test_columns_that_do_not_fit_their_actions_are_refused():
     with pytest.raises(ValueError, match="filled_columns must have one column for each of the 2"):
         CarefulPolicy(**FORM | {"filled_columns": [2]})
-
-
-def test_a_domain_may_have_a_careful_policy_and_nothing_to_answer(restaurant):
-    from dataclasses import replace
-
-    actions = tuple(
-        action
-        for action in restaurant.actions
-        if action.kind != "inform" or action.slot in restaurant.special_slots
-    )
-    steps = ("cuisine", "area")
-    domain = replace(
-        restaurant,
-        actions=actions,
-        goals=(Goal({"cuisine": restaurant.goals[0].constraints.get("cuisine", "italian")}),),
-        policies={"careful": ScriptedPolicySpec("careful", steps)},
-    )
-    env = DialogueEnv(domain, batch_size=(5,), seed=0, slot_error_prob=0.0)
-    for line in played(env, scripted_policy("careful", env)):
-        assert line[-2:] == ["inform(booking)", "thanks"]

@@ -170,13 +170,6 @@ def test_after_asking_twice_it_acts_on_what_it_has(movie):
     assert [turn for *_, turn in letters.said] == [0, 1, 2]
 
 
-def test_asking_below_0_is_never_asking(movie):
-    channel, letters = channel_of(movie, ask_below=0, unsure=lambda words: 3)
-    for state in played(movie, channel, turns=3):
-        assert not state["repeats"].any()
-    assert {turn for *_, turn in letters.said} == {0}
-
-
 def test_a_slot_that_is_not_active_is_not_heard(movie):
     channel, _ = channel_of(movie)
     env = DialogueEnv(movie, batch_size=(PLACES,), channel=channel, seed=1)

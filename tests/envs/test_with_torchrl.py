@@ -6,7 +6,6 @@ from functools import partial
 
 import pytest
 import torch
-from tensordict.nn import TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.envs import (
     ActionMask,
@@ -19,7 +18,6 @@ from torchrl.envs import (
     TransformedEnv,
     check_env_specs,
 )
-from torchrl.modules import EGreedyModule, QValueActor
 
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
 from bbq_torchrl.envs.scripted import UniformPolicy
@@ -86,20 +84,3 @@ def test_several_environments_play_side_by_side(movie, vectorized):
         assert (rollout["turns"].squeeze(-1)[..., 1:][done] == 0).all()
     finally:
         env.close()
-
-
-def test_a_q_network_acts_by_the_mask(movie):
-    env = DialogueEnv(movie, batch_size=(50,), seed=0, schedule=ExtensionSchedule())
-    torch.manual_seed(0)
-    actor = QValueActor(
-        torch.nn.Linear(env.layout.size, len(movie.actions)),
-        in_keys=["observation"],
-        spec=env.action_spec_unbatched,
-        action_mask_key="action_mask",
-    )
-    explore = EGreedyModule(
-        env.action_spec_unbatched, eps_init=0.5, eps_end=0.5, action_mask_key="action_mask"
-    )
-    for policy in (actor, TensorDictSequential(actor, explore)):
-        rollout = env.rollout(10, policy, break_when_any_done=False)
-        assert rollout["action_mask"].gather(-1, rollout["action"][..., None]).all()

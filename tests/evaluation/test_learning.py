@@ -35,21 +35,11 @@ def test_a_level_is_reached_in_the_first_round_whose_last_rounds_mean_it(success
         assert rounds == (reached[0] if reached else INF)
 
 
-@given(curves, st.floats(0, 1), st.floats(0, 1))
-def test_a_higher_level_takes_no_fewer_rounds(success, one, other):
-    low, high = sorted((one, other))
-    assert (rounds_to_reach(success, low) <= rounds_to_reach(success, high)).all()
-
-
 def test_a_rate_that_hits_the_level_reaches_it_in_spite_of_rounding():
     # Five rounds of 50 dialogues: 150 successes of 250 are .6, though not in floating point.
     success = np.array([[0.86], [0.52], [0.34], [0.96], [0.32]])
     assert success.mean() < 0.6
     assert rounds_to_reach(success, 0.6).tolist() == [5]
-
-
-def test_fewer_rounds_than_the_mean_is_taken_of_reach_nothing():
-    assert rounds_to_reach(np.ones((4, 2)), 0.5).tolist() == [INF, INF]
 
 
 def test_rounds_without_an_evaluation_reach_nothing():
@@ -91,20 +81,6 @@ def test_the_medians_interval_is_between_seeds_by_the_binomial_distribution(seed
     assert (low, high) == (k, seeds + 1 - k)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seeds", [6, 10])
-def test_the_medians_interval_holds_it_at_least_as_often_as_it_says(seeds):
-    generator, repeats, hits = np.random.default_rng(7), 1000, 0
-    for _ in range(repeats):
-        rounds = np.ceil(generator.exponential(40, seeds)) + 5
-        rounds[rounds > 60] = INF
-        low, high = Reach(0.6, tuple(rounds.tolist()), trained=60).interval
-        # The median of the exponential distribution, up to the next whole round.
-        hits += low <= math.ceil(40 * math.log(2)) + 5 <= high
-    # Four standard errors of a share of 1000 around .95.
-    assert hits / repeats > 0.95 - 0.028
-
-
 @given(curves)
 def test_area_of_a_whole_curve_is_the_integral_over_its_length(curve):
     found = areas(curve)
@@ -112,15 +88,6 @@ def test_area_of_a_whole_curve_is_the_integral_over_its_length(curve):
     assert len(found) == seeds
     expected = integrate.trapezoid(curve, axis=0) / (rounds - 1) if rounds > 1 else curve[0]
     assert found == pytest.approx(expected.tolist())
-
-
-@given(curves, st.data())
-def test_area_of_a_straight_line_needs_not_every_round(curve, data):
-    rounds, seeds = curve.shape
-    line = np.linspace(0.1, 0.9, rounds)[:, None].repeat(seeds, 1)
-    inner = data.draw(st.sets(st.integers(1, rounds)))
-    line[[number for number in inner if number < rounds - 1]] = np.nan
-    assert areas(line) == pytest.approx([line[[0, -1], 0].mean()] * seeds)
 
 
 def test_area_is_weighed_by_the_rounds_between_evaluations():

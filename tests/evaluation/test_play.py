@@ -74,11 +74,3 @@ def test_transcripts_are_of_the_dialogues_that_are_counted(env, policy):
         user = [line for line in turns if line.startswith("  user: ")]
         assert len(agent) == played.turns[0, number]
         assert len(user) == len(agent) + 1
-
-
-def test_a_policy_is_given_back_in_the_mode_it_came_in(env):
-    policy = network(env).train()
-    evaluate(env, policy, 3)
-    transcripts(env, policy, 3)
-    assert policy.training
-    assert all(module.training for module in policy.modules())

@@ -28,30 +28,12 @@ def test_standard_error_is_that_of_the_binomial_distribution(rate, dialogues):
     assert binomial_standard_error(rate, dialogues) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((1.2, 10), r"rate must be between 0 and 1, got 1\.2"),
-        ((-0.1, 10), r"rate must be between 0 and 1, got -0\.1"),
-        ((0.5, 0), "dialogues must be at least 1, got 0"),
-    ],
-)
-def test_standard_error_of_nonsense_is_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        binomial_standard_error(*arguments)
-
-
 @pytest.mark.parametrize("count", range(1, 13))
 def test_interquartile_mean_drops_a_quarter_on_each_side(count):
     values = numbers(count)
     dropped = count // 4
     expected = np.sort(values)[dropped : count - dropped].mean()
     assert interquartile_mean(values) == pytest.approx(expected)
-
-
-def test_interquartile_mean_of_many_samples_at_once():
-    values = numbers(40).reshape(5, 8)
-    assert interquartile_mean(values) == pytest.approx([interquartile_mean(row) for row in values])
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 30])
@@ -75,14 +57,6 @@ def test_bootstrap_interval_is_scipys(statistic):
     tolerance = 0.1 * (expected.high - expected.low)
     assert (found.low, found.high) == pytest.approx(tuple(expected), abs=tolerance)
     assert found.method == "bootstrap"
-
-
-def test_bootstrap_interval_of_many_values_is_the_normal_one():
-    values = numbers(400)
-    found = estimate(values)
-    half = 1.96 * stats.sem(values)
-    expected = (values.mean() - half, values.mean() + half)
-    assert (found.low, found.high) == pytest.approx(expected, abs=0.15 * half)
 
 
 @pytest.mark.slow
@@ -122,8 +96,6 @@ def test_few_seeds_get_a_t_interval_and_one_seed_none():
     [
         (([],), "values must be finite numbers, at least one"),
         (([0.5, math.nan],), "values must be finite numbers"),
-        (([0.5], "median"), "statistic must be mean or iqm, got 'median'"),
-        (([0.5], "mean", "normal"), "method must be bootstrap or t, got 'normal'"),
         ((SEEDS, "iqm", "t"), "iqm needs method=bootstrap"),
         ((SEEDS[:4], "iqm"), "at least 5 seeds, got method=bootstrap and 4 seeds"),
     ],
@@ -148,16 +120,6 @@ def test_probability_of_improvement_has_an_interval_from_five_seeds_on():
     found = probability_of_improvement(better, worse)
     assert 0 <= found.low < found.value < found.high <= 1
     assert math.isnan(probability_of_improvement(better, worse[:4]).low)
-
-
-def test_groups_that_are_apart_are_told_apart_for_sure():
-    found = probability_of_improvement([0.8, 0.81, 0.82, 0.83, 0.84], [0.1, 0.2, 0.3, 0.4, 0.5])
-    assert (found.value, found.low, found.high) == (1, 1, 1)
-
-
-def test_probability_of_improvement_needs_seeds():
-    with pytest.raises(ValueError, match="both sides must have at least one seed"):
-        probability_of_improvement([], [0.5])
 
 
 def test_an_estimate_is_shown_with_signs_where_asked():

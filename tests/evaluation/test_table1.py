@@ -12,6 +12,7 @@ from scipy import stats
 from bbq_torchrl.cli.store import compose, options
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name
+from bbq_torchrl.evaluation.pairs import verdict
 from bbq_torchrl.evaluation.report import main
 from bbq_torchrl.evaluation.statistics import estimate
 from bbq_torchrl.evaluation.table1 import (
@@ -20,7 +21,6 @@ from bbq_torchrl.evaluation.table1 import (
     comparisons_table,
     missing_cells,
     table1,
-    verdict,
 )
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]

@@ -113,45 +113,6 @@ def test_resets_concern_the_divers_named_and_no_other():
         assert_agree(td, divers)
 
 
-def test_a_rollout_that_goes_on_resets_each_diver_at_the_bottom():
-    env = DeepSeaEnv(5, (4,))
-    env.reset()
-    # Two divers are two rows ahead of the other ones from here on.
-    ahead = torch.tensor([True, True, False, False])
-    td = env.reset()
-    for _ in range(2):
-        td = env.rand_step(td)["next"]
-    td = env.reset(td.exclude("reward").set("_reset", ~ahead[:, None]))
-    rollout = env.rollout(20, auto_reset=False, tensordict=td, break_when_any_done=False)
-    step = torch.arange(20)
-    done = rollout["next", "done"].squeeze(-1)
-    assert torch.equal(done[ahead], ((step + 2) % 5 == 4).expand(2, -1))
-    assert torch.equal(done[~ahead], (step % 5 == 4).expand(2, -1))
-    assert rollout["observation"][:, 1:, 0][done[:, :-1]].bool().all()
-
-
-@pytest.mark.parametrize("size", [1, 2, 10, 50])
-def test_only_the_way_along_the_diagonal_ends_with_the_treasure(size):
-    ways = min(size + 1, 6)
-    env = DeepSeaEnv(size, (ways,), mapping_seed=9)
-    best = env.right_action.diagonal(dim1=-2, dim2=-1)
-    rewards = []
-    td = env.reset()
-    # Way number 0 turns right in all rows; way w goes left in row w - 1 alone.
-    for row in range(size):
-        cell = td["observation"].argmax(-1, keepdim=True)
-        action = env.right_action.flatten(-2).gather(-1, cell)[:, 0]
-        action[row + 1 : row + 2] = 1 - action[row + 1 : row + 2]
-        td = env.step(td.set("action", action))["next"]
-        rewards.append(td["reward"].squeeze(-1))
-        if row == 0:
-            assert action[0] == best[0, 0]
-    total = torch.stack(rewards, -1).sum(-1)
-    assert td["treasure"].flatten().tolist() == [True] + [False] * (ways - 1)
-    torch.testing.assert_close(total[0], torch.tensor(0.99))
-    assert (total[1:] <= 0).all()
-
-
 def test_mapping_depends_on_the_seed_alone():
     one, same, other = (DeepSeaEnv(8, mapping_seed=seed).right_action for seed in (3, 3, 4))
     assert torch.equal(one, same)
@@ -160,13 +121,6 @@ def test_mapping_depends_on_the_seed_alone():
     assert torch.equal(several[0], other.expand(5, 8, 8))
     assert torch.equal(several[1], one.expand(5, 8, 8))
     assert DeepSeaEnv(8, mapping_seed=None).right_action.bool().all()
-
-
-def test_seeding_changes_nothing():
-    env = DeepSeaEnv(4, (2,), mapping_seed=1)
-    before = env.right_action.clone()
-    env.set_seed(5)
-    assert torch.equal(env.right_action, before)
 
 
 def test_state_is_saved_and_restored():

@@ -131,7 +131,7 @@ def test_a_run_whose_options_are_not_there_is_refused_with_the_way(finished, mon
 def test_its_search_space_is_found_in_a_folder_of_options(monkeypatch):
     monkeypatch.setenv(registry.FOLDER_VARIABLE, str(PACKAGE))
     search = compose_search(["search=langevin", *(item for item in SHRUNKEN if "=" in item)])
-    assert [item.name for item in search.space] == ["agent.lr", "agent.inverse_temperature"]
+    assert list(search.space) == ["agent.lr", "agent.inverse_temperature"]
     config = search.config({"agent.lr": 0.01, "agent.inverse_temperature": 1e5})
     assert (config.agent.name, config.agent.lr) == ("langevin", 0.01)
 

@@ -78,15 +78,6 @@ def test_the_place_in_the_schedule_is_in_the_state(kind):
     assert torch.equal(start, column(STARTS))
 
 
-def test_epsilon_is_the_share_of_random_actions():
-    epsilon = torch.tensor([[0.0], [0.2], [1.0]])
-    explore = BatchedEGreedy(Categorical(100_000), epsilon, epsilon, 1)
-    td = TensorDict(action=torch.zeros(3, 20_000).long(), batch_size=[3, 20_000])
-    share = (explore(td)["action"] != 0).float().mean(-1)
-    error = (epsilon * (1 - epsilon) / 20_000).sqrt().squeeze(-1)
-    assert ((share - epsilon.squeeze(-1)).abs() <= 5 * error + 1e-4).all()
-
-
 @pytest.mark.parametrize(("start", "end"), [(0.1, 0.2), (1.5, 0.1), (0.1, -0.1)])
 def test_an_epsilon_that_is_no_schedule_is_refused(start, end):
     with pytest.raises(ValueError, match="eps_init must be at least eps_end and both be between"):

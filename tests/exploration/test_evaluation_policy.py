@@ -83,20 +83,6 @@ def test_thompson_acts_as_the_policy_that_trains_whatever_the_exploration_type(r
     assert all_legal(drawn)
 
 
-def test_the_mean_of_q_lies_above_q_at_the_mean():
-    # at the prior the mean network is 0, and ReLU of noise is positive: with a positive bias of
-    # the output weights' mean the average must be above it
-    actor, td = bayes_actor(hidden=(64,)), observations(8)
-    net = actor[0].module
-    with torch.no_grad():
-        matrix, _ = net.layout.unflatten(net.posterior.mu)[-1]
-        matrix.fill_(1.0)
-    mean = values(EvaluationPolicy(actor), td)
-    average = values(EvaluationPolicy(actor, mode="average", num_draws=50), td)
-    legal = td["action_mask"]
-    assert (average[legal] > mean[legal] + 1).all()
-
-
 def test_settings_that_make_no_policy_are_refused():
     actor = bayes_actor()
     with pytest.raises(ValueError, match=r"mode must be one of \['mean', 'average', 'draw', 'th"):

@@ -1,4 +1,4 @@
-"""Thompson sampling, Boltzmann, greedy and epsilon-greedy policies."""
+"""What every exploring policy does, and Thompson sampling, greedy and Boltzmann policies."""
 
 from __future__ import annotations
 
@@ -6,15 +6,22 @@ from copy import deepcopy
 
 import pytest
 import torch
-from q_actor import ACTIONS, all_legal, bayes_actor, observations
+from q_actor import ACTIONS, FEATURES, all_legal, bayes_actor, observations
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule
 
-from bbq_torchrl.exploration import Boltzmann, Greedy, ThompsonSampling
-from bbq_torchrl.networks import FlatMLP, q_actor
+from bbq_torchrl.exploration import (
+    Boltzmann,
+    BootstrapSampling,
+    Greedy,
+    MajorityVote,
+    NoisySampling,
+    ThompsonSampling,
+)
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, bootstrap_actor, q_actor
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 REPLICAS = [(), (3,)]
@@ -65,23 +72,6 @@ def test_draws_are_the_papers_by_default():
     assert ThompsonSampling(actor, per="round").shared
 
 
-@pytest.mark.parametrize("replicas", REPLICAS)
-def test_a_dialogue_keeps_its_draw_until_the_next_one_begins(replicas):
-    policy = ThompsonSampling(bayes_actor(replicas), per="episode")
-    td = observations(*replicas, 4)
-    td["is_init"] = torch.ones(*replicas, 4, 1, dtype=torch.bool)
-    first = values(policy, td)
-    td["is_init"] = torch.zeros(*replicas, 4, 1, dtype=torch.bool)
-    assert torch.equal(values(policy, td), first)
-    td["is_init"][..., 1, :] = True
-    second = values(policy, td)
-    begins = td["is_init"].squeeze(-1)
-    assert torch.equal(second[~begins], first[~begins])
-    assert not (second[begins] == first[begins]).any()
-    td["is_init"].zero_()
-    assert torch.equal(values(policy, td), second)
-
-
 def test_a_shared_dialogue_draw_changes_where_any_row_of_the_element_begins():
     policy = ThompsonSampling(bayes_actor((3,)), per="episode", shared=True)
     td = observations(3, 4)
@@ -94,71 +84,37 @@ def test_a_shared_dialogue_draw_changes_where_any_row_of_the_element_begins():
     assert is_one_number(second[1])
 
 
-def test_a_single_dialogue_keeps_its_draw_until_the_next_one_begins():
-    for shared in (False, True):
-        policy = ThompsonSampling(bayes_actor(), per="episode", shared=shared)
-        td = observations()
-        td["is_init"] = torch.zeros(1, dtype=torch.bool)
-        first = values(policy, td)
-        assert torch.equal(values(policy, td), first)
-        td["is_init"] = torch.ones(1, dtype=torch.bool)
-        assert not torch.equal(values(policy, td), first)
-
-
-def test_new_rows_are_new_dialogues():
-    policy = ThompsonSampling(bayes_actor(), per="episode")
-    values(policy, observations(4))
-    assert torch.unique(values(policy, observations(7))).numel() == 7
-
-
-def test_own_draws_of_rows_are_uncorrelated_and_spread_as_the_posterior():
-    actor = bayes_actor()
-    n, td = 4000, observations(4000)
-    weights = actor[0].module.draw_weights((n,))
-    expected = actor[0].module(td["observation"], weights=weights)[:, 2].detach()
-    policies = [ThompsonSampling(actor), ThompsonSampling(actor, per="episode")]
-    for rows in [values(policy, td) for policy in policies]:
-        assert abs(torch.corrcoef(torch.stack([rows[1:], rows[:-1]]))[0, 1]) < 5 * n**-0.5
-        # kurtosis of a sum of products of Gaussians over 16 units: below 8
-        assert rows.std() / expected.std() == pytest.approx(1, abs=5 * (2 * 8 / (4 * n)) ** 0.5)
-
-
-@pytest.mark.parametrize("per", ["step", "episode", "round"])
-def test_thompson_sampling_explores_under_random_and_outside_of_a_context_only(per):
-    policy = ThompsonSampling(bayes_actor(), per=per)
-    td = observations(4)
-    assert policy(td.clone())["action_value"][..., 2].any()
-    for mode in (DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE):
-        with set_exploration_type(mode):
-            assert not policy(td.clone())["action_value"][..., 2].any()  # the mean network is 0
-
-
-def test_thompson_sampling_acts_on_the_parameters_of_the_moment():
-    actor = bayes_actor()
-    policy, td = ThompsonSampling(actor, per="round"), observations(4)
-    with torch.no_grad():
-        actor[0].module.posterior.rho.fill_(-20.0)
-        actor[0].module.posterior.mu.fill_(0.5)
-    with set_exploration_type(DETERMINISTIC):
-        expected = policy(td.clone())["action_value"][..., 2]
-    torch.testing.assert_close(values(policy, td), expected)
+def test_a_new_draw_is_of_the_rows_own_replica():
+    actor = bayes_actor((3,))
+    with torch.no_grad():  # so narrow that a draw is the mean, which differs between replicas
+        actor[0].module.posterior.rho.fill_(-30.0)
+        actor[0].module.posterior.mu.normal_()
+    policy, td = ThompsonSampling(actor, per="episode"), observations(3, 4)
+    first = values(policy, td)
+    td["is_init"][:, 1:] = True
+    torch.testing.assert_close(values(policy, td), first)
 
 
 def policies(replicas):
-    actor = bayes_actor(replicas)
-    spec = Categorical(ACTIONS)
-    eps = {"eps_init": 0.5, "eps_end": 0.5, "action_mask_key": "action_mask"}
+    actor, spec = bayes_actor(replicas), Categorical(ACTIONS)
+    epsilon = EGreedyModule(spec, 0.5, 0.5, action_mask_key="action_mask")
+    noisy = q_actor(NoisyMLP(FEATURES, ACTIONS, (16,), replicas=replicas), spec)
+    heads = bootstrap_actor(BootstrapMLP(FEATURES, ACTIONS, (8,), replicas=replicas), spec)
     made = {
-        f"thompson {per} {shared}": ThompsonSampling(actor, per=per, shared=shared)
-        for per in ("step", "episode", "round")
-        for shared in (False, True)
+        "greedy": Greedy(actor),
+        "epsilon": TensorDictSequential(Greedy(actor), epsilon),
+        "thompson epsilon": TensorDictSequential(ThompsonSampling(actor), epsilon),
+        "boltzmann": TensorDictSequential(Greedy(actor), Boltzmann(5.0, 1.0, 10)),
+        "noisy epsilon": TensorDictSequential(NoisySampling(noisy), epsilon),
+        "vote": MajorityVote(heads),
+        "vote epsilon": TensorDictSequential(MajorityVote(heads), epsilon),
     }
-    made["greedy"] = Greedy(actor)
-    made["epsilon"] = TensorDictSequential(Greedy(actor), EGreedyModule(spec, **eps))
-    made["thompson epsilon"] = TensorDictSequential(
-        ThompsonSampling(actor), EGreedyModule(spec, **eps)
-    )
-    made["boltzmann"] = TensorDictSequential(Greedy(actor), Boltzmann(5.0, 1.0, 10))
+    for per in ("step", "episode", "round"):
+        made[f"heads {per}"] = BootstrapSampling(heads, per=per)
+        for shared in (False, True):
+            made[f"thompson {per} {shared}"] = ThompsonSampling(actor, per=per, shared=shared)
+    for shared in (False, True):
+        made[f"noisy {shared}"] = NoisySampling(noisy, shared=shared)
     return made
 
 
@@ -173,22 +129,6 @@ def test_no_strategy_takes_a_forbidden_action(replicas, name, exploration):
             assert td["action"].shape == (*replicas, 200)
             assert td["action"].dtype == torch.int64
             assert all_legal(td)
-
-
-def test_epsilon_greedy_explores_its_share_of_rows():
-    actor, n = bayes_actor(), 20_000
-    with torch.no_grad():
-        actor[0].module.posterior.mu.normal_()
-    explore = EGreedyModule(
-        Categorical(ACTIONS), eps_init=0.3, eps_end=0.3, action_mask_key="action_mask"
-    )
-    td = observations(n)
-    legal = int(td["action_mask"][0].sum())
-    with set_exploration_type(RANDOM):
-        greedy = Greedy(actor)(td.clone())["action"]
-        share = (explore(Greedy(actor)(td))["action"] != greedy).float().mean()
-    expected = 0.3 * (1 - 1 / legal)
-    assert abs(share - expected) < 5 * (0.25 / n) ** 0.5 + 1e-6
 
 
 def test_greedy_is_greedy_under_every_exploration_type_and_without_dropout():
@@ -262,27 +202,29 @@ def test_thompson_sampling_needs_a_posterior():
 
 
 @pytest.mark.parametrize("name", list(policies(())))
-def test_policies_have_specs_keys_copies_and_states(name):
-    policy = policies((3,))[name]
+def test_policies_have_specs_keys_and_copies_with_networks_of_their_own(name):
+    policy, td = policies((3,))[name], observations(3, 4)
     assert {"observation", "action_mask"} <= set(policy.in_keys)
     assert "action" in policy.out_keys
     if not isinstance(policy, TensorDictSequential):
         assert policy.spec["action"] == Categorical(ACTIONS)
-    td = observations(3, 4)
-    with set_exploration_type(RANDOM):
-        policy(td.clone())
+    values(policy, td)
     copy = deepcopy(policy)
-    with set_exploration_type(DETERMINISTIC):
-        assert torch.equal(copy(td.clone())["action"], policy(td.clone())["action"])
-    copy.load_state_dict(policy.state_dict())
 
+    def both():
+        found = []
+        for made in (policy, copy):
+            torch.manual_seed(0)
+            found.append(values(made, td))
+        return found
 
-def test_a_copy_of_a_policy_acts_on_its_own_network():
-    policy, td = ThompsonSampling(bayes_actor(), per="round"), observations(4)
-    before = values(policy, td)
-    copy = deepcopy(policy)
-    assert torch.equal(values(copy, td), before)  # the draw is copied, too
+    ours, theirs = both()
+    assert torch.equal(ours, theirs)
     with torch.no_grad():
-        copy.actor[0].module.posterior.mu.add_(1.0)
-    copy.resample()
-    assert torch.equal(values(policy, td), before)
+        for parameter in copy.parameters():
+            parameter.add_(1.0)
+    getattr(copy, "resample", int)()  # where draws are held, they are of the old parameters
+    again, moved = both()
+    assert torch.equal(again, ours)
+    assert not torch.equal(moved, ours)
+    copy.load_state_dict(policy.state_dict())

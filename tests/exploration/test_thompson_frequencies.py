@@ -123,27 +123,3 @@ def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(per, share
 
     taken, expected = without_rare(taken, [DRAWS * p for p in expected])
     assert stats.chisquare(taken, expected, sum_check=False).pvalue > LEAST_P
-
-
-@pytest.mark.parametrize(("per", "shared"), WAYS)
-def test_a_networks_action_is_taken_as_often_as_it_is_the_best(per, shared):
-    # the truth is a Monte Carlo estimate with torch's own noise and matrix products
-    x = torch.randn(FEATURES)
-    posterior = away_from_the_prior(BayesMLP(FEATURES, ACTIONS, (8,)))
-    mu, sigma = posterior.posterior.mu.detach(), posterior.posterior.sigma.detach()
-    weights = torch.distributions.Normal(mu, sigma).sample((10 * DRAWS,))
-    (first, bias), (second, second_bias) = posterior.layout.unflatten(weights)
-    hidden = (torch.einsum("i,nio->no", x, first) + bias).relu()
-    expected = counts((torch.einsum("ni,nio->no", hidden, second) + second_bias).argmax(-1))
-
-    def make(replicas):
-        net = BayesMLP(FEATURES, ACTIONS, (8,), replicas=replicas)
-        with torch.no_grad():
-            for ours, theirs in zip(net.parameters(), posterior.parameters(), strict=True):
-                ours.copy_(theirs)
-        return net
-
-    taken = counts(actions(make, per, shared, x))
-
-    table = without_rare(taken, expected)
-    assert stats.chi2_contingency(table).pvalue > LEAST_P

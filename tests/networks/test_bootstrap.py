@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-from copy import deepcopy
-
 import pytest
 import torch
 from torch import nn
@@ -86,39 +83,12 @@ def test_heads_get_their_own_gradient_and_the_trunk_the_mean_of_theirs(replicas,
         torch.testing.assert_close(gradients[0], of_x.sum(0))
 
 
-@pytest.mark.parametrize("trunk_layers", TRUNKS)
-@pytest.mark.parametrize("prior_scale", [0.0, 2.0])
-def test_what_one_element_sees_leaves_the_others_bits_alone(trunk_layers, prior_scale):
-    net = make((3,), trunk_layers, prior_scale=prior_scale, dtype=torch.float)
-    x = torch.randn(3, 33, FEATURES)
-    spoilt = x.clone()
-    spoilt[1] = float("nan")
-    found = []
-    for inputs in (x, spoilt):
-        out = net(inputs)
-        gradients = torch.autograd.grad(out.square().sum(), list(net.parameters()))
-        found.append((out, *gradients))
-    for ours, theirs in zip(*found, strict=True):
-        assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
-        assert theirs[1].isnan().any()
-
-
 def test_every_head_of_every_element_starts_with_weights_of_its_own():
     net = make((3,), prior_scale=1.0)
     heads = torch.cat([net.heads.detach().flatten(0, 1), net.prior_heads.flatten(0, 1)])
     assert torch.unique(heads, dim=0).shape[0] == 2 * 3 * HEADS
     trunks = torch.cat([net.trunk.detach(), net.prior_trunk])
     assert torch.unique(trunks, dim=0).shape[0] == 6
-
-
-def test_it_starts_like_torch_linear():
-    net = BootstrapMLP(100, 50, (80, 60), heads=6)
-    layers = net.trunk_layout.unflatten(net.trunk) + net.head_layout.unflatten(net.heads)
-    for (matrix, bias), inputs in zip(layers, (100, 80, 60), strict=True):
-        assert max(matrix.abs().max(), bias.abs().max()) <= inputs**-0.5
-        # the standard deviation of a uniform variable in ±b is b / √3; of n ≥ 4,800 numbers it
-        # has a relative standard error of (.2 / n)^.5 ≤ .0065
-        assert abs(matrix.std() * (3 * inputs) ** 0.5 - 1) < 5 * 0.0065
 
 
 @pytest.mark.parametrize("trunk_layers", TRUNKS)
@@ -131,44 +101,10 @@ def test_the_prior_is_another_network_times_its_scale(trunk_layers):
     torch.testing.assert_close(net(x), expected + 3.0 * prior)
 
 
-@pytest.mark.parametrize("trunk_layers", TRUNKS)
-def test_priors_never_move(trunk_layers):
-    net = make((2,), trunk_layers, prior_scale=1.0)
-    priors = {name: tensor.clone() for name, tensor in net.named_buffers()}
-    assert len(priors) == (1 if trunk_layers == 0 else 2)
-    before = [parameter.detach().clone() for parameter in net.parameters()]
-    optimizer = torch.optim.Adam(net.parameters(), 0.1, weight_decay=0.1)
-    for _ in range(3):
-        optimizer.zero_grad()
-        net(torch.randn(2, 8, FEATURES, dtype=torch.double)).square().sum().backward()
-        optimizer.step()
-    net.reset_parameters()
-    net.train(False)
-    for name, tensor in net.named_buffers():
-        assert torch.equal(tensor, priors[name])
-        assert not tensor.requires_grad
-    for parameter, old in zip(net.parameters(), before, strict=True):
-        assert not (parameter == old).any()
-
-
 def test_without_a_prior_there_is_no_memory_for_one():
     assert not list(make().named_buffers())
     assert set(make().state_dict()) == {"trunk", "heads"}
     assert set(make(trunk_layers=0).state_dict()) == {"heads"}
-
-
-@pytest.mark.parametrize("trunk_layers", TRUNKS)
-def test_copies_and_states_hold_the_prior_too(trunk_layers):
-    net = make((2,), trunk_layers, prior_scale=1.0)
-    x = torch.randn(2, 8, FEATURES, dtype=torch.double)
-    loaded = make((2,), trunk_layers, prior_scale=1.0)
-    assert not torch.equal(loaded(x), net(x))
-    loaded.load_state_dict(net.state_dict())
-    for copy in (loaded, deepcopy(net), pickle.loads(pickle.dumps(net))):
-        assert torch.equal(copy(x), net(x))
-        with torch.no_grad():
-            copy.heads.add_(1.0)
-        assert not torch.equal(copy(x), net(x))
 
 
 @pytest.mark.parametrize("replicas", [(), (2,)])
@@ -199,13 +135,6 @@ def test_a_feature_that_appears_late_changes_nothing_when_it_does(
     assert layout.unflatten(first.grad)[0][0][..., inactive, :].any()  # from now on it learns
 
 
-def test_a_mask_of_inactive_features_that_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match=r"inputs must be a bool mask of shape \[5\], got"):
-        reset_inactive_(make(), inputs=torch.tensor([True]))
-    with pytest.raises(ValueError, match=r"outputs must be a bool mask of shape \[3\], got"):
-        reset_inactive_(make(), outputs=torch.tensor([0, 1, 1]))
-
-
 def test_it_runs_inside_of_other_modules_and_draws_nothing():
     net = nn.Sequential(make((3,), dtype=torch.float), nn.Identity())
     x = torch.randn(3, 8, FEATURES)
@@ -227,9 +156,7 @@ def test_a_network_without_hidden_layers_has_linear_heads():
     [
         ({"heads": 0}, "heads must be at least 1, got 0"),
         ({"trunk_layers": 3}, "trunk_layers must be from 0 to 2, the number of hidden layers, got"),
-        ({"trunk_layers": -1}, "trunk_layers must be from 0 to 2"),
-        ({"prior_scale": -1.0}, "prior_scale must be a finite number and not negative, got -1.0"),
-        ({"prior_scale": float("nan")}, "prior_scale must be .* got nan"),
+        ({"prior_scale": float("nan")}, "prior_scale must be a finite number and not .* got nan"),
     ],
 )
 def test_settings_outside_of_what_is_listed_are_refused(settings, message):

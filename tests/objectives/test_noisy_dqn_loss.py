@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from q_transitions import ACTIONS, FEATURES, REPLICAS, elements, noisy_loss, slopes, transitions
-from torch import nn
+from q_transitions import ACTIONS, REPLICAS, elements, noisy_loss, transitions
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.exploration import NoisySampling
-from bbq_torchrl.networks import FlatMLP, NoisyMLP, ReplicaNoisyLinear, q_actor
+from bbq_torchrl.networks import FlatMLP, ReplicaNoisyLinear, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
-from bbq_torchrl.trainers import ReplicaAdam
 
 KINDS = ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma")
 
@@ -104,16 +100,6 @@ def test_value_and_gradient_are_those_of_the_definition(noise, replicas, double_
     )
 
 
-@pytest.mark.parametrize("double_dqn", [False, True])
-def test_gradient_is_the_slope_of_the_loss(double_dqn):
-    # a choice between actions jumps: here the online network's does not depend on the direction
-    loss, _ = noisy_loss((2,), hidden=(6,), dtype=torch.double, double_dqn=double_dqn)
-    td = transitions((2,), (6,), dtype=torch.double)
-    td["next", "action_mask"][..., :1] = td["next", "action_mask"][..., 2:] = False
-    td["valid"] = torch.rand(2, 6) < 0.7
-    torch.testing.assert_close(*slopes(loss, td), rtol=1e-5, atol=0)
-
-
 @pytest.mark.parametrize("exploration", [None, *ExplorationType])
 def test_noise_is_on_under_every_exploration_type(exploration):
     # TorchRL runs forward under DETERMINISTIC, where its NoisyLinear is its mean
@@ -130,94 +116,8 @@ def test_noise_is_on_under_every_exploration_type(exploration):
     assert torch.equal(targets[0][~going_on], targets[1][~going_on])
 
 
-@pytest.mark.parametrize("double_dqn", [False, True])
-def test_replicas_are_bitwise_independent(double_dqn):
-    def gradients(spoil):
-        torch.manual_seed(0)
-        loss, _ = noisy_loss((3,), hidden=(33,), double_dqn=double_dqn)
-        td = transitions((3,))
-        if spoil:
-            td["observation"][1], td["next", "reward"][1] = float("nan"), 1e3
-        torch.manual_seed(1)
-        out = loss(td)
-        out["loss"].backward()
-        return [out["loss_value"], *(p.grad for p in loss.parameters())]
-
-    for ours, theirs in zip(gradients(False), gradients(True), strict=True):
-        assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
-
-
-def test_updates_freeze_parameters_and_leave_the_network_its_own():
-    loss, update = noisy_loss((2,), hidden=(8,))
-    own = dict(loss.value_network.named_parameters())
-    loss(transitions((2,)))
-    assert all(loss.value_network.get_parameter(name) is p for name, p in own.items())
-    update.step()
-    frozen = loss.target_value_network_params.flatten_keys(".")
-    online = loss.value_network_params.flatten_keys(".")
-    assert set(frozen.keys()) == set(online.keys())
-    assert not [key for key in frozen.keys() if "epsilon" in key]  # noqa: SIM118
-    assert all(torch.equal(frozen[key], online[key]) for key in frozen.keys())  # noqa: SIM118
-
-
-def test_each_replica_has_an_optimizer_of_its_own():
-    loss, _ = noisy_loss((3,), hidden=(8,))
-    optimizer = ReplicaAdam(loss.parameters(), 3, lr=1e-2)
-    before = [p.detach().clone() for p in loss.parameters()]
-    for _ in range(3):
-        optimizer.zero_grad()
-        loss(transitions((3,)))["loss"].backward()
-        optimizer.step(active=(True, False, True))
-    for ours, theirs in zip(loss.parameters(), before, strict=True):
-        assert torch.equal(ours[1], theirs[1])
-        assert not torch.equal(ours[0], theirs[0])
-        assert not torch.equal(ours[2], theirs[2])
-
-
-def test_noisy_layers_with_other_activations_work_too():
-    net = nn.Sequential(ReplicaNoisyLinear(FEATURES, 8), nn.Tanh(), ReplicaNoisyLinear(8, ACTIONS))
-    loss = NoisyDQNLoss(q_actor(net, Categorical(ACTIONS)))
-    HardUpdate(loss, value_network_update_interval=0)
-    loss(transitions())["loss"].backward()
-    assert all(p.grad.any() for p in net.parameters())
-
-
 def test_a_network_without_noise_is_refused():
     with pytest.raises(ValueError, match="NoisyNet needs a network with noisy layers"):
         NoisyDQNLoss(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)))
     with pytest.raises(ValueError, match=r"gamma must be in \[0, 1\], got 2"):
         noisy_loss(gamma=2.0)
-
-
-def test_acting_on_the_noise_solves_contextual_bandits():
-    # The best of three arms is the one that the context names; no other exploration than noise.
-    # Ten networks side by side; of 200 with these settings each one chose all arms right, and one
-    # that misses an arm is at 2/3: more than half of the ten would have to fail.
-    replicas, rows = (10,), 16
-    actor = q_actor(NoisyMLP(3, 3, (16,), replicas=replicas), Categorical(3), action_mask_key=None)
-    policy = NoisySampling(actor)
-    loss = NoisyDQNLoss(actor, gamma=0.0)
-    HardUpdate(loss, value_network_update_interval=0)
-    optimizer = torch.optim.Adam(loss.parameters(), 1e-2)
-
-    def pull(rows):
-        context = torch.randint(3, (*replicas, rows))
-        td = transitions(replicas, (rows,)).exclude(
-            "action", "action_mask", ("next", "action_mask")
-        )
-        td["observation"] = nn.functional.one_hot(context, 3).float()
-        td["next", "observation"] = td["observation"]
-        td = policy(td)
-        return td, td["action"] == context
-
-    with set_exploration_type(ExplorationType.RANDOM):
-        for _ in range(100):
-            td, is_best = pull(rows)
-            reward = is_best.float() + 0.1 * torch.randn(*replicas, rows)
-            td["next", "reward"] = reward.unsqueeze(-1)
-            optimizer.zero_grad()
-            loss(td)["loss"].backward()
-            optimizer.step()
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        _, is_best = pull(300)
-    assert is_best.float().mean() > 0.8

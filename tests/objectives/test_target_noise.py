@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import pickle
-from copy import deepcopy
-
 import pytest
 import torch
-from q_transitions import ACTIONS, FEATURES, REPLICAS, bayes_loss, flat, transitions
+from q_transitions import ACTIONS, FEATURES, REPLICAS, bayes_loss, transitions
 from torch import nn
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
@@ -72,27 +69,6 @@ def test_each_batch_has_noise_of_its_own_and_none_outlives_it():
     assert (alone != second[1]).any(-1).all()
 
 
-def test_independent_noise_is_uncorrelated_with_the_online_draws():
-    # one linear network after another, thousands of them side by side
-    n = 4000
-    correlation = {}
-    for noise in ("independent", "shared"):
-        loss, _ = bayes_loss((n,), hidden=(), target="mc", target_noise=noise)
-        with torch.no_grad():
-            flat(loss, "mu").zero_()
-            flat(loss, "rho").fill_(-1.0)
-            flat(loss, "mu", target=True).zero_()
-            flat(loss, "rho", target=True).fill_(0.5)
-        td = transitions((n,), (1,))
-        td["observation"].fill_(0.7)
-        values, target = both_values(loss, td)
-        pair = torch.stack([values[:, 0, 0], target[:, 0, 0]])
-        correlation[noise] = torch.corrcoef(pair)[0, 1].item()
-    # the correlation of n independent pairs has standard deviation n^-½
-    assert abs(correlation["independent"]) < 5 * n**-0.5
-    assert correlation["shared"] == pytest.approx(1.0, abs=1e-4)
-
-
 def test_a_network_of_several_layers_shares_layer_by_layer():
     loss, _ = several_layers((2,), target_noise="shared", gamma=0.8)
     layers = [m for m in loss.value_network.modules() if isinstance(m, BayesLinear)]
@@ -123,31 +99,3 @@ def test_a_network_of_several_layers_shares_layer_by_layer():
     best = x.masked_fill(~td["next", "action_mask"], -torch.inf).amax(-1, keepdim=True)
     going_on = ~td["next", "terminated"]
     torch.testing.assert_close(got, td["next", "reward"] + 0.8 * going_on * best)
-
-
-def test_the_shared_noise_changes_the_gradient_only_through_the_target():
-    # no going on: the target is the reward, whatever its noise
-    gradients = []
-    for noise in ("independent", "shared"):
-        torch.manual_seed(0)
-        loss, _ = bayes_loss((2,), target="mc", target_noise=noise)
-        td = transitions((2,))
-        td["next", "terminated"].fill_(True)
-        torch.manual_seed(1)
-        loss(td)["loss"].backward()
-        gradients.append((flat(loss, "mu").grad, flat(loss, "rho").grad))
-    for ours, theirs in zip(*gradients, strict=True):
-        assert torch.equal(ours, theirs)
-
-
-def test_a_loss_with_shared_noise_can_be_copied_and_stored():
-    loss, _ = bayes_loss((2,), target="mc", target_noise="shared")
-    td = transitions((2,))
-    loss(td)
-    results = []
-    for made in (loss, deepcopy(loss), pickle.loads(pickle.dumps(loss))):
-        torch.manual_seed(0)
-        results.append(made(td.clone())["loss"])
-        assert made.target_noise == "shared"
-    assert torch.equal(results[0], results[1])
-    assert torch.equal(results[0], results[2])

@@ -16,8 +16,7 @@ from q_transitions import (
     plain_loss,
     transitions,
 )
-from tensordict import TensorDict
-from torchrl.objectives import DQNLoss, HardUpdate, LossModule, SoftUpdate
+from torchrl.objectives import DQNLoss, LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 LOSSES = {
@@ -239,19 +238,6 @@ def test_parameters_can_be_reset(case):
         assert not torch.equal(flat(loss, n), before[n])
 
 
-def test_the_network_is_what_the_caller_has(case):
-    make, names, _ = case
-    loss, _ = make()
-    td = transitions()
-    expected = {n: flat(loss, n) for n in names}
-    loss(td)["loss"].backward()
-    own = dict(loss.value_network.named_parameters())
-    for name, tensor in expected.items():
-        found = [p for key, p in own.items() if key.endswith(name)]
-        assert found == [tensor] or found[0] is tensor
-        assert found[0].grad is not None
-
-
 def test_a_failing_network_leaves_its_parameters_in_place(case):
     make, _names, _ = case
     loss, _ = make()
@@ -264,28 +250,55 @@ def test_a_failing_network_leaves_its_parameters_in_place(case):
     result(loss, transitions())
 
 
-def test_the_observation_may_have_another_name():
-    from torchrl.data import Categorical
+def everything(loss, td):
+    """What a loss returns and writes, and its gradients."""
+    torch.manual_seed(1)
+    out = loss(td)
+    gradients = torch.autograd.grad(out["loss"], list(loss.parameters()))
+    return [*out.detach().exclude("loss").values(), td["td_error"], *gradients]
 
-    from bbq_torchrl.networks import FlatMLP, q_actor
-    from bbq_torchrl.objectives import DropoutDQNLoss
 
-    actor = q_actor(
-        FlatMLP(FEATURES, 4), Categorical(4), in_keys=[("agent", "state")], action_mask_key=None
-    )
-    loss = DropoutDQNLoss(actor)
-    HardUpdate(loss, value_network_update_interval=0)
-    td = transitions()
-    named = TensorDict(
-        {
-            "agent": {"state": td["observation"]},
-            "action": td["action"],
-            "next": {
-                "agent": {"state": td["next", "observation"]},
-                **td["next"].select("reward", "terminated", "done").to_dict(),
-            },
-        },
-        td.batch_size,
-    )
-    loss(named)["loss"].backward()
-    assert all(p.grad.any() for p in loss.parameters())
+@pytest.mark.parametrize("entry", ["observation", ("next", "observation"), ("next", "reward")])
+def test_rows_that_do_not_count_change_nothing_whatever_they_hold(case, entry):
+    make, _, _ = case
+    loss, _ = make((2,), dtype=torch.double)
+    td = transitions((2,), (6,), dtype=torch.double)
+    td["valid"] = torch.arange(6).expand(2, 6) < 4
+    spoilt = td.clone()
+    spoilt[entry][:, 4:] = 1e6 if entry == "observation" else torch.nan
+    *outputs, errors = found = everything(loss, td)[: len(loss.out_keys)]
+    torch.testing.assert_close(everything(loss, spoilt), everything(loss, td), rtol=0, atol=0)
+    assert not errors[:, 4:].any()
+    short = everything(loss, td[:, :4].exclude("valid", "td_error"))
+    torch.testing.assert_close(outputs, short[: len(found) - 1])
+
+
+def test_a_replica_without_rows_has_no_loss_and_no_gradient(case):
+    make, names, _ = case
+    loss, _ = make((2,), **({"kl_temperature": 0.0} if make is bayes_loss else {}))
+    td = transitions((2,))
+    td["valid"] = torch.tensor([[False] * 32, [True] * 32])
+    out = loss(td)
+    out["loss"].backward()
+    for key in ("loss_value", "td_error", "q_value"):
+        assert out[key][0] == 0
+        assert out[key][1] != 0
+    for name in names:
+        assert not flat(loss, name).grad[0].any()
+        assert flat(loss, name).grad[1].any()
+
+
+@pytest.mark.parametrize("where", ["next", "root"])
+def test_what_one_replica_sees_leaves_the_others_bits_alone(case, where):
+    def seen(spoil):
+        torch.manual_seed(0)
+        loss, _ = case[0]((3,), hidden=(33, 17))
+        td = transitions((3,))
+        if spoil:
+            (td if where == "root" else td["next"])["observation"][1] = torch.nan
+        return everything(loss, td)
+
+    plain, spoilt = seen(False), seen(True)
+    for ours, theirs in zip(plain, spoilt, strict=True):
+        assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
+    assert spoilt[-1][1].isnan().any()

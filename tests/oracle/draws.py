@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from random import Random
+from typing import Any
 
 Draws = Mapping[str, Any]
-
-RESET_SLOT_DRAWS = ("constraint", "request")
-TURN_SLOT_DRAWS = ("agenda", "error", "error_kind", "error_slot", "error_value")
-TURN_DRAWS = ("intent", "intent_act", "offer")
 
 
 def choose_index(u: float, count: int) -> int:
@@ -30,19 +23,3 @@ def choose_slot(candidates: Collection[str], u: Sequence[float], slots: Sequence
     if best is None:
         raise ValueError("there is no slot to choose from")
     return best
-
-
-def reset_draws(random: Random, n_slots: int) -> dict[str, Any]:
-    """Returns the random numbers that one dialogue's start uses."""
-    draws: dict[str, Any] = {"goal": random.random()}
-    for name in RESET_SLOT_DRAWS:
-        draws[name] = [random.random() for _ in range(n_slots)]
-    return draws
-
-
-def turn_draws(random: Random, n_slots: int) -> dict[str, Any]:
-    """Returns the random numbers that one turn uses."""
-    draws: dict[str, Any] = {name: random.random() for name in TURN_DRAWS}
-    for name in TURN_SLOT_DRAWS:
-        draws[name] = [random.random() for _ in range(n_slots)]
-    return draws

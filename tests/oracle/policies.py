@@ -10,12 +10,6 @@ if TYPE_CHECKING:
 
 Policy = Callable[["Dialogue"], str]
 
-ASKED_BY_RULE = ("moviename", "starttime", "city", "date", "theater", "numberofpeople")
-ASKED_BESIDES = ("state", "zip", "distanceconstraints", "video_format", "theater_chain")
-
-RULE = (*(f"request({slot})" for slot in ASKED_BY_RULE), "inform(taskcomplete)", "thanks")
-RULE_INFORM = (*RULE[:-2], "inform(moviename)", "inform(theater)", *RULE[-2:])
-
 
 def follow(script: Sequence[str]) -> Policy:
     """Returns an agent that says its script whatever the user says."""

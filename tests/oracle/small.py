@@ -2,55 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.domain import Action, Domain, Goal, ScriptedPolicySpec
 
 from .dialogue import Dialogue, World
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
 SLOTS = (
-    "moviename",
-    "city",
-    "date",
-    "theater",
-    "genre",
-    "numberofpeople",
-    "ticket",
-    "taskcomplete",
+    *("moviename", "city", "date", "theater", "genre"),
+    *("numberofpeople", "ticket", "taskcomplete"),
 )
 ACTS = (
-    "request",
-    "inform",
-    "confirm_question",
-    "confirm_answer",
-    "greeting",
-    "closing",
-    "multiple_choice",
-    "thanks",
-    "deny",
+    *("request", "inform", "confirm_question", "confirm_answer", "greeting"),
+    *("closing", "multiple_choice", "thanks", "deny"),
 )
 ACTIONS = (
-    "greeting",
-    "thanks",
-    "deny",
-    "confirm_question",
-    "confirm_answer",
-    "closing",
-    "request(moviename)",
-    "request(city)",
-    "request(date)",
-    "request(theater)",
-    "request(genre)",
-    "request(numberofpeople)",
-    "inform(moviename)",
-    "inform(city)",
-    "inform(date)",
-    "inform(theater)",
-    "inform(genre)",
-    "inform(taskcomplete)",
-    "inform(ticket)",
-    "multiple_choice(theater)",
-    "multiple_choice(city)",
+    *("greeting", "thanks", "deny", "confirm_question", "confirm_answer", "closing"),
+    *(f"request({slot})" for slot in SLOTS[:6]),
+    *(f"inform({slot})" for slot in (*SLOTS[:5], "taskcomplete", "ticket")),
+    *("multiple_choice(theater)", "multiple_choice(city)"),
 )
 RECORDS = (
     {"moviename": "Deadpool", "city": "Seattle", "date": "today", "theater": "Roxy"},
@@ -70,7 +43,7 @@ ALMOST_ONE = 1 - 2**-24
 GOAL = {"moviename": "deadpool", "city": "seattle", "numberofpeople": "2"}
 
 
-def small_domain(*goals: Goal) -> Domain:
+def small_domain(*goals: Goal, records: Sequence[Mapping[str, str]] = RECORDS) -> Domain:
     """Returns the small cinema with these goals."""
     return Domain(
         name="small",
@@ -89,7 +62,7 @@ def small_domain(*goals: Goal) -> Domain:
             "careful": ScriptedPolicySpec("careful", ("city", "date", "numberofpeople")),
         },
         reference_slot_error_prob=0.0,
-        records=RECORDS,
+        records=tuple(records),
         goals=goals,
         error_values=ERROR_VALUES,
     )

@@ -15,15 +15,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from bbq_torchrl.cli.saved import save_config
+from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.searches import Search, compose_search
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.trainers import TrainingError
 
 optuna = pytest.importorskip("optuna", reason="needs the extra search")
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
-from bbq_torchrl.search import run_search  # noqa: E402
+from bbq_torchrl.search.study import run_search  # noqa: E402
 
 ROUNDS = 4
 
@@ -32,7 +33,7 @@ class Killed(BaseException):
     """What ends a process."""
 
 
-class Diverged(RuntimeError):
+class Diverged(TrainingError):
     """What a trial's values are to blame for."""
 
 
@@ -43,7 +44,8 @@ class Training:
     is killed in the round ``dies_in`` = (trial, round).
     """
 
-    def __init__(self, dies_in=None, diverges=()):
+    def __init__(self, dies_in=None, diverges=(), error=Diverged):
+        self.error = error
         self.dies_in = dies_in
         self.diverges = diverges
         self.played = []
@@ -59,7 +61,7 @@ class Training:
             if self.dies_in == (trial, done):
                 raise Killed
             if trial in self.diverges and done == 2:
-                raise Diverged("the loss is\nnot finite")
+                raise self.error("the loss is\nnot finite")
             done += 1
             self.played.append((trial, done))
             rows = [
@@ -198,7 +200,7 @@ def test_two_processes_never_work_at_the_same_trial(tmp_path):
 
 
 def test_a_trial_that_diverges_is_noted_and_the_search_goes_on(tmp_path):
-    best = run_search(search(tmp_path, trials=3), Training(diverges=[1]), (Diverged,))
+    best = run_search(search(tmp_path, trials=3), Training(diverges=[1]))
     rows = table(tmp_path)
     assert [row["state"] for row in rows] == ["complete", "fail", "complete"]
     assert rows[1]["reason"] == "the loss is not finite"
@@ -206,14 +208,14 @@ def test_a_trial_that_diverges_is_noted_and_the_search_goes_on(tmp_path):
 
 
 def test_an_error_that_the_values_are_not_to_blame_for_ends_the_search(tmp_path):
-    with pytest.raises(Diverged):
-        run_search(search(tmp_path, trials=2), Training(diverges=[0]))
+    with pytest.raises(KeyError):
+        run_search(search(tmp_path, trials=2), Training(diverges=[0], error=KeyError))
     run_search(search(tmp_path, trials=2), Training())
     assert [row["state"] for row in table(tmp_path)] == ["complete", "complete"]
 
 
 def test_nothing_is_best_where_no_trial_was_completed(tmp_path):
-    assert run_search(search(tmp_path, trials=1), Training(diverges=[0]), (Diverged,)) is None
+    assert run_search(search(tmp_path, trials=1), Training(diverges=[0])) is None
     assert not (tmp_path / "best.json").exists()
 
 
@@ -265,7 +267,7 @@ def test_values_that_cannot_be_run_fail_their_trial_and_the_search_goes_on(tmp_p
             raise ConfigError("protocol.capacity must be\nmore")
 
     training = Training()
-    run_search(search(tmp_path, trials=3), training, (), check)
+    run_search(search(tmp_path, trials=3), training, check)
     rows = table(tmp_path)
     assert [row["state"] for row in rows] == ["complete", "fail", "complete"]
     assert rows[1]["reason"] == "protocol.capacity must be more"

@@ -9,17 +9,16 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle.small import SLOTS, small_domain
 
 from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.simulator import KnowledgeBase
 from bbq_torchrl.simulator.bits import byte_counts, pack, popcount
 
-from .scenes import SHOWINGS, SLOTS, Scene, cinema
-
 NONE, DONT_CARE, NO_MATCH, FIRST = 0, 1, 2, 4
-FREE = {"people", "ticket", "done"}
-INFORMED = ("movie", "city", "date", "theater", "genre")
-VALUES = {"movie": 3, "city": 4, "date": 12, "theater": 20, "genre": 1, "people": 3}
+FREE = {"numberofpeople", "ticket", "taskcomplete"}
+INFORMED = ("moviename", "city", "date", "theater", "genre")
+VALUES = {"moviename": 3, "city": 4, "date": 12, "theater": 20, "genre": 1, "numberofpeople": 3}
 
 rows = st.lists(
     st.fixed_dictionaries(
@@ -51,7 +50,7 @@ def shelves(draw):
 @given(shelf=shelves(), slot=st.sampled_from(INFORMED))
 def test_look_ups_agree_with_going_through_the_records_one_by_one(shelf, slot):
     showings, held = shelf
-    domain = tensorize(cinema(Goal({}), showings=showings))
+    domain = tensorize(small_domain(Goal({}), records=showings))
     knowledge_base = KnowledgeBase(domain)
     ids = torch.tensor(
         [
@@ -98,26 +97,6 @@ def test_packed_sets_count_their_members(members):
     assert byte_counts(words)[: len(by_byte)].tolist() == by_byte
 
 
-def test_a_fill_takes_the_most_frequent_value_and_of_equals_the_first():
-    scene = Scene({})
-    shelf = scene.simulator.knowledge_base
-
-    def fill(slot, held):
-        ids = torch.tensor([scene.id(s, held[s]) if s in held else 0 for s in SLOTS])
-        position = SLOTS.index(slot)
-        return scene.domain.vocabulary[position][int(shelf.fill(ids, torch.tensor(position))[0])]
-
-    assert fill("theater", {}) == "odeon"
-    assert fill("city", {"theater": "odeon"}) == "seattle"  # one each: seattle has the lower id
-    assert fill("city", {"theater": "odeon", "date": "today"}) == "boston"
-    assert fill("theater", {"theater": "lux"}) == "lux"
-    assert fill("date", {"theater": "lux"}) == "no match"
-    assert fill("genre", {}) == "no match"
-    assert fill("city", {"genre": "I do not care"}) == "seattle"
-    assert fill("city", {"date": "no match"}) == "no match"
-    assert fill("city", {"people": "9"}) == "seattle"
-
-
 def test_many_dialogues_at_once_fill_as_one_does(movie):
     domain = tensorize(movie)
     shelf = KnowledgeBase(domain)
@@ -161,15 +140,8 @@ def test_a_look_up_does_not_grow_with_values_that_no_record_has(restaurant):
 
 
 def test_a_knowledge_base_without_records_or_deciding_slots_is_refused():
-    domain = tensorize(cinema(Goal({})))
+    domain = tensorize(small_domain(Goal({})))
     with pytest.raises(ValueError, match="at least one record, got none"):
         KnowledgeBase(replace(domain, records=domain.records[:0]))
     with pytest.raises(ValueError, match="at least one slot must constrain"):
         KnowledgeBase(replace(domain, constrains=torch.zeros(len(SLOTS), dtype=torch.bool)))
-
-
-def test_values_that_only_differ_in_case_are_one(movie):
-    shouted = tuple({slot: value.upper() for slot, value in row.items()} for row in SHOWINGS)
-    scene = Scene({"city": "boston"}, showings=(*SHOWINGS, *shouted))
-    held = scene.situation(held={"city": "boston"})["held"]
-    assert int(scene.simulator.knowledge_base.matching_counts(held)) == 4

@@ -113,24 +113,6 @@ def test_a_turn_never_waits_for_its_device(movie, device):
     assert {entry.device.type for entry in state.values()} == {device}
 
 
-def test_a_turn_compiles_without_a_graph_break(movie):
-    tensors = tensorize(movie)
-    simulator = Simulator(tensors, errors=MeasuredErrors(tensors, SOME))
-    active = torch.ones(tensors.n_slots, dtype=torch.bool)
-    generator = torch.Generator().manual_seed(2)
-    state = simulator.reset(simulator.draw_reset((6,), generator), active)
-    action = torch.randint(tensors.n_actions, (6,), generator=generator)
-    draws = simulator.draw_turn((6,), generator)
-    torch._dynamo.reset()
-    compiled = torch.compile(simulator.turn, fullgraph=True, backend="eager", dynamic=False)
-    one, other = (
-        compiled(state, action, draws, active),
-        simulator.turn(state, action, draws, active),
-    )
-    for key in other.keys():  # noqa: SIM118  (a TensorDict iterates over its rows)
-        assert torch.equal(one[key], other[key]), key
-
-
 @pytest.mark.parametrize(
     "counts",
     [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from simulator.scenes import cinema
+from oracle.small import small_domain
 
 from bbq_torchrl.domains import Goal
 from bbq_torchrl.study.outcome import Judge
@@ -13,13 +13,20 @@ from bbq_torchrl.study.talk import Exchange, Frame
 
 from .simulated import Conversations
 
-GOAL = Goal({"movie": "deadpool", "city": "seattle", "people": "2"}, ("theater", "date"))
+WISHES = {"moviename": "Deadpool", "city": "seattle", "numberofpeople": "2"}
+GOAL = Goal(WISHES, ("theater", "date"))
+SHOWINGS = (
+    {"moviename": "deadpool", "city": "seattle", "date": "today", "theater": "roxy"},
+    {"moviename": "deadpool", "city": "seattle", "date": "friday", "theater": "odeon"},
+    {"moviename": "deadpool", "city": "boston", "date": "today", "theater": "odeon"},
+    {"moviename": "zootopia", "city": "boston", "theater": "lux", "numberofpeople": "9"},
+)
 DIALOGUES = int(os.environ.get("BBQ_STUDY_DIALOGUES", "100000"))
 
 
 @pytest.fixture(scope="module")
 def judge():
-    return Judge(cinema(GOAL))
+    return Judge(small_domain(GOAL, records=SHOWINGS))
 
 
 def told(**informs):
@@ -30,11 +37,10 @@ def heard(**informs):
     return Exchange(Frame("inform", informs), Frame("greeting"))
 
 
-def offer(done="ticket available", **informs):
-    return told(done=done, **informs)
+def offer(taskcomplete="ticket available", **informs):
+    return told(taskcomplete=taskcomplete, **informs)
 
 
-WISHES = {"movie": "Deadpool", "city": "seattle", "people": "2"}
 ANSWERS = [told(theater="roxy"), told(date="today")]
 WON = [*ANSWERS, offer(**WISHES, theater="roxy", date="today")]
 
@@ -50,8 +56,8 @@ def test_what_the_rule_asks_for_is_a_success(judge):
         ([], ("no offer", "questions")),
         (ANSWERS, ("no offer",)),
         ([*ANSWERS, offer(**WISHES | {"city": "boston"})], ("wishes",)),
-        ([*ANSWERS, offer(movie="deadpool", city="seattle")], ("wishes",)),
-        ([*WON, offer(**WISHES | {"people": "3"})], ("wishes",)),
+        ([*ANSWERS, offer(moviename="deadpool", city="seattle")], ("wishes",)),
+        ([*WON, offer(**WISHES | {"numberofpeople": "3"})], ("wishes",)),
         ([*ANSWERS, offer("no match", **WISHES)], ("no ticket", "no match left")),
         ([ANSWERS[0], WON[2]], ("questions",)),
         ([told(theater="odeon"), told(date="today"), WON[2]], ("questions",)),
@@ -77,17 +83,17 @@ def test_running_out_of_turns_is_no_success(judge):
 
 
 def test_a_wish_without_preference_is_met_by_any_offer():
-    goal = Goal({"movie": "deadpool", "city": "I do not care"})
-    judge = Judge(cinema(goal))
+    goal = Goal({"moviename": "deadpool", "city": "I do not care"})
+    judge = Judge(small_domain(goal, records=SHOWINGS))
     for more in ({}, {"city": "boston"}):
-        assert judge.verdict(goal, [offer(movie="deadpool", **more)]).success
+        assert judge.verdict(goal, [offer(moviename="deadpool", **more)]).success
 
 
 def test_goals_are_attainable_where_one_record_has_it_all(judge):
     assert judge.is_attainable(GOAL)
-    assert not judge.is_attainable(Goal({"movie": "deadpool", "city": "austin"}))
-    assert not judge.is_attainable(Goal({"movie": "zootopia"}, ("date",)))
-    assert judge.is_attainable(Goal({"movie": "zootopia", "people": "77"}))
+    assert not judge.is_attainable(Goal({"moviename": "deadpool", "city": "austin"}))
+    assert not judge.is_attainable(Goal({"moviename": "zootopia"}, ("date",)))
+    assert judge.is_attainable(Goal({"moviename": "zootopia", "numberofpeople": "77"}))
 
 
 # Policy, share of random actions, and how many of these are offers and farewells.

@@ -50,23 +50,11 @@ def test_a_pickle_in_an_archive_is_never_loaded(tmp_path, saved, file, caplog):
     assert marker.exists(), "the archive would have run code"
 
 
-@pytest.mark.parametrize("file", ["other.pickle", "pickle.pkl"])
-def test_the_checkpoint_before_a_planted_one_is_taken(tmp_path, saved, file):
-    plant(saved, tmp_path / "marker", file)
-    network = nn.Linear(3, 2)
-    CheckpointFolder(saved.parent, network=network).save(3, {"seed": 7})
-
-    path, _ = CheckpointFolder(saved.parent, network=nn.Linear(3, 2)).restore({"seed": 7})
-
-    assert path.name == "round-000003.torchrl"
-    assert not (tmp_path / "marker").exists()
-
-
-@pytest.mark.parametrize("name", ["state.pt", "state.tdz", "state.tdc", "notes.txt"])
+@pytest.mark.parametrize("name", ["state.pt", "state/notes.txt"])
 def test_a_file_that_no_checkpoint_has_is_refused_listed_or_not(saved, name):
     with zipfile.ZipFile(saved, "a") as archive:
         archive.writestr(f"components/0000-network/{name}", b"x")
-    with pytest.raises(ValueError, match=f"{name} in it belongs to no checkpoint"):
+    with pytest.raises(ValueError, match=f"{name} is missing in it, or belongs to no checkpoint"):
         read_archive(saved)
 
     def listed(manifest):
@@ -78,26 +66,14 @@ def test_a_file_that_no_checkpoint_has_is_refused_listed_or_not(saved, name):
         read_archive(saved)
 
 
-META = "components/0000-network/state/meta.json"
-TREE = "components/0000-network/state.json"
-
-
 @pytest.mark.parametrize(
     ("member", "change", "message"),
     [
-        (META, lambda meta: {**meta, "_type": "<class 'x'>"}, "describes no tensors"),
-        (META, lambda meta: {**meta, "x": {"type": "TensorDict"}}, "described as no tensor"),
-        (META, lambda meta: {**meta, "../x": meta["tensor_00000000"]}, "described as no tensor"),
         (
-            META,
-            lambda meta: {
-                **meta,
-                "tensor_00000000": {**meta["tensor_00000000"], "shape": [10**12]},
-            },
-            "not of the size that its shape has",
+            "components/0000-network/state/meta.json",
+            lambda meta: {**meta, "_type": "<class 'x'>"},
+            "describes no tensors",
         ),
-        (TREE, lambda tree: {"kind": "path", "value": "/"}, "holds a path"),
-        (TREE, lambda tree: {"kind": "tensor", "key": "tensor_00000009"}, "holds a tensor"),
         ("manifest.json", lambda manifest: {**manifest, "metadata": {}}, "round"),
         ("manifest.json", lambda manifest: [manifest], "list"),
     ],
@@ -109,17 +85,6 @@ def test_metadata_of_another_kind_are_refused(saved, member, change, message):
         read_archive(saved)
     with pytest.raises(CheckpointDamagedError, match="every checkpoint in"):
         CheckpointFolder(saved.parent, network=nn.Linear(3, 2)).restore({})
-
-
-def test_a_compressed_archive_is_refused(saved):
-    with zipfile.ZipFile(saved) as old:
-        contents = {name: old.read(name) for name in old.namelist()}
-    with zipfile.ZipFile(saved, "w", zipfile.ZIP_DEFLATED) as new:
-        for name, content in contents.items():
-            new.writestr(name, content)
-
-    with pytest.raises(ValueError, match="there twice, or compressed"):
-        read_archive(saved)
 
 
 def test_a_checkpoint_that_vanishes_while_it_is_opened_means_the_next_one(
@@ -153,16 +118,6 @@ def test_a_link_to_nothing_is_damage_and_not_a_reason_to_wait(saved):
     assert path == saved
 
 
-def test_what_is_read_is_left_as_it_was(saved):
-    stage = saved.parent / f".round-000005.torchrl.stage-{'0a' * 16}"
-    stage.mkdir()
-    before = {path.name: path.stat().st_mtime_ns for path in saved.parent.iterdir()}
-
-    CheckpointFolder(saved.parent, network=nn.Linear(3, 2)).restore({"seed": 7})
-
-    assert {path.name: path.stat().st_mtime_ns for path in saved.parent.iterdir()} == before
-
-
 def test_a_checkpoint_of_other_metadata_is_refused(saved):
     folder = CheckpointFolder(saved.parent, network=nn.Linear(3, 2))
 
@@ -188,11 +143,3 @@ def test_what_is_kept_of_a_finished_run_is_read_but_not_gone_on_from(tmp_path):
     assert torch.equal(network.weight, parts["network"].weight)
     with pytest.raises(CheckpointDamagedError, match="keep_checkpoints=last"):
         folder.restore({})
-
-
-def test_all_are_kept_where_all_are_wanted(tmp_path):
-    folder = CheckpointFolder(tmp_path, keep=None, network=nn.Linear(3, 2))
-    for number in range(4):
-        folder.save(number, {})
-
-    assert len(list(tmp_path.iterdir())) == 4

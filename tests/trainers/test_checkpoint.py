@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import logging
-import random
-import shutil
 import zipfile
 
 import pytest
-import torch
 from torch import nn
 
 from bbq_torchrl.trainers import (
@@ -59,12 +56,6 @@ def test_the_last_two_are_kept(tmp_path):
     ]
 
 
-def test_rounds_are_ordered_as_numbers(tmp_path):
-    folder_with(tmp_path, 999_999, 1_000_000)
-
-    assert restored(tmp_path) == 1_000_000.0
-
-
 def test_a_folder_without_checkpoints_has_no_newest(tmp_path):
     assert CheckpointFolder(tmp_path).newest() is None
     assert CheckpointFolder(tmp_path / "absent").newest() is None
@@ -95,25 +86,6 @@ def test_a_truncated_one_falls_back_with_a_warning(tmp_path, caplog, share):
     assert restored(tmp_path) == 10.0
 
 
-def test_a_wrong_byte_is_found_or_does_no_harm(tmp_path):
-    """A bit flipped anywhere: the checkpoint is refused, or restores exactly what was saved."""
-    folder = folder_with(tmp_path / "run", 10, 20)
-    newest = tmp_path / "run" / "round-000020.torchrl"
-    good = newest.read_bytes()
-    rng = random.Random(0)
-    refused = 0
-    positions = rng.sample(range(len(good)), 150)
-    for position in positions:
-        bad = bytearray(good)
-        bad[position] ^= 1 << rng.randrange(8)
-        newest.write_bytes(bytes(bad))
-        path, _ = folder.newest()
-        refused += path != newest
-        assert restored(tmp_path / "run") == (20.0 if path == newest else 10.0)
-    # Most bytes of so small an archive are names and dates; the contents are always checked.
-    assert refused > len(positions) / 4
-
-
 def test_every_byte_of_the_contents_is_checked(tmp_path):
     folder = folder_with(tmp_path, 10, 20)
     newest = tmp_path / "round-000020.torchrl"
@@ -125,18 +97,6 @@ def test_every_byte_of_the_contents_is_checked(tmp_path):
         middle = info.header_offset + 30 + len(info.filename) + info.file_size // 2
         newest.write_bytes(good[:middle] + bytes([good[middle] ^ 1]) + good[middle + 1 :])
         assert folder.newest()[0].name == "round-000010.torchrl", info.filename
-
-
-def test_a_missing_part_is_found(tmp_path):
-    folder = folder_with(tmp_path, 10, 20)
-    newest = tmp_path / "round-000020.torchrl"
-    with zipfile.ZipFile(newest) as old, zipfile.ZipFile(tmp_path / "new", "w") as new:
-        for info in old.infolist():
-            if not info.filename.endswith(".memmap"):
-                new.writestr(info, old.read(info))
-    (tmp_path / "new").replace(newest)
-
-    assert folder.newest()[0].name == "round-000010.torchrl"
 
 
 def test_if_every_one_is_damaged_it_says_so(tmp_path):
@@ -203,49 +163,3 @@ def test_nothing_in_a_checkpoint_is_pickled(tmp_path):
         endings = {name.rsplit(".", 1)[-1] for name in archive.namelist()}
 
     assert endings == {"json", "memmap"}
-
-
-def test_a_checkpoint_can_be_carried_to_another_folder(tmp_path):
-    folder_with(tmp_path / "a", 10)
-    shutil.move(tmp_path / "a", tmp_path / "b")
-
-    assert restored(tmp_path / "b") == 10.0
-
-
-def test_values_are_restored_bit_for_bit(tmp_path):
-    class Holder:
-        def __init__(self, state: dict) -> None:
-            self.state = state
-
-        def state_dict(self) -> dict:
-            return self.state
-
-        def load_state_dict(self, state: dict) -> None:
-            self.state = state
-
-    state = {
-        "float": torch.tensor([1e-45, -0.0, float("nan"), float("inf"), 0.1]),
-        "double": torch.tensor(0.1, dtype=torch.float64),
-        "bool": torch.tensor([True, False]),
-        "long": torch.tensor([[2**62]]),
-        "empty": torch.zeros(0, 3),
-        "strided": torch.arange(6.0).reshape(2, 3).t(),
-        "nested": {0: {"step": torch.tensor(3.0)}, "lr": 1e-3, "betas": (0.9, 0.999)},
-    }
-    CheckpointFolder(tmp_path, holder=Holder(state)).save(0, {})
-    other = Holder({})
-    folder = CheckpointFolder(tmp_path, holder=other)
-
-    folder.load(folder.newest()[0])
-
-    for name in ("float", "double", "bool", "long", "empty", "strided"):
-        ours, theirs = state[name], other.state[name]
-        assert ours.dtype == theirs.dtype
-        assert ours.shape == theirs.shape
-        assert ours.contiguous().numpy().tobytes() == theirs.contiguous().numpy().tobytes()
-    assert other.state["nested"] == state["nested"]
-
-
-def test_keep_must_be_positive(tmp_path):
-    with pytest.raises(ValueError, match="keep must be at least 1, got 0"):
-        CheckpointFolder(tmp_path, keep=0)

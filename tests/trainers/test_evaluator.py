@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-
 import pytest
 import torch
 from torch import nn
@@ -48,33 +46,6 @@ def test_a_resumed_training_knows_the_best_of_the_rounds_before(tmp_path):
     for trainer in (whole, resumed):
         trainer.evaluator.best.put_back()
     assert torch.equal(weight_of(whole), weight_of(resumed))
-
-
-def test_what_an_evaluator_returns_are_columns_and_the_rest_is_as_without(tmp_path):
-    with_it = make_trainer(tmp_path / "with", rates=RATES)
-    without = make_trainer(tmp_path / "without")
-    for ours, theirs in zip(with_it.train(), without.train(), strict=True):
-        assert ours["eval_success_rate"] == RATES[ours["round"]][ours["replica"]]
-        assert ours.keys() - theirs.keys() == {"eval_success_rate", "seconds_eval"}
-        assert all(ours[name] == theirs[name] for name in theirs if "seconds" not in name)
-    assert torch.equal(weight_of(with_it), weight_of(without))
-
-
-def test_a_round_without_an_evaluation_is_empty_and_not_logged(tmp_path):
-    rates = [(float("nan"),) * 3, (0.5, 0.25, 0.75)]
-    logged = []
-
-    class Logger:
-        def log_scalar(self, name, value, step):
-            logged.append((name, step))
-
-    trainer = make_trainer(tmp_path, rates=rates, rounds=2, loggers=[Logger()])
-    trainer.train()
-
-    with (tmp_path / "metrics.csv").open() as file:
-        column = [row["eval_success_rate"] for row in csv.DictReader(file)]
-    assert column == ["", "", "", "0.5", "0.25", "0.75"]
-    assert [step for name, step in logged if name.startswith("eval_")] == [1, 1, 1]
 
 
 def test_there_are_no_best_weights_before_an_evaluation():

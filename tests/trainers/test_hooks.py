@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 from torch import nn
 from torchrl.envs import InitTracker, TransformedEnv
 from torchrl.modules import EGreedyModule
-from trainer_parts import GuessEnv, make_trainer
+from trainer_parts import GuessEnv
 
 from bbq_torchrl.data import BootstrapMask
 from bbq_torchrl.data.hooks import Measured, Seeded
 from bbq_torchrl.exploration.hooks import Annealed, Resampled
 from bbq_torchrl.hooks import provides
-from bbq_torchrl.objectives.hooks import BeginsEpochs, FixedTargets, UsesNumData
 from bbq_torchrl.trainers import RoundEnv
 
 
@@ -36,15 +34,3 @@ def test_torchrls_own_modules_and_foreign_ones_need_not_inherit():
     mask = BootstrapMask(2)
     assert provides(mask, Seeded)
     assert not provides(mask, Measured)
-
-
-def test_the_trainer_calls_the_hooks_that_there_are(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=2)
-    assert provides(trainer.loss, UsesNumData)
-    assert not provides(trainer.loss, BeginsEpochs)
-    assert not provides(trainer.loss, FixedTargets)
-    trainer.train()
-    assert trainer.env.rounds_seen == [0, 0, 1]  # spiking is in round 0, too
-    assert len(trainer.loss.num_data) == 2
-    assert trainer.policy.explore.resampled == 2
-    assert float(trainer.policy.explore.epsilon) == pytest.approx(0.2)

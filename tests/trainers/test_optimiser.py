@@ -28,48 +28,6 @@ def give_gradients(parameters: list[nn.Parameter], step: int) -> None:
 FLAGS = [(True, True, True), (True, False, True), (False, False, True), (True, True, False)] * 3
 
 
-def test_every_replica_moves_as_with_an_adam_of_its_own():
-    parameters = replica_parameters()
-    optimizer = ReplicaAdam(parameters, 3, lr=1e-2)
-    alone = [[nn.Parameter(p.detach()[r].clone()) for p in parameters] for r in range(3)]
-    adams = [torch.optim.Adam(a, lr=1e-2, fused=True) for a in alone]
-
-    for step, active in enumerate(FLAGS):
-        give_gradients(parameters, step)
-        optimizer.step(active)
-        for r in range(3):
-            if active[r]:
-                for own, stacked in zip(alone[r], parameters, strict=True):
-                    own.grad = stacked.grad[r].clone()
-                adams[r].step()
-
-    for r in range(3):
-        for own, stacked in zip(alone[r], parameters, strict=True):
-            assert torch.equal(own, stacked[r])
-
-
-@pytest.mark.parametrize("rates", [[1e-2, 0.3, 2.0], [1e-2, 1e-2, 0.5], [0.5, 1e-2, 0.5]])
-def test_every_replica_moves_at_its_own_rate(rates):
-    def moved(lr):
-        parameters = replica_parameters()
-        optimizer = ReplicaAdam(parameters, 3, lr=lr)
-        for step, active in enumerate(FLAGS[:6]):
-            give_gradients(parameters, step)
-            optimizer.step(active)
-        # The rest by an optimizer that takes the state over.
-        other = ReplicaAdam(parameters, 3, lr=lr)
-        other.load_state_dict(optimizer.state_dict())
-        for step, active in enumerate(FLAGS[6:]):
-            give_gradients(parameters, step)
-            other.step(active)
-        return parameters
-
-    together = moved(rates)
-    for replica, rate in enumerate(rates):
-        for parameter, alone in zip(together, moved(rate), strict=True):
-            assert torch.equal(parameter[replica], alone[replica])
-
-
 def test_a_scaled_rate_is_torchs_schedule():
     shares = [1.0, 1.0, 0.7, 0.1, 0.4]
     rates = (1e-2, 1e-2, 0.3)
@@ -115,35 +73,6 @@ def test_an_inactive_replica_is_bitwise_untouched():
         assert torch.equal(old[1], parameter[1])
         assert not torch.equal(old[0], parameter[0])
         assert parameter.isfinite().all()
-
-
-def test_a_parameter_without_a_gradient_stays():
-    used, unused = replica_parameters()
-    optimizer = ReplicaAdam([used, unused], 3)
-    before = unused.detach().clone()
-    used.grad = torch.ones_like(used)
-
-    optimizer.step()
-
-    assert torch.equal(unused, before)
-
-
-def test_the_state_continues_where_it_was_saved():
-    parameters = replica_parameters()
-    optimizer = ReplicaAdam(parameters, 3)
-    for step, active in enumerate(FLAGS[:4]):
-        give_gradients(parameters, step)
-        optimizer.step(active)
-    copies = [nn.Parameter(p.detach().clone()) for p in parameters]
-    copied = ReplicaAdam(copies, 3)
-    copied.load_state_dict(optimizer.state_dict())
-
-    for ps, opt in ((parameters, optimizer), (copies, copied)):
-        for step, active in enumerate(FLAGS[4:]):
-            give_gradients(ps, step)
-            opt.step(active)
-
-    assert all(torch.equal(a, b) for a, b in zip(parameters, copies, strict=True))
 
 
 def test_frozen_parameters_are_left_out():

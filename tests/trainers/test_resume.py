@@ -15,10 +15,10 @@ import pytest
 import torch
 from trainer_parts import make_trainer
 
-from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError, RoundTrainer
-
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from bbq_torchrl.trainers import RoundTrainer
 
 
 class Processes:
@@ -119,16 +119,6 @@ def test_a_training_killed_at_the_worst_moment_ends_the_same(
     assert not [path for path in (folder / "checkpoint").iterdir() if path.name.startswith(".")]
 
 
-def test_resuming_a_finished_training_changes_nothing(tmp_path):
-    first = killable.build(tmp_path / "run").train()
-    files = {p.name: p.read_bytes() for p in (tmp_path / "run" / "checkpoint").iterdir()}
-
-    again = finished(tmp_path / "run")
-
-    assert again.metrics.rows == first
-    assert {p.name: p.read_bytes() for p in (tmp_path / "run" / "checkpoint").iterdir()} == files
-
-
 def test_a_training_can_be_resumed_for_more_rounds(tmp_path):
     make_trainer(tmp_path / "long", rounds=6).train()
     make_trainer(tmp_path / "short", rounds=3).train()
@@ -150,26 +140,3 @@ def test_a_damaged_newest_checkpoint_costs_rounds_but_not_the_result(tmp_path, r
 
     assert newest.name in caplog.text
     assert_same_training(folder, reference)
-
-
-def test_checkpoints_that_are_all_damaged_are_an_error_and_stay_as_they_are(tmp_path):
-    killable.build(tmp_path).train()
-    for path in (tmp_path / "checkpoint").iterdir():
-        path.write_bytes(b"")
-    metrics = (tmp_path / "metrics.csv").read_text()
-
-    with pytest.raises(CheckpointDamagedError, match="every checkpoint in"):
-        killable.build(tmp_path).train(resume=True)
-
-    assert (tmp_path / "metrics.csv").read_text() == metrics
-
-
-def test_a_checkpoint_of_another_training_is_refused(tmp_path):
-    make_trainer(tmp_path, rounds=2, replicas=2).train()
-
-    with pytest.raises(ValueError, match=r"seed must be 0, as in the checkpoint .*, got 5"):
-        make_trainer(tmp_path, rounds=2, replicas=2, seed=5).train(resume=True)
-    with pytest.raises(ValueError, match="replicas must be 2, as in the checkpoint"):
-        make_trainer(tmp_path, rounds=2, replicas=3).train(resume=True)
-    with pytest.raises(CheckpointMismatchError, match="must fit the capacity 5"):
-        make_trainer(tmp_path, rounds=2, replicas=2, capacity=5).train(resume=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 import torch
 from torch import nn
-from torchrl.envs import Compose, InitTracker, Transform, TransformedEnv
+from torchrl.envs import InitTracker, TransformedEnv
 from trainer_parts import GuessEnv, ReplicaQLoss, make_trainer
 
 from bbq_torchrl.trainers import NonFiniteLossError, RoundSettings, SpikeSettings
@@ -60,35 +60,6 @@ def test_metrics_are_what_was_played_and_learned(tmp_path):
         assert [row["updates"] for row in own] == [4 * -(-int(row["buffer"]) // 16) for row in own]
         assert trainer.loss.num_data[0][replica] == own[0]["buffer"]
     assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
-
-
-class CountStored(Transform):
-    """Notes how many transitions are stored."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.stored: list[torch.Tensor] = []
-        self.popped = 0
-
-    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self.stored.append(torch.where(tensordict["valid"], 1.0, 0.0).sum(-1))
-        return tensordict
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return tensordict
-
-    def pop_metrics(self) -> dict[str, torch.Tensor]:
-        noted = sum(self.stored[self.popped :], torch.zeros(2))
-        self.popped = len(self.stored)
-        return {"stored": noted}
-
-
-def test_what_the_replays_transform_notes_of_a_round_is_a_metric(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=3, replicas=2, transform=Compose(CountStored()))
-
-    rows = trainer.train()
-
-    assert [row["stored"] for row in rows] == [row["turns"] * row["dialogues"] for row in rows]
 
 
 def test_a_rounds_phases_follow_the_protocol(tmp_path):
@@ -265,15 +236,13 @@ def test_a_loss_that_is_not_finite_stops_with_the_state_saved(tmp_path):
     trainer.loss.__class__ = _BreaksInReplica1
     _BreaksInReplica1.broken_from = 40
 
-    with pytest.raises(NonFiniteLossError, match="replica 1 is not finite in round") as caught:
+    with pytest.raises(NonFiniteLossError, match="replica 1 is not finite in round"):
         trainer.train()
 
-    assert caught.value.replicas == (1,)
-    assert caught.value.saved.is_file()
-    assert caught.value.round_number == trainer.rounds_done
+    saved = tmp_path / "checkpoint" / f"failed-round-{trainer.rounds_done:06d}.torchrl"
     assert len(trainer.metrics.rows) == 3 * trainer.rounds_done
     other = make_trainer(tmp_path / "other")
-    other.checkpoints.load(caught.value.saved)
+    other.checkpoints.load(saved)
     for name, value in trainer.loss.state_dict().items():
         assert torch.equal(other.loss.state_dict()[name], value)
 
@@ -312,8 +281,6 @@ def test_parts_that_do_not_fit_are_refused(tmp_path):
         ValueError, match=r"batch size must be \[3, places\] for 3 replicas, got \[2, 8\]"
     ):
         build(env=other.env)
-    with pytest.raises(ValueError, match="optimizer must have 3 replicas, got 2"):
-        build(optimizer=other.optimizer)
     with pytest.raises(ValueError, match="spiking with 5 dialogues needs a spike_policy"):
         build(spike=SpikeSettings(dialogues=5))
 
@@ -322,9 +289,8 @@ def test_parts_that_do_not_fit_are_refused(tmp_path):
     ("kind", "arguments", "message"),
     [
         (RoundSettings, {"rounds": -1}, "rounds must be at least 0, got -1"),
-        (RoundSettings, {"rounds": 1, "dialogues": 0}, "dialogues must be at least 1, got 0"),
         (RoundSettings, {"rounds": 1, "batch_size": 0}, "batch_size must be at least 1, got 0"),
-        (RoundSettings, {"rounds": 1, "freezes": 0}, "freezes must be at least 1, got 0"),
+        (RoundSettings, {"rounds": 1, "lr_final": 1.5}, r"lr_final must be in \[0, 1\], got 1.5"),
         (SpikeSettings, {"dialogues": -1}, "spike dialogues must not be negative, got -1"),
         (SpikeSettings, {"drop_above": 1.5}, r"drop_above must be in \[0, 1\) or None, got 1.5"),
         (SpikeSettings, {"drop_above": 0.5, "protect": False}, "drop_above needs protect=True"),

@@ -14,7 +14,7 @@ from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.exploration import Boltzmann, Greedy
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
-from bbq_torchrl.trainers import CheckpointFolder, ReplicaAdam, RoundSettings, RoundTrainer
+from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer
 
 START, END, STEPS = 0.9, 0.1, 5
 # the value at the start of each round: falls evenly, then stays
@@ -70,22 +70,6 @@ def test_a_resumed_training_goes_on_with_its_schedule(tmp_path, kind, stops):
     assert seen == pytest.approx(SCHEDULE)
 
 
-@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
-def test_a_policys_checkpoint_holds_its_place_in_the_schedule(tmp_path, kind):
-    saved, _ = explorer(kind)
-    saved.step(2)
-    path = CheckpointFolder(tmp_path, policy=torch.nn.Sequential(saved)).save(2, {})
-
-    restored, value = explorer(kind)
-    CheckpointFolder(tmp_path, policy=torch.nn.Sequential(restored)).load(path)
-
-    seen = []
-    for _ in range(5):
-        seen.append(value())
-        restored.step()
-    assert seen == pytest.approx(SCHEDULE[2:])
-
-
 def weights(trainer):
     return [parameter.detach().clone() for parameter in trainer.policy.parameters()]
 
@@ -122,9 +106,3 @@ def test_a_resumed_training_goes_on_at_the_rate_of_its_round(tmp_path):
     (through,) = trained(tmp_path / "through", (4,), **settings)
     *_, resumed = trained(tmp_path / "resumed", (1, 2, 3, 4), **settings)
     assert same(through, resumed)
-
-
-@pytest.mark.parametrize("name", ["lr_final", "lr_decay_from"])
-def test_a_share_is_from_0_to_1(name):
-    with pytest.raises(ValueError, match=rf"{name} must be in \[0, 1\], got 1.5"):
-        RoundSettings(rounds=2, **{name: 1.5})

@@ -9,7 +9,6 @@ from torch.distributions import Normal, kl_divergence
 from torch.func import grad, vmap
 
 from bbq_torchrl.bayes.functional import FlatLayout
-from bbq_torchrl.bayes.posterior import inverse_softplus
 from bbq_torchrl.vime import DynamicsModel, information_gain, mlp_information_gain
 
 REPLICAS = [(), (1,), (3,), (2, 2)]
@@ -66,16 +65,9 @@ def test_it_is_that_of_per_sample_gradients(replicas, sizes, at):
     layout, mu, rho, x, target, noise = case(replicas, sizes)
     if at == "map":
         noise = torch.zeros_like(noise)
-    gain = mlp_information_gain(
-        x,
-        target,
-        mu,
-        rho,
-        layout,
-        noise=None if at == "map" else noise,
-        noise_std=NOISE_STD,
-        step_size=STEP,
-    )
+    given = None if at == "map" else noise
+    settings = {"noise_std": NOISE_STD, "step_size": STEP}
+    gain = mlp_information_gain(x, target, mu, rho, layout, noise=given, **settings)
     assert gain.shape == (*replicas, 7)
     flat = [t.reshape(-1, *t.shape[len(replicas) :]) for t in (mu, rho, noise, x, target)]
     for k, element in enumerate(zip(*flat, strict=True)):
@@ -86,72 +78,15 @@ def test_it_is_that_of_per_sample_gradients(replicas, sizes, at):
         torch.testing.assert_close(gain.reshape(-1, 7)[k], expected, rtol=1e-10, atol=0)
 
 
-def exact_kl(step, at):
-    """KL of the posterior after a natural-gradient step from the one before, and the gain."""
-    layout, mu, rho, x, target, noise = case(rows=(20,))
-    if at == "map":
-        noise = torch.zeros_like(noise)
-    by_mu, by_rho = slopes(mu, rho, noise, x, target, layout)
-    of_mu, of_rho = curvature(rho)
-    before = Normal(mu, F.softplus(rho))
-    after = Normal(mu - step * by_mu / of_mu, F.softplus(rho - step * by_rho / of_rho))
-    gain = mlp_information_gain(
-        x,
-        target,
-        mu,
-        rho,
-        layout,
-        noise=None if at == "map" else noise,
-        noise_std=NOISE_STD,
-        step_size=step,
-    )
-    return kl_divergence(after, before).sum(-1), gain
-
-
-def test_at_the_mean_it_is_the_exact_kl_of_the_step():
+def test_at_the_mean_it_is_the_exact_kl_of_a_natural_gradient_step():
     # only the means move, and the divergence is a quadratic function of them
-    for step in (1e-2, 1.0):
-        exact, gain = exact_kl(step, "map")
-        torch.testing.assert_close(gain, exact, rtol=1e-6, atol=0)
-
-
-def test_at_a_draw_it_is_the_kl_of_the_step_to_first_order():
-    errors = []
-    for step in (1e-3, 1e-4):
-        torch.manual_seed(0)  # the same transitions for both steps
-        exact, gain = exact_kl(step, "mc")
-        errors.append((exact - gain).abs().sum() / gain.sum())
-    assert errors[1] < 0.1
-    assert errors[1] / errors[0] == pytest.approx(0.1, rel=0.3)
-
-
-@pytest.mark.parametrize("at", ["map", "mc"])
-def test_replicas_are_networks_side_by_side(at):
-    layout, mu, rho, x, target, noise = case((2, 2))
-    if at == "map":
-        noise = None
-    gain = mlp_information_gain(x, target, mu, rho, layout, noise=noise)
-    for i in range(2):
-        for j in range(2):
-            single = mlp_information_gain(
-                x[i, j],
-                target[i, j],
-                mu[i, j],
-                rho[i, j],
-                layout,
-                noise=None if noise is None else noise[i, j],
-            )
-            torch.testing.assert_close(gain[i, j], single, rtol=1e-12, atol=0)
-
-
-def test_an_elements_gain_does_not_depend_on_anothers_data():
-    layout, mu, rho, x, target, noise = case((3,), (30, 64, 20), (40,), torch.float)
-    gain = mlp_information_gain(x, target, mu, rho, layout, noise=noise)
-    for tensor in (mu, rho, x, target, noise):
-        tensor[0] = torch.nan
-        tensor[2] = 7.0
-    again = mlp_information_gain(x, target, mu, rho, layout, noise=noise)
-    assert torch.equal(gain[1], again[1])
+    layout, mu, rho, x, target, noise = case(rows=(20,))
+    by_mu, _ = slopes(mu, rho, torch.zeros_like(noise), x, target, layout)
+    sigma = F.softplus(rho)
+    after = Normal(mu - by_mu / curvature(rho)[0], sigma)
+    gain = mlp_information_gain(x, target, mu, rho, layout, noise_std=NOISE_STD, step_size=1.0)
+    exact = kl_divergence(after, Normal(mu, sigma)).sum(-1)
+    torch.testing.assert_close(gain, exact, rtol=1e-6, atol=0)
 
 
 @pytest.mark.parametrize("at", ["map", "mc"])
@@ -166,19 +101,6 @@ def test_it_is_finite_for_every_width(at, rho):
     assert (gain >= 0).all()
 
 
-def test_it_vanishes_with_the_width_and_grows_with_the_error():
-    layout, mu, rho, x, target, _ = case()
-    assert not mlp_information_gain(x, target, mu, torch.full_like(rho, -1e4), layout).any()
-    out = x
-    for k, (matrix, bias) in enumerate(layout.unflatten(mu)):
-        out = (out if k == 0 else out.relu()) @ matrix + bias
-    foreseen = mlp_information_gain(x, out, mu, rho, layout)
-    assert (foreseen < 1e-20).all()
-    near = mlp_information_gain(x, out + 0.1, mu, rho, layout)
-    far = mlp_information_gain(x, out + 0.3, mu, rho, layout)
-    torch.testing.assert_close(far, 9 * near)
-
-
 def test_it_is_the_dynamics_models_in_standardized_states():
     dynamics = DynamicsModel(3, 2, (6,), replicas=(2,), noise_std=NOISE_STD, dtype=torch.double)
     before, after = (4 + 3 * torch.randn(2, 8, 3, dtype=torch.double) for _ in range(2))
@@ -187,20 +109,12 @@ def test_it_is_the_dynamics_models_in_standardized_states():
     gain = information_gain(dynamics, before, action, after, step_size=STEP)
     assert not gain.requires_grad
     z = [(t - before.mean(1, True)) / before.std(1, False, keepdim=True) for t in (before, after)]
-    posterior = dynamics.network.posterior
-    for k in range(2):
-        one = F.one_hot(action[k], 2).double()
-        mu, rho = posterior.mu.detach()[k], posterior.rho.detach()[k]
-        by_mu, _ = slopes(
-            mu,
-            rho,
-            torch.zeros_like(mu),
-            torch.cat([z[0][k], one], -1),
-            z[1][k],
-            dynamics.network.layout,
-        )
-        expected = 0.5 * STEP**2 * (by_mu.square() / curvature(rho)[0]).sum(-1)
-        torch.testing.assert_close(gain[k], expected, rtol=1e-8, atol=0)
+    x, net = torch.cat([z[0], F.one_hot(action, 2)], -1), dynamics.network
+    settings = {"noise_std": NOISE_STD, "step_size": STEP}
+    expected = mlp_information_gain(
+        x, z[1], net.posterior.mu, net.posterior.rho, net.layout, **settings
+    )
+    torch.testing.assert_close(gain, expected, rtol=1e-8, atol=0)
 
 
 def test_rows_may_have_any_shape():
@@ -220,11 +134,3 @@ def test_shapes_that_do_not_fit_are_named():
         mlp_information_gain(x[:1], target, mu, rho, layout)
     with pytest.raises(ValueError, match=r"noise must have shape \[2, 83\], got \[83\]"):
         mlp_information_gain(x, target, mu, rho, layout, noise=noise[0])
-
-
-def test_narrow_weights_are_worth_less():
-    layout, mu, rho, x, target, _ = case()
-    narrow = inverse_softplus(F.softplus(rho) / 2)
-    wide_gain = mlp_information_gain(x, target, mu, rho, layout)
-    narrow_gain = mlp_information_gain(x, target, mu, narrow, layout)
-    torch.testing.assert_close(narrow_gain, wide_gain / 4)

@@ -24,8 +24,3 @@ def test_the_running_median_is_that_of_the_last_medians():
                 assert out[k] == pytest.approx(median_low(seen[k][-3:]))
             else:
                 assert out[k].isnan()
-
-
-def test_the_running_medians_window_must_be_positive():
-    with pytest.raises(ValueError, match="window must be at least 1, got 0"):
-        RunningMedian((), 0)

@@ -58,29 +58,6 @@ def test_it_returns_what_both_return_and_the_sum(kind, replicas):
     assert td["td_error"].shape == (*replicas, 32, 1)
 
 
-def test_adam_trains_both_as_if_they_were_apart(kind):
-    together = vime_loss(kind, (2,))
-    apart = deepcopy(together)
-    one = torch.optim.Adam(together.parameters(), 1e-2)
-    others = [
-        torch.optim.Adam(part.parameters(), 1e-2) for part in (apart.q_loss, apart.dynamics_loss)
-    ]
-    for step in range(5):
-        td = transitions((2,))
-        torch.manual_seed(step)
-        one.zero_grad()
-        together(td)["loss"].backward()
-        one.step()
-        torch.manual_seed(step)
-        for part, optimizer in zip((apart.q_loss, apart.dynamics_loss), others, strict=True):
-            optimizer.zero_grad()
-            part(td)["loss"].backward()
-            optimizer.step()
-    pairs = list(zip(together.parameters(), apart.parameters(), strict=True))
-    assert len(pairs) == (4 if kind == "bbqn" else 3)
-    assert all(torch.equal(a, b) for a, b in pairs)
-
-
 def test_parameters_and_states_hold_everything_once(kind):
     loss = vime_loss(kind, (2,))
     parameters = list(loss.parameters())

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from bbq_torchrl.options.base import AgentOption
 from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
-    COUNT,
     NON_NEGATIVE,
     POSITIVE,
+    SIZE,
     ConfigError,
     Values,
     one_of,
@@ -20,7 +20,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import parameters
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
@@ -75,7 +74,7 @@ class BBQN(AgentOption):
         one_of(*EVALUATION_MODES),
         "policy evaluated: mean network, average of draws, one draw, new draws at every step",
     )
-    evaluate_draws: int = setting(10, COUNT, "draws that evaluate=average takes the mean of")
+    evaluate_draws: int = setting(10, SIZE, "draws that evaluate=average takes the mean of")
 
     offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
@@ -138,13 +137,3 @@ class BBQN(AgentOption):
 
         name = self.evaluate if mode is None else mode
         return name, EvaluationPolicy(actor, mode=name, num_draws=self.evaluate_draws)  # type: ignore[arg-type]
-
-    def floats(self, inputs: int, actions: int) -> int:
-        """Mean and std of each weight, a pool of noise, and the draws of an average."""
-        draws = self.evaluate_draws if self.evaluate == "average" else 0
-        return (2 * 5 + 8 + draws) * parameters([inputs, *self.hidden, actions])
-
-    def sizes(self) -> dict[str, Any]:
-        """The layers, and the draws where they are averaged."""
-        draws = {"agent.evaluate_draws": self.evaluate_draws}
-        return {**super().sizes(), **(draws if self.evaluate == "average" else {})}

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.base import AgentOption
 from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
     ABOVE_ZERO_TO_ONE,
     BOOLEAN,
-    COUNT,
     NON_NEGATIVE,
     NON_NEGATIVE_INTEGER,
+    SIZE,
     ConfigError,
     option,
     optional,
     setting,
 )
-from bbq_torchrl.options.task import parameters
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ class Bootstrap(AgentOption):
     """Bootstrapped DQN: heads that learn from a sample of the transitions each."""
 
     name: str = option("bootstrap")
-    heads: int = setting(10, COUNT, "number of heads")
+    heads: int = setting(10, SIZE, "number of heads")
     trunk_layers: int | None = setting(
         None,
         optional(NON_NEGATIVE_INTEGER, "all hidden layers"),
@@ -106,13 +105,3 @@ class Bootstrap(AgentOption):
         from bbq_torchrl.data import BootstrapMask
 
         return [BootstrapMask(self.heads, self.mask_prob, replicas=task.replicas)]
-
-    def floats(self, inputs: int, actions: int) -> int:
-        """The trunk once, the rest for each head."""
-        sizes = [inputs, *self.hidden, actions]
-        trunk = len(self.hidden) if self.trunk_layers is None else self.trunk_layers
-        return 5 * (parameters(sizes[: trunk + 1]) + self.heads * parameters(sizes[trunk:]))
-
-    def sizes(self) -> dict[str, Any]:
-        """The layers and the heads."""
-        return {**super().sizes(), "agent.heads": self.heads}

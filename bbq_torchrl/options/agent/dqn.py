@@ -73,7 +73,3 @@ class DQN(AgentOption):
         if self.noisy:
             return NoisyDQNLoss(actor, gamma=gamma, double_dqn=self.double)
         return DropoutDQNLoss(actor, gamma=gamma, double_dqn=self.double)
-
-    def floats(self, inputs: int, actions: int) -> int:
-        """Twice as many with noise, which has a mean and a std for each weight."""
-        return (2 if self.noisy else 1) * super().floats(inputs, actions)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.options.base import DomainOption
 from bbq_torchrl.options.registry import register
-from bbq_torchrl.options.settings import ANY_TEXT, REQUIRED, absolute, option, setting
+from bbq_torchrl.options.settings import ANY_TEXT, REQUIRED, option, setting
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
@@ -22,10 +22,6 @@ class FolderDomain(DomainOption):
 
     name: str = option("folder")
     path: str = setting(REQUIRED, ANY_TEXT, "the folder")
-
-    def resolve_paths(self) -> None:
-        """Makes the folder's path absolute."""
-        self.path = absolute(self.path)
 
     def make(self) -> Domain:
         """Loads and validates it."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.options.base import DomainOption
 from bbq_torchrl.options.registry import register
-from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, absolute, option, setting
+from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, option, setting
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
@@ -30,10 +30,6 @@ class MiuLabDomain(DomainOption):
         BOOLEAN,
         "goals, rows and slots that cannot be used are left out and named, or refused",
     )
-
-    def resolve_paths(self) -> None:
-        """Makes the folder's path absolute."""
-        self.path = absolute(self.path)
 
     def make(self) -> Domain:
         """Reads the files."""

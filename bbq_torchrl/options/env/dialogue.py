@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.env_base import EnvOption
 from bbq_torchrl.options.registry import register
@@ -67,7 +67,7 @@ class DialogueOption(EnvOption):
         optional(PROBABILITY, "the understanding's own, .7"),
         "with level=text: confidence below which the system asks a user again; 0: never",
     )
-    max_turn: int = setting(40, integers(2), "turns of a dialogue, both sides counted")
+    max_turn: int = setting(40, integers(2, 1_000), "turns of a dialogue, both sides counted")
     success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")
     failure_reward: float = setting(-10.0, REWARD, "reward of a dialogue that fails")
     turn_reward: float = setting(-1.0, REWARD, "reward of a turn that does not end the dialogue")
@@ -140,18 +140,6 @@ class DialogueOption(EnvOption):
         """The acts of both sides are counted by ``max_turn``; the agent has one act more."""
         return self.max_turn // 2 + 1
 
-    def sizes(self) -> dict[str, Any]:
-        """The turns."""
-        return {"env.max_turn": self.max_turn}
-
-    def shape(self, domain: Domain | None) -> tuple[int, int]:
-        """The numbers of features and of actions."""
-        from bbq_torchrl.domains import tensorize
-        from bbq_torchrl.simulator import FeatureLayout
-
-        assert domain is not None
-        return FeatureLayout(tensorize(domain)).size, len(domain.actions)
-
     def policies(self, domain: Domain | None) -> tuple[str, ...]:
         """Those of the domain."""
         assert domain is not None
@@ -168,10 +156,6 @@ class DialogueOption(EnvOption):
         from bbq_torchrl.envs import scripted_policy
 
         return scripted_policy(name, env)
-
-    def enter_round(self, env: EnvBase, round: int) -> None:
-        """Activates the slots of the round."""
-        env.set_round(round)
 
     def schedule(self) -> ExtensionSchedule | None:
         """Says which slots there are in which round; None: all of them, always."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.options.base import IntrinsicOption
 from bbq_torchrl.options.registry import register
@@ -19,7 +19,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import parameters
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
@@ -86,11 +85,3 @@ class VIME(IntrinsicOption):
             clip=self.clip,
         )
         return VIMELoss(loss, DynamicsLoss(dynamics), dynamics_every=self.dynamics_every), [reward]
-
-    def floats(self, inputs: int, actions: int) -> int:
-        """The network of the dynamics: mean and std of each weight, and a pool of noise."""
-        return (2 * 5 + 8) * parameters([inputs + actions, *self.hidden, inputs])
-
-    def sizes(self) -> dict[str, Any]:
-        """The layers."""
-        return {"intrinsic.hidden": self.hidden}

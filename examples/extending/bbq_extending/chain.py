@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import EnvOption, register
 from bbq_torchrl.options.settings import COUNT, REWARD, integers, option, setting
@@ -25,7 +25,7 @@ class Chain(EnvOption):
     """The N-chain: a little reward near the start, a large one at the far end; no dialogue."""
 
     name: str = option("chain")
-    length: int = setting(10, integers(3), "states of the chain")
+    length: int = setting(10, integers(3, 1_000), "states of the chain")
     near_reward: float = setting(0.001, REWARD, "reward of a step in the first state")
     far_reward: float = setting(1.0, REWARD, "reward of a step in the last state")
     paper_rounds: int = setting(100, COUNT, "rounds of training")
@@ -52,11 +52,3 @@ class Chain(EnvOption):
     def steps(self) -> int:
         """As in the paper, nine more than there are states."""
         return self.length + 9
-
-    def shape(self, domain: Domain | None) -> tuple[int, int]:
-        """A feature for each state; left and right."""
-        return self.length, 2
-
-    def sizes(self) -> dict[str, Any]:
-        """The states."""
-        return {"env.length": self.length}

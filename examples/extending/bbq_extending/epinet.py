@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options import AgentOption, ExploreOption, register
-from bbq_torchrl.options.settings import COUNT, COUNTS, NON_NEGATIVE, option, setting
+from bbq_torchrl.options.settings import COUNTS, NON_NEGATIVE, SIZE, option, setting
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ class Epinet(AgentOption):
     """Deep Q-network with an epinet, whose index stands for what the agent does not know."""
 
     name: str = option("epinet")
-    index_size: int = setting(8, COUNT, "dimensions of the index")
+    index_size: int = setting(8, SIZE, "dimensions of the index")
     epinet_hidden: list[int] = setting([50], COUNTS, "units of each hidden layer of the epinet")
     prior_hidden: list[int] = setting([16], COUNTS, "units of each hidden layer of a prior")
     prior_scale: float = setting(1.0, NON_NEGATIVE, "factor of the priors, which never learn")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import IntrinsicOption, register
 from bbq_torchrl.options.settings import (
@@ -42,11 +42,3 @@ class Visits(IntrinsicOption):
             task.inputs, replicas=task.replicas, eta=over_replicas(self.eta, task), bits=self.bits
         )
         return loss, [reward]
-
-    def floats(self, inputs: int, actions: int) -> int:
-        """The counters and the hash."""
-        return 2 * 2**self.bits + inputs * self.bits
-
-    def sizes(self) -> dict[str, Any]:
-        """The bits."""
-        return {"intrinsic.bits": self.bits}

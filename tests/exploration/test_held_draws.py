@@ -1,0 +1,100 @@
+"""How long a policy acts on what it has drawn: weights, or one of its heads."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from q_actor import ACTIONS, FEATURES, bayes_actor, observations
+from torchrl.data import Categorical
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from bbq_torchrl.bayes import weight_scope
+from bbq_torchrl.exploration import BootstrapSampling, NoisySampling, ThompsonSampling
+from bbq_torchrl.networks import BootstrapMLP, NoisyMLP, bootstrap_actor, q_actor
+
+REPLICAS = [(), (3,)]
+HEADS = 1000  # so many that a row hardly ever draws the same head again
+
+
+def thompson(replicas=(), **settings):
+    return ThompsonSampling(bayes_actor(replicas), **settings)
+
+
+def shared(replicas=(), **settings):
+    return ThompsonSampling(bayes_actor(replicas), shared=True, **settings)
+
+
+def heads(replicas=(), **settings):
+    network = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=HEADS, replicas=replicas)
+    return BootstrapSampling(bootstrap_actor(network, Categorical(ACTIONS)), **settings)
+
+
+def noisy(replicas=(), **_):
+    network = NoisyMLP(FEATURES, ACTIONS, (16,), replicas=replicas)
+    return NoisySampling(q_actor(network, Categorical(ACTIONS)))
+
+
+def values(policy, td, exploration=ExplorationType.RANDOM):
+    """The value of an action that is always legal, for each row."""
+    with set_exploration_type(exploration):
+        return policy(td.clone())["action_value"][..., 2].detach()
+
+
+@pytest.mark.parametrize("replicas", REPLICAS)
+@pytest.mark.parametrize("per", ["step", "episode", "round"])
+@pytest.mark.parametrize("make", [thompson, shared, heads])
+def test_a_draw_is_kept_for_a_step_a_dialogue_or_a_round(make, per, replicas):
+    policy, td = make(replicas, per=per), observations(*replicas, 40)
+    first = values(policy, td)
+    assert torch.equal(values(policy, td), first) == (per != "step")
+    if replicas:
+        assert torch.unique(first, dim=0).shape[0] == 3
+    begin = td.clone().set("is_init", torch.ones_like(td["is_init"]))
+    assert torch.equal(values(policy, begin), first) == (per == "round")
+    before = values(policy, td)
+    policy.resample()
+    assert not torch.equal(values(policy, td), before)
+
+
+@pytest.mark.parametrize("replicas", REPLICAS)
+@pytest.mark.parametrize("make", [thompson, heads])
+def test_a_dialogue_keeps_its_draw_until_the_next_one_begins(make, replicas):
+    policy, td = make(replicas, per="episode"), observations(*replicas, 40)
+    first = values(policy, td)
+    begins = (torch.arange(40) % 3 == 0).expand(*replicas, 40)
+    second = values(policy, td.clone().set("is_init", begins.unsqueeze(-1)))
+    assert torch.equal(second[~begins], first[~begins])
+    # 14 or 42 rows begin; each draws the same head again with probability 1/1000.
+    assert (second[begins] != first[begins]).sum() > begins.sum() - 6
+    assert torch.equal(values(policy, td), second)
+
+
+@pytest.mark.parametrize("make", [thompson, shared, heads])
+def test_a_single_dialogue_keeps_its_draw_too(make):
+    policy, td = make(per="episode"), observations()
+    first = values(policy, td)
+    assert torch.equal(values(policy, td), first)
+    td["is_init"] = torch.ones(1, dtype=torch.bool)
+    assert len({float(values(policy, td)) for _ in range(10)}) > 5
+
+
+@pytest.mark.parametrize("make", [thompson, heads])
+def test_new_rows_are_new_dialogues(make):
+    policy = make(per="episode")
+    values(policy, observations(4))
+    assert torch.unique(values(policy, observations(7))).numel() > 3
+
+
+@pytest.mark.parametrize("make", [thompson, shared, heads, noisy])
+@pytest.mark.parametrize("per", ["step", "episode", "round"])
+def test_it_explores_under_random_and_outside_of_a_context_only(make, per):
+    policy, td = make(per=per), observations(40)
+    drawn = (values(policy, td, exploration) for exploration in (ExplorationType.RANDOM, None))
+    modes = ("DETERMINISTIC", "MEAN", "MODE")
+    means = [values(policy, td, ExplorationType[mode]) for mode in modes]
+    with weight_scope("mean"), torch.no_grad():
+        expected = policy.actor(td.clone())["action_value"][..., 2]
+    for mean in means:
+        assert torch.equal(mean, expected)
+    for own in drawn:
+        assert not torch.equal(own, expected)
