@@ -24,10 +24,11 @@ class Server:
         file: the study file.
         port: to listen at; ``None`` for a free one.
         before: what stands before the command, to run it in other circumstances.
+        talker: where the agents come from.
     """
 
-    def __init__(self, file, port=None, before=()):
-        self.file, self.before = file, before
+    def __init__(self, file, port=None, before=(), talker="study.fakes:make"):
+        self.file, self.before, self.talker = file, before, talker
         self.port = port or free_port()
         self.process = None
         self.links = {}
@@ -36,7 +37,7 @@ class Server:
         path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
         command = [
             *(*self.before, sys.executable, "-m", "bbq_torchrl.study", "serve", str(self.file)),
-            *("--talker", "study.fakes:make", "--port", str(self.port)),
+            *("--talker", self.talker, "--port", str(self.port)),
         ]
         self.process = subprocess.Popen(
             command,

@@ -1,9 +1,10 @@
-"""Many people at once on one server."""
+"""Many people at once on one server, also with the agents and the understanding that people meet."""
 
 from __future__ import annotations
 
 import asyncio
 import random
+import re
 import time
 
 import pytest
@@ -15,20 +16,30 @@ from .served import Server
 
 aiohttp = pytest.importorskip("aiohttp", reason="needs the package aiohttp")
 
-PEOPLE, MESSAGES = 200, 4
+PEOPLE = 200
 THINKING = (2.0, 6.0)  # seconds between an answer and the next message
+SAID = (
+    "two tickets for wonka in tampa please",
+    "friday night, for the four of us",
+    "no, not that one, something at nine pm",
+    "where is it, and what does it cost",
+)
+AGENTS = 'agents: {secret-bbqn: "shipped:bbqn_map", secret-dqn: "shipped:dqn"}'
 
 
 @pytest.mark.slow
-def test_two_hundred_people_at_once_are_answered_within_a_second(tmp_path):
-    (tmp_path / "study.yaml").write_text(
-        STUDY.replace("participants: 5", f"participants: {PEOPLE}")
-    )
-    with Server(tmp_path / "study.yaml") as server:
+@pytest.mark.parametrize("talker", ["study.fakes:make", "bbq_torchrl.chat.talker:make_talker"])
+def test_two_hundred_people_at_once_are_answered_within_a_second(tmp_path, talker):
+    study = STUDY.replace("participants: 5", f"participants: {PEOPLE}")
+    if "chat" in talker:
+        pytest.importorskip("pycrfsuite", reason="needs the extra chat")
+        study = re.sub("^agents.*$", AGENTS, study, flags=re.MULTILINE)
+    (tmp_path / "study.yaml").write_text(study)
+    with Server(tmp_path / "study.yaml", talker=talker) as server:
         seconds, acknowledged = asyncio.run(everybody(server))
     with reading(tmp_path / "study.sqlite") as connection:
         stored = {text for (text,) in connection.execute("SELECT text FROM exchange")}
-    assert len(acknowledged) == PEOPLE * MESSAGES
+    assert len(acknowledged) > PEOPLE  # some agents end a conversation before the last message
     assert set(acknowledged) == stored
     seconds.sort()
     p95 = seconds[int(0.95 * len(seconds))]
@@ -53,9 +64,9 @@ async def person(client, server, number, seconds, acknowledged):
     async with client.post(join, data=form) as answer:
         assert answer.status == 200
         link, page = str(answer.url), await answer.text()
-    for message in range(MESSAGES):
+    for message, said in enumerate(SAID):
         await asyncio.sleep(random.uniform(*THINKING))
-        text = f"person {number}, message {message}"
+        text = f"{said} (person {number}, message {message})"
         began = time.perf_counter()
         async with client.post(f"{link}/say", data={**hidden(page), "text": text}) as answer:
             page = await answer.text()
@@ -63,3 +74,5 @@ async def person(client, server, number, seconds, acknowledged):
         seconds.append(time.perf_counter() - began)
         assert text in page
         acknowledged.append(text)
+        if 'name="text"' not in page:
+            return  # the conversation has ended
