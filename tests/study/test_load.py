@@ -1,4 +1,4 @@
-"""Many people at once on one server, also with the agents and the understanding that people meet."""
+"""Many people at once on one server, also with the real agents and understanding."""
 
 from __future__ import annotations
 
