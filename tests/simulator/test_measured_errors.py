@@ -90,6 +90,12 @@ def test_values_are_kept_changed_dropped_and_moved_as_they_were(movie):
     assert int((informs != NONE).sum()) == int((informs[:, named] != NONE).sum())
 
 
+def test_a_value_that_nobody_said_takes_no_other_ones_place(movie):
+    always = {"opening": {"turns": 10, "city=portland": 10}}
+    opening = Opening(movie, NOTHING | {"inserted": always})
+    assert torch.equal(opening.heard().informs, opening.said.informs)
+
+
 def test_requests_and_acts_are_heard_as_they_were(movie):
     opening = Opening(movie, SOME)
     heard = opening.heard()
