@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,11 +97,11 @@ class Understander:
         Args:
             domain: what is spoken of.
             folder: where the domain's ``language.yaml`` is, if it has one, with labeled lines of
-                people, ``learned.txt``, which are learned beside the own sentences. The
-                confidence is fitted to them, each half as it is understood by a smaller model
-                that has learned from the other half.
-            sentences: how many to learn from; the net learns from four times as many of
-                simulated users.
+                people, ``learned.txt``, which are learned beside the own sentences. The confidence
+                is fitted to them, each half as it is understood by a smaller model that has
+                learned from the other half.
+            sentences: how many to learn from, and of those of people at most; the net learns from
+                four times as many of simulated users.
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
             threshold: the confidence below which the caller should ask again.
@@ -115,7 +116,9 @@ class Understander:
                 domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
             )
             surfaces = Surfaces(lexicon, domain.free_slots)
-            people = [*as_examples(domain_lines(domain, folder), lexicon), *labeled]
+            lines = domain_lines(domain, folder)
+            lines = lines[:: math.ceil(len(lines) / sentences) or 1]
+            people = [*as_examples(lines, lexicon), *labeled]
 
             def learned(examples: Sequence[Example], share: int) -> Model:
                 """Returns a model of people's sentences and of one in ``share`` of the others."""
