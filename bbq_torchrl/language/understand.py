@@ -105,7 +105,12 @@ class Understander:
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
             threshold: the confidence below which the caller should ask again.
+
+        Raises:
+            ValueError: if there are no sentences to learn from.
         """
+        if sentences < 1:
+            raise ValueError(f"sentences must be at least 1, got {sentences}")
         phrases = load_phrases(domain, folder)
         lexicon = Lexicon(domain, phrases)
         threads = torch.get_num_threads()

@@ -6,7 +6,7 @@ import pytest
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
-from bbq_torchrl.language import Frame, as_examples, load_phrases, read_lines
+from bbq_torchrl.language import Frame, Understander, as_examples, load_phrases, read_lines
 from bbq_torchrl.language.labeled import Line, varied
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.measure import VOICES, Score
@@ -54,6 +54,12 @@ def test_what_chance_alone_gives_a_calibration_error_is_told():
     assert few.calibration_error == many.calibration_error == 0.5
     assert 0.04 < few.calibration_floor < 0.075  # sqrt(2 / pi) / 2 / sqrt(50) = 0.056
     assert many.calibration_floor < 0.008
+
+
+@pytest.mark.parametrize("sentences", [0, -1])
+def test_nothing_is_no_number_of_sentences_to_learn_from(sentences):
+    with pytest.raises(ValueError, match=f"sentences must be at least 1, got {sentences}"):
+        Understander.train(movie_domain(), MOVIE_FOLDER, sentences=sentences)
 
 
 def test_a_line_is_learned_with_other_values_as_well(lexicon, tmp_path):
