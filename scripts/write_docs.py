@@ -74,8 +74,7 @@ def main() -> int:
             page.write_text(text, encoding="utf-8")
             sys.stdout.write(f"wrote {name}\n")
     if not check:
-        for figure in draw_figures():
-            sys.stdout.write(f"drew {figure.relative_to(ROOT)}\n")
+        draw_figures()
     return int(check and bool(changes))
 
 

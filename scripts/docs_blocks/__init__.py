@@ -5,18 +5,15 @@ A module declares its blocks, by :func:`~scripts.docs_blocks.common.block`, as i
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from scripts.docs_blocks import claims, config, domain, house, learning, results, speed, tables
+from scripts.docs_blocks import config, domain, files, house, results, speed, tables
 from scripts.docs_blocks.common import BLOCKS
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-__all__ = ["BLOCKS", "claims", "config", "domain", "draw_figures", "learning", "tables"]
+__all__ = ["BLOCKS", "config", "domain", "draw_figures", "tables"]
 
 
-def draw_figures() -> list[Path]:
-    """Draws, or copies, every figure that is made from results; returns the files."""
-    made = [speed.draw_growth(), house.draw_house(), *tables.copy_figures()]
-    return [*results.draw_figures(), *made]
+def draw_figures() -> None:
+    """Draws, or copies, every figure that is made from results."""
+    results.draw_figures()
+    speed.draw_growth()
+    house.draw_house()
+    files.copy_figures()

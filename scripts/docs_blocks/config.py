@@ -3,136 +3,82 @@
 from __future__ import annotations
 
 import inspect
-from collections import Counter
-from dataclasses import Field, fields
-from functools import cache
-from typing import TYPE_CHECKING, Any
-
-from omegaconf import DictConfig, OmegaConf
+import json
+import re
+from dataclasses import MISSING, Field, fields
+from typing import Any
 
 from bbq_torchrl.cli.searches import SEARCH, SearchConfig
-from bbq_torchrl.cli.store import compose_raw, options, session
+from bbq_torchrl.cli.store import compose, options
 from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, explorations, schemas
 from bbq_torchrl.options.registry import EXPERIMENT
-from bbq_torchrl.options.values import keys_with_lists
+from bbq_torchrl.options.settings import REQUIRED
 from scripts.docs_blocks.common import block, code, table
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
-
-@block("config.root", Config, "config", "agent=bbqn")
-@block("config.evaluate", EvaluateConfig, "evaluate")
-@block("config.calibrate", CalibrateConfig, "calibrate")
-def _root(schema: type, name: str, *overrides: str) -> str:
-    with session():
-        composed = compose_raw(overrides, name)
-    keys = [item for item in fields(schema) if item.name not in schemas()]
-    return _table(keys, {"default": composed})
-
-
-@block("config.search")
-def _search() -> str:
-    defaults = OmegaConf.structured(SearchConfig)
-    return _table(fields(SearchConfig), {"default": defaults}, f"{SEARCH}.")
+@block("config.root", Config)
+@block("config.evaluate", EvaluateConfig)
+@block("config.calibrate", CalibrateConfig)
+@block("config.search", SearchConfig, f"{SEARCH}.")
+def _keys(schema: type, prefix: str = "") -> str:
+    """Returns a row for each key of a root that is no group, with its default."""
+    return _table({"default": schema}, prefix)
 
 
 def _group(group: str) -> str:
     """Returns what each option is, and one table of all keys with each option's default."""
-    nodes = {name: _composed()[group, name] for name in options(group)}
-    types = {name: OmegaConf.get_type(node) for name, node in nodes.items()}
-    summaries = [f"- `{group}={name}`: {_summary(schema)}" for name, schema in types.items()]
-    keys = [item for schema in types.values() for item in fields(schema) if item.name != "name"]
-    shown = _table(keys, {code(name): node for name, node in nodes.items()}, f"{group}.")
-    return "\n".join(summaries) + (f"\n\n{shown}" if keys else "")
+    known = {name: schemas()[group][name] for name in options(group)}
+    meaning = {
+        name: (inspect.getdoc(schema) or "").split("\n\n")[0] for name, schema in known.items()
+    }
+    summaries = [f"- `{group}={name}`: {' '.join(text.split())}" for name, text in meaning.items()]
+    shown = _table({code(name): schema for name, schema in known.items()}, f"{group}.")
+    return "\n".join(summaries) + f"\n\n{shown}"
 
 
 for _name in schemas():
     block(f"config.{_name}", _name)(_group)
 
 
-@cache
-def _composed() -> dict[tuple[str, str], DictConfig]:
-    """Returns every option of every group with its defaults; one of each group at a time."""
-    found = {}
-    names = {group: options(group) for group in schemas()}
-    with session():
-        for number in range(max(map(len, names.values()))):
-            chosen = {group: known[min(number, len(known) - 1)] for group, known in names.items()}
-            raw = compose_raw([f"{group}={name}" for group, name in chosen.items()])
-            found |= {(group, name): raw[group] for group, name in chosen.items()}
-    return found
-
-
-def _summary(schema: type) -> str:
-    return (inspect.getdoc(schema) or "").partition("\n\n")[0].replace("\n", " ")
-
-
-def _table(items: Iterable[Field[Any]], columns: Mapping[str, DictConfig], prefix: str = "") -> str:
-    """Returns a row for each key, with its default in each column's configuration."""
-    keys: dict[str, list[Any]] = {}
-    for item in items:
-        keys.setdefault(item.name, []).append(item.metadata)
-    rows = [
-        (
-            code(f"{prefix}{key}"),
-            *(_default(node, key) for node in columns.values()),
-            " / ".join(dict.fromkeys(entry["allowed"].text for entry in same)),
-            " / ".join(dict.fromkeys(entry["meaning"] for entry in same)),
+def _table(columns: dict[str, type], prefix: str) -> str:
+    of_columns = [{item.name: item for item in fields(schema)} for schema in columns.values()]
+    rows = []
+    for key in dict.fromkeys(key for items in of_columns for key in items):
+        if key in {"name", *schemas()}:
+            continue
+        same = [items[key].metadata for items in of_columns if key in items]
+        defaults = (_default(items[key]) if key in items else "–" for items in of_columns)
+        told = (
+            dict.fromkeys(entry["allowed"].text for entry in same),
+            dict.fromkeys(entry["meaning"] for entry in same),
         )
-        for key, same in keys.items()
-    ]
+        rows.append((code(f"{prefix}{key}"), *defaults, *map(" / ".join, told)))
     return table(("key", *columns, "must be", "meaning"), rows)
 
 
-def _default(node: DictConfig, key: str) -> str:
-    if key not in node.keys():  # noqa: SIM118 - a default that must be given is a key, too
-        return "–"
-    if OmegaConf.is_missing(node, key):
+def _default(item: Field[Any]) -> str:
+    value = item.default if item.default_factory is MISSING else item.default_factory()
+    if value == REQUIRED:
         return "none: must be given"
-    value = node._get_node(key)._value() if OmegaConf.is_interpolation(node, key) else node[key]
-    if value is None:
-        return code("null")
-    return code(str(value).lower() if isinstance(value, bool) else value)
+    return code(json.dumps(value) if value is None or isinstance(value, bool) else value)
 
 
 @block("config.pairs")
 def _pairs() -> str:
-    rows = [
-        (code(agent), code(names[0]), ", ".join(map(code, names[1:])))
-        for agent, names in explorations().items()
-    ]
+    shown = {agent: [code(name) for name in names] for agent, names in explorations().items()}
+    rows = [(code(agent), names[0], ", ".join(names[1:])) for agent, names in shown.items()]
     return table(("agent", "explores by", "or by"), rows)
-
-
-@block("config.lists")
-def _lists() -> str:
-    rows = []
-    for key, names in keys_with_lists(schemas()).items():
-        group, _, name = key.partition(".")
-        (item,) = (item for item in fields(schemas()[group][names[0]]) if item.name == name)
-        of = ", ".join(code(f"{group}={option}") for option in names)
-        rows.append((code(key), of, item.metadata["meaning"]))
-    return table(("key", "of", "meaning"), rows)
 
 
 @block("config.groups")
 def _groups() -> str:
-    with session():
-        chosen = compose_raw([], with_hydra=True).hydra.runtime.choices
-    rows = [
-        (
-            code(f"+{group}" if group == EXPERIMENT else group),
-            ", ".join(_by_folder(options(group))),
-            code(chosen[group]) if chosen.get(group) else "none",
-        )
-        for group in (*schemas(), EXPERIMENT)
-    ]
+    chosen = compose()
+    rows = [(code(g), _names(options(g)), code(getattr(chosen, g).name)) for g in schemas()]
+    rows.append((code(f"+{EXPERIMENT}"), _names(options(EXPERIMENT)), "none"))
     return table(("group", "options", "default"), rows)
 
 
-def _by_folder(names: Iterable[str]) -> list[str]:
-    """Returns the names as code, and those of a folder as one, with their number."""
-    folders = Counter(name.rpartition("/")[0] for name in names)
-    plain = [code(name) for name in names if "/" not in name]
-    return plain + [f"{code(f'{name}/…')} ({n})" for name, n in folders.items() if name]
+def _names(names: list[str]) -> str:
+    """Returns the names as code; those of a folder as one, behind the others."""
+    shown = dict.fromkeys(re.sub("/.*", "/…", name) for name in names)
+    return ", ".join(code(name) for name in sorted(shown, key=lambda name: "/" in name))

@@ -2,138 +2,90 @@
 
 from __future__ import annotations
 
-import ast
+import importlib
 import re
-from configparser import ConfigParser
 from functools import cache
-from typing import TYPE_CHECKING
 
 import grimp
+import matplotlib as mpl
 import networkx
+from importlinter import api
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch
+from matplotlib.path import Path
 
 from scripts.docs_blocks.common import FIGURES, ROOT, block, code, table
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-__all__ = ["FIGURE", "draw_house", "picture"]
 
 PACKAGE = "bbq_torchrl"
 FIGURE = FIGURES / "house.svg"
 
-_BAND, _BOX, _WIDTH = 62, (104, 34), 760  # pixels
 _ALONE = (0.22, 0.5, 0.78)  # where a room that is alone in its layer stands, so that arrows pass
+_BOX = {"boxstyle": "round", "facecolor": "white", "edgecolor": "#455a64"}
+_ARROW = {"arrowstyle": "->", "mutation_scale": 10, "color": "#78909c"}
+_CURVE = [Path.MOVETO, *[Path.CURVE4] * 3]
 
 
 @cache
-def _layers() -> tuple[list[list[str]], int, list[str]]:
-    """Returns the rooms of each layer, the highest first, how many layers, and ignored imports.
+def _house() -> tuple[list[list[str]], networkx.DiGraph]:
+    """Returns the rooms of each layer of the contract, the highest first, and who imports whom.
 
-    Packages that the contract of the layers does not name stand above all others.
+    The graph also has the packages that the contract does not name; it lacks the imports that the
+    contract lets pass.
     """
-    parser = ConfigParser()
-    parser.read(ROOT / ".importlinter", encoding="utf-8")
-    contract = parser["importlinter:contract:layers"]
-    lines = contract["layers"].replace(f"{PACKAGE}.", "").strip().split("\n")
-    named = [[name.strip() for name in re.split("[|:]", line)] for line in lines]
-    packages = {file.parent.name for file in (ROOT / PACKAGE).glob("*/__init__.py")}
-    others = sorted(packages.difference(*named))
-    passed = contract["ignore_imports"].strip().split("\n")
-    return [others, *named] if others else named, len(named), passed
-
-
-@cache
-def _arrows() -> Mapping[str, frozenset[str]]:
-    """Returns which rooms each room imports, but for the imports that the contract lets pass."""
+    contract, *_ = api.read_configuration(str(ROOT / ".importlinter"))["contracts_options"]
+    layers = [re.findall(rf"{PACKAGE}\.(\w+)", layer) for layer in contract["layers"]]
     graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True, cache_dir=None)
-    layers, _, passed = _layers()
-    for importer, imported in (line.split(" -> ") for line in passed):
+    for importer, imported in (line.split(" -> ") for line in contract["ignore_imports"]):
         graph.remove_import(importer=importer, imported=imported)
-    known = {f"{PACKAGE}.{room}": room for layer in layers for room in layer}
-    for module in known:
+    packages = {file.parent.name for file in (ROOT / PACKAGE).glob("*/__init__.py")}
+    others = sorted(packages.difference(*layers))
+    rooms = {f"{PACKAGE}.{room}": room for layer in (others, *layers) for room in layer}
+    house = networkx.DiGraph()
+    house.add_nodes_from(rooms.values())
+    for module in rooms:
         graph.squash_module(module)
-    return {
-        room: frozenset(
-            known[other]
-            for other in graph.find_modules_directly_imported_by(module) & known.keys() - {module}
-        )
-        for module, room in known.items()
-    }
-
-
-def _holds(room: str) -> str:
-    """Returns the first sentence that a room says of itself."""
-    folder = ROOT / PACKAGE
-    file = folder / room / "__init__.py" if (folder / room).is_dir() else folder / f"{room}.py"
-    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
-    return text.partition("\n\n")[0].replace("\n", " ").replace("``", "`").rstrip(".")
+    for module, room in rooms.items():
+        imported = graph.find_modules_directly_imported_by(module) & rooms.keys() - {module}
+        house.add_edges_from((room, rooms[other]) for other in imported)
+    return layers, house
 
 
 @block("house.rooms")
 def _table() -> str:
     """Returns a row for each room, from the highest layer to the lowest, which is 1."""
-    layers, count, _ = _layers()
-    order = [room for layer in layers for room in layer]
-    rows = [
-        (
-            height if height <= count else "–",
-            code(room),
-            _holds(room),
-            ", ".join(sorted(_arrows()[room], key=order.index)) or "–",
-        )
-        for height, layer in zip(range(len(layers), 0, -1), layers, strict=True)
-        for room in layer
-    ]
+    layers, house = _house()
+    height = {room: len(layers) - row for row, layer in enumerate(layers) for room in layer}
+    rows = []
+    for room in house:
+        text = importlib.import_module(f"{PACKAGE}.{room}").__doc__ or ""
+        holds = text.partition("\n\n")[0].replace("\n", " ").replace("``", "`").rstrip(".")
+        imported = ", ".join(other for other in house if house.has_edge(room, other))
+        rows.append((height.get(room, "–"), code(room), holds, imported or "–"))
     return table(("layer", "room", "holds", "imports"), rows)
 
 
-def _shown_arrows() -> list[tuple[str, str]]:
-    """Returns the arrows that go down and do not follow from two others, sorted."""
-    height = {room: -row for row, layer in enumerate(_layers()[0]) for room in layer}
-    down = networkx.DiGraph(
-        (room, other)
-        for room, imported in _arrows().items()
-        for other in imported
-        if height[other] < height[room]
-    )
-    return sorted(networkx.transitive_reduction(down).edges)
-
-
-def picture() -> str:
-    """Returns the picture as SVG: a band for each layer, an arrow for each import of a room."""
-    layers, _, _ = _layers()
-    places: dict[str, tuple[float, float]] = {}
-    (width, height), bend = _BOX, 0.6 * _BAND
-    for row, layer in enumerate(layers):
-        for column, room in enumerate(layer):
-            share = _ALONE[row % 3] if len(layer) == 1 else (column + 1) / (len(layer) + 1)
-            places[room] = (round(_WIDTH * share, 1), row * _BAND + _BAND / 2)
-    total = len(layers) * _BAND
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {total}" '
-        'font-family="sans-serif" font-size="13" text-anchor="middle">',
-        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" '
-        'markerHeight="7" orient="auto"><path d="M0 0 8 4 0 8z" fill="#78909c"/></marker></defs>',
-    ]
-    for row in range(len(layers)):
-        fill = "#f5f7f8" if row % 2 else "#e8edf0"
-        parts.append(f'<rect y="{row * _BAND}" width="{_WIDTH}" height="{_BAND}" fill="{fill}"/>')
-    for room, other in _shown_arrows():
-        (x, y), (to_x, to_y) = places[room], places[other]
-        parts.append(
-            f'<path d="M{x} {y + height / 2}C{x} {y + bend:.1f} {to_x} {to_y - bend:.1f} '
-            f'{to_x} {to_y - height / 2}" fill="none" stroke="#78909c" marker-end="url(#tip)"/>'
-        )
-    for room, (x, y) in places.items():
-        parts.append(
-            f'<rect x="{x - width / 2}" y="{y - height / 2}" width="{width}" height="{height}" '
-            f'rx="6" fill="#fff" stroke="#455a64"/><text x="{x}" y="{y + 4.5}">{room}</text>'
-        )
-    return "\n".join([*parts, "</svg>"]) + "\n"
-
-
-def draw_house() -> Path:
-    """Draws the picture; returns the file."""
-    FIGURE.write_text(picture(), encoding="utf-8")
-    return FIGURE
+def draw_house() -> None:
+    """Draws the rooms in their layers, and the arrows that do not follow from two others."""
+    layers, house = _house()
+    places = {
+        room: (_ALONE[row % 3] if len(layer) == 1 else (column + 0.5) / len(layer), -row)
+        for row, layer in enumerate(layers)
+        for column, room in enumerate(layer)
+    }
+    inside = house.subgraph(places).edges
+    down = [(room, other) for room, other in inside if places[other][1] < places[room][1]]
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "house"}):
+        figure = Figure(figsize=(8, 7), layout="constrained")
+        ax = figure.add_subplot(ylim=(0.5 - len(layers), 0.5))
+        ax.axis("off")
+        for row in range(0, len(layers), 2):
+            ax.axhspan(-row - 0.5, -row + 0.5, color="#eef1f3", zorder=0)
+        for room, other in sorted(networkx.transitive_reduction(networkx.DiGraph(down)).edges):
+            (x, y), (to_x, to_y) = places[room], places[other]
+            way = Path(
+                [(x, y - 0.25), (x, y - 0.7), (to_x, to_y + 0.7), (to_x, to_y + 0.25)], _CURVE
+            )
+            ax.add_patch(FancyArrowPatch(path=way, **_ARROW))
+        for room, place in places.items():
+            ax.text(*place, room, ha="center", va="center", bbox=_BOX)
+        figure.savefig(FIGURE, metadata={"Date": None})

@@ -5,136 +5,177 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from statistics import fmean
 
-import yaml
-
+from bbq_torchrl.evaluation import pairs, report, table1
 from bbq_torchrl.evaluation.csv_tables import write_replicas
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.groups import Group, read_groups
-from bbq_torchrl.evaluation.pairs import pair
-from bbq_torchrl.evaluation.report import (
-    cells_of_table1,
-    comparison_tables,
-    curves,
-    draw_table1,
-    table1_text,
-)
+from bbq_torchrl.evaluation.learning import rounds_to_reach
 from bbq_torchrl.evaluation.statistics import summarize
-from bbq_torchrl.evaluation.table1 import PAPER, find_cells
 from scripts.docs_blocks import common
-from scripts.docs_blocks.common import block, table
-from scripts.docs_blocks.tables import success_rate
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from bbq_torchrl.evaluation.runs import Run
-
-__all__ = ["DOMAINS", "EXPERIMENTS", "command", "draw_figures", "groups"]
+from scripts.docs_blocks.common import block, command, read_csv, table
+from scripts.docs_blocks.tables import measured
 
 DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
 """Environment -> what it is called."""
-
 
 EXPERIMENTS = {
     "tcbot": ("The public setting, 2,000 dialogues", "miulab", "v1, no error"),
     "quick": ("The quick form, our corpus", "movie", "reference"),
     "learning_movie": ("Full domain, our corpus, first defaults", "movie", "reference"),
-    "learning_miulab": (
-        "Full domain, the public MiuLab corpus, first defaults",
-        "miulab",
-        "reference",
-    ),
+    "learning_miulab": ("Full domain, MiuLab's corpus, first defaults", "miulab", "reference"),
     "extension_movie": ("Domain extension, our corpus, first defaults", "movie", "reference"),
     "no_spike_movie": ("Without spiking, our corpus, first defaults", "movie", "reference"),
 }
 """Folder in results/ -> what was trained on; corpus and setting of results/policies.json."""
 
-MAIN = ("tcbot", "learning_miulab")
-"""Those that compare BBQN with DQN beside Table 1."""
+MAIN = {
+    "Full domain, our corpus": ("table1/full/bbqn_map", "table1/full/dqn"),
+    "Domain extension, our corpus": ("table1/extension/bbqn_map", "table1/extension/dqn"),
+    EXPERIMENTS["tcbot"][0]: ("tcbot/bbqn_map", "tcbot/dqn"),
+    EXPERIMENTS["learning_miulab"][0]: ("learning_miulab/bbqn_map", "learning_miulab/dqn"),
+}
+"""What BBQN-MAP and DQN were trained on -> the folders of their runs."""
+
+FALLING = {
+    "BBQN-MAP: falling and constant": ("lr_falls/full/bbqn_map", "table1/full/bbqn_map"),
+    "DQN: falling and constant": ("lr_falls/full/dqn", "table1/full/dqn"),
+    "falling: BBQN-MAP and DQN": ("lr_falls/full/bbqn_map", "lr_falls/full/dqn"),
+}
+"""Whose learning rate falls or not -> the folders of their runs."""
+
+VERBS = {"final_success": "ends higher than", "training_success": "learns faster than"}
+RIVALS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
+"""Whom BBQN-MAP is claimed to be ahead of: in the paper's Table 1, or in what it says of it."""
+
+EARLIER = ("tcbot", "learning_movie", "learning_miulab", "extension_movie")
+"""Experiments of BBQN-MAP and DQN beside Table 1."""
 
 
-def groups(experiment: str) -> list[Group]:
-    """Returns what is kept of an experiment: ``results/<experiment>/**/result.json``."""
-    files = (common.RESULTS / experiment).rglob("result.json")
+def groups(*folders: str) -> list[Group]:
+    """Returns what is kept in folders of results/: ``results/<folder>/**/result.json``."""
+    files = [file for name in folders for file in (common.RESULTS / name).rglob("result.json")]
     return read_groups(sorted(file.parent for file in files))
 
 
-def command(run: Run) -> str:
-    """Returns the command that made a run."""
-    overrides = yaml.safe_load((run.folder / "overrides.yaml").read_text(encoding="utf-8"))
-    quoted = (f"'{item}'" if "[" in item else item for item in overrides)  # for the shell
-    return " ".join(["python train.py", *quoted])
+def _commands(kept: list[Group]) -> str:
+    made = (command(run.folder) for group in kept for run in group.runs)
+    return "\n".join(["```bash", *made, "```"])
 
 
-def _commands(kept: Iterable[Group]) -> str:
-    return "\n".join(["```bash", *(command(run) for group in kept for run in group.runs), "```"])
-
-
-def draw_figures() -> list[Path]:
-    """Draws the learning curves of every experiment, and writes table1.csv; returns the files."""
-    common.FIGURES.mkdir(exist_ok=True)
+def draw_figures() -> None:
+    """Draws the learning curves of every experiment, and writes table1.csv."""
     of_table1 = groups("table1")
-    figures = {env: common.FIGURES / f"table1_{env}.png" for env in PAPER}
-    drawn = [file for env, file in figures.items() if draw_table1(of_table1, env, file)]
-    if drawn:
-        drawn.append(common.RESULTS / "table1.csv")
-        write_replicas(cells_of_table1(of_table1), drawn[-1])
-    for name, (title, *ended_in) in EXPERIMENTS.items():
-        if kept := groups(name):
-            drawn.append(common.FIGURES / f"{name}.png")
-            ceiling = success_rate(*ended_in, "clairvoyant")
-            references = {} if ceiling is None else {"clairvoyant": ceiling}
-            shown = [curves(group) for group in kept]
-            draw_comparison(drawn[-1], shown, title=title, references=references)
-    return drawn
+    for env in table1.PAPER:
+        report.draw_table1(of_table1, env, common.FIGURES / f"table1_{env}.png")
+    write_replicas(report.cells_of_table1(of_table1), common.RESULTS / "table1.csv")
+    for name, (title, *played_in) in EXPERIMENTS.items():
+        shown = [report.curves(group) for group in groups(name)]
+        ceiling = {"clairvoyant": measured()[(*played_in, "clairvoyant")]["success_rate"]}
+        draw_comparison(common.FIGURES / f"{name}.png", shown, title=title, references=ceiling)
 
 
 @block("results.table1")
 def _table1() -> str:
     """Returns the report on Table 1, its figures, and the commands of what was run."""
     kept = groups("table1")
-    if not kept:
-        return "No cell has been run with the present defaults yet."
-    text = table1_text(kept).partition("\n\n")[2].strip()  # its first line is the page's heading
+    text = report.table1_text(kept).partition("\n\n")[2].strip()  # without its heading
     for env, title in DOMAINS.items():
         text = text.replace(f"## env={env}\n", f"### {title}\n")
-    figures = [
-        f"![{title}: learning curves](figures/table1_{env}.png)"
-        for env, title in DOMAINS.items()
-        if find_cells(kept, env)
-    ]
-    return "\n\n".join([text, *figures, _commands(kept)])
+        if table1.find_cells(kept, env):
+            text += f"\n\n![{title}: learning curves](figures/table1_{env}.png)"
+    return f"{text}\n\n{_commands(kept)}"
 
 
 def _experiment(name: str) -> str:
     """Returns the report's tables, figure and commands of one experiment."""
     kept = groups(name)
     figure = f"![Training success by round](figures/{name}.png)"
-    tables = (table for table, _ in comparison_tables(kept))
-    return "\n\n".join([*tables, figure, _commands(kept)])
+    shown = (part for part, _ in report.comparison_tables(kept))
+    return "\n\n".join([*shown, figure, _commands(kept)])
 
 
 for _name in EXPERIMENTS:
     block(f"results.{_name}", _name)(_experiment)
 
 
-@block("results.readme")
-def _readme() -> str:
-    """Returns the final success of BBQN-MAP and DQN wherever both were trained, by pairs."""
-    cells = {title: find_cells(groups("table1"), env) for env, title in DOMAINS.items()}
-    compared = [
-        (f"{title}, our corpus", [found["BBQN-MAP"], found["DQN"]])
-        for title, found in cells.items()
-        if {"BBQN-MAP", "DQN"} <= found.keys()
+@block("learning.quick")
+def _quick() -> str:
+    """Returns a line for each seed of the README's first command."""
+    (group,) = groups("quick")
+    took = {int(seed): times for seed, *times in map(dict.values, read_csv("quick_seconds.csv"))}
+    reached = rounds_to_reach(group.evaluation, 0.6, window=1).tolist()
+    rows = [
+        (member.seed, f"{final:.3f}", f"{training:.3f}", f"{rounds:.0f}", *took[member.seed])
+        for member, final, training, rounds in zip(
+            group.members, group.final, group.cumulative, reached, strict=True
+        )
     ]
-    compared += [(EXPERIMENTS[name][0], kept[:2]) for name in MAIN if (kept := groups(name))]
+    head = ("seed", "final success", "cumulative", "rounds to 0.6", "seconds", "of a core")
+    return table(head, rows, numbers=6)
+
+
+@block("learning.expect")
+def _expect() -> str:
+    """Returns what a user of the README's first command can expect."""
+    (group,) = groups("quick")
+    low, mean, high = (f"{of(group.final):.2f}" for of in (min, fmean, max))
+    rule, ceiling = (
+        f"{measured()['movie', 'reference', name]['success_rate']:.2f}"
+        for name in ("rule", "clairvoyant")
+    )
+    return (
+        "What to expect: nothing in the first five rounds, then success rises; "
+        f"{len(group.final)} fresh seeds end between {low} and {high} of dialogues booked "
+        f"(mean {mean}), where the rule agent books {rule} and a privileged policy that reads the "
+        f"user's hidden goal {ceiling} "
+        "([each seed, and why nothing happens at first](docs/learning_starts.md))."
+    )
+
+
+@block("results.readme", MAIN, "trained on", "BBQN-MAP", "DQN")
+@block("learning.rate", FALLING, "full domain", "the one", "the other")
+def compared(folders: dict[str, tuple[str, str]], *head: str) -> str:
+    """Returns the final success of two agents, and their differences by pairs.
+
+    Args:
+        folders: title -> the folders of their runs.
+        head: of the columns of titles and agents.
+    """
     rows = []
-    for title, (own, other) in compared:
-        found = pair(own, other).differences
-        ends, learns = (f"{found[of].t:+.3f}" for of in ("final_success", "training_success"))
-        rows.append((title, summarize(own.final).t, summarize(other.final).t, ends, learns))
-    head = ("trained on", "BBQN-MAP", "DQN", "difference", "of all training")
-    return table(head, rows, numbers=4)
+    for title, names in folders.items():
+        (one,), (other,) = map(groups, names)
+        found = pairs.pair(one, other).differences
+        differences = (f"{found[quantity].t:+.3f}" for quantity in VERBS)
+        rows.append((title, summarize(one.final).t, summarize(other.final).t, *differences))
+    return table((*head, "difference", "of all training"), rows, numbers=4)
+
+
+@block("results.claims")
+def _claims() -> str:
+    """Returns the claims as Markdown: what contradicts the paper first, what was not run last."""
+    rows = []
+    for quantity, verb in VERBS.items():
+        found = [
+            (f"Table 1, {title.lower()}", env, item)
+            for env, title in DOMAINS.items()
+            for item in table1.comparisons(groups("table1"), env, quantity)
+            if item.other in RIVALS
+        ]
+        for name in EARLIER:
+            # Of several DQN the first.
+            kept = {group.runs[0].agent: group for group in reversed(groups(name))}
+            declared = pairs.compare(kept, [("BBQN-MAP", "DQN")], quantity)
+            found += [(EXPERIMENTS[name][0], "", item) for item in declared]
+        for setting, env, item in found:
+            cells = table1.PAPER.get(env) if quantity == "final_success" else None
+            rate = cells and cells[item.one].success_rate - cells[item.other].success_rate
+            paper = f"{rate:+.3f}" if rate else "–"
+            *numbers, answer = item.cells()
+            claim = f"{item.one} {verb} {item.other}"
+            rows.append((claim, setting, answer, *numbers, paper))
+    order = ("no", "not decided", "yes", pairs.NOT_RUN)
+    rows.sort(key=lambda row: order.index(row[2]))
+    head = ("claim", "trained on", "verdict", "difference", "p", "the paper's difference")
+    return table(head, rows, numbers=3)

@@ -3,38 +3,27 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bbq_torchrl.evaluation.figures import COLORS
 from benchmarks.parts.rows import as_table, number, read
 from scripts.docs_blocks.common import FIGURES, RESULTS, block, read_csv, table
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-__all__ = ["draw_growth", "slope"]
-
-UPDATES = {
-    "bare dqn": "bare DQN update",
+ALONE = "replicas=1, buffer of 10,000, sampling included"
+FLOOR = {
+    "an update of bare dqn": "bare DQN update",
     **{
-        agent: f"update of {agent}, replicas=1, buffer of 10,000, sampling included"
+        f"an update of {agent}": f"update of {agent}, {ALONE}"
         for agent in ("dqn", "bbqn-map", "bbqn-mc")
     },
+    "a valid turn": "simulator, 1,000 dialogues in parallel",
 }
-"""Agent -> the row of its measured milliseconds."""
-SIZES = {
-    "rounds": "rounds",
-    "buffer": "transitions in the buffer",
-    "replicas": "replicas",
-    "dialogues": "dialogues of a round",
-    "records": "records, a batch of dialogues",
-    "records_build": "records, building",
-    "new_values": "records, every tenth a new value",
-}
-"""What grows -> what its size counts."""
+"""What has a least time -> the row of what it takes."""
+
+_TO_US = {"ms": lambda value: 1e3 * value, "µs": float, "turns/s": lambda value: 1e6 / value}
+"""Unit -> what makes microseconds of it."""
 
 
 @block("speed")
@@ -48,55 +37,28 @@ def _costs() -> str:
 def _floor() -> str:
     """Returns the least time beside the one measured."""
     *_, rows = read(RESULTS / "speed.csv").values()
-    figures = {(row.what, row.unit): row.measured for row in rows}
-    pairs = [
-        (
-            f"update of {agent}",
-            1e3 * figures[f"least time of an update of {agent}", "ms"],
-            1e3 * figures[what, "ms"],
-        )
-        for agent, what in UPDATES.items()
-    ]
-    turns = figures["simulator, 1,000 dialogues in parallel", "turns/s"]
-    pairs.append(("turn of a dialogue", figures["least time of a valid turn", "µs"], 1e6 / turns))
+    took = {row.what: _TO_US[row.unit](row.measured) for row in rows if row.unit in _TO_US}
+    pairs = [(what, took[f"least time of {what}"], took[row]) for what, row in FLOOR.items()]
     lines = [(what, number(a), number(b), f"{b / a:.2g}") for what, a, b in pairs]
     return table(("what", "least µs", "measured µs", "times the least"), lines, numbers=3)
 
 
-def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
-    """Returns the exponent b of the fit values = a · sizes^b, by least squares of the logarithms.
-
-    Example:
-        >>> round(slope([1, 10, 100], [3.0, 30.0, 300.0]), 3)
-        1.0
-    """
-    return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
-
-
-def draw_growth() -> Path:
-    """Draws time and memory against every size. Returns the file."""
-    from matplotlib.figure import Figure
-
-    cells: dict[str, list[tuple[float, ...]]] = defaultdict(list)
-    for line in read_csv("growth.csv"):
-        what, *cell = line.values()
-        cells[what].append(tuple(map(float, cell)))
-    figure = Figure(figsize=(2.6 * len(cells), 5.2), layout="constrained")
-    axes = figure.subplots(2, len(cells), squeeze=False)
-    for column, (what, found) in enumerate(cells.items()):
-        sizes, *kinds = zip(*found, strict=True)
-        for ax, values, unit, color in zip(
-            axes[:, column], kinds, ("seconds", "MB"), COLORS, strict=False
-        ):
-            ax.loglog(sizes, values, "o-", color=color)
-            # from the last point down: what a linear growth would have been
-            ax.loglog(sizes, [values[-1] * size / sizes[-1] for size in sizes], ":", color="0.5")
-            ax.set_ylim(min(values) / 3, max(values) * 3)
-            ax.set_title(f"slope {slope(sizes, values):.2f}", fontsize=9)
-            ax.set_xlabel(SIZES[what], fontsize=8)
-            ax.set_ylabel(unit if column == 0 else "")
-            ax.tick_params(labelsize=7)
-            ax.grid(alpha=0.3)
-    figure.suptitle("Time and memory by size (dotted: linear)")
-    figure.savefig(file := FIGURES / "growth.png", dpi=110)
-    return file
+def draw_growth() -> None:
+    """Draws time and memory against every size, each as a multiple of its first figure."""
+    cells = defaultdict(list)
+    for what, *cell in (line.values() for line in read_csv("growth.csv")):
+        cells[what].append([float(value) for value in cell])
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    for ax, column, title in zip(figure.subplots(1, 2), (1, 2), ("time", "memory"), strict=True):
+        for (what, lines), color in zip(cells.items(), COLORS, strict=True):
+            sizes, values = (
+                [line[place] / lines[0][place] for line in lines] for place in (0, column)
+            )
+            slope, _ = np.polyfit(np.log(sizes), np.log(values), 1)
+            label = f"{what}: slope {slope:.2f}"
+            ax.loglog(sizes, values, "o-", color=color, markersize=4, label=label)
+        ax.loglog([1, 1000], [1, 1000], ":", color="0.5", label="linear")
+        ax.set(title=title, xlabel="size, times the least", ylabel=f"{title}, times the first")
+        ax.grid(alpha=0.3)
+        ax.legend(fontsize=7)
+    figure.savefig(FIGURES / "growth.png", dpi=110)

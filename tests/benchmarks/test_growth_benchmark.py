@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import pytest
-
 from bbq_torchrl.domains import Domain, tensorize
 from benchmarks import growth
-from scripts.docs_blocks.speed import slope
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import pytest
 
 
 def test_cells_take_the_place_of_earlier_ones_in_the_order_of_the_table(
@@ -35,7 +34,3 @@ def test_records_are_mixed_from_the_domains_own(movie: Domain) -> None:
     values = {(slot, text) for record in movie.records for slot, text in record.items()}
     assert {(slot, text) for record in domain.records for slot, text in record.items()} <= values
     assert tensorize(domain).n_values.tolist() == tensorize(movie).n_values.tolist()
-
-
-def test_slope_of_a_square_is_two() -> None:
-    assert slope([10, 20, 40], [100.0, 400.0, 1600.0]) == pytest.approx(2.0)

@@ -68,5 +68,7 @@ def test_value_lists_are_longer_than_what_the_records_have(movie: Domain):
 
 
 def test_records_meet_and_answer_as_many_goals_as_the_public_ones(movie: Domain):
-    assert goals_met(movie) / 200 == pytest.approx(0.943, abs=0.02)
+    assert (
+        goals_met(movie) == 188
+    )  # of 200: 94.0 % in docs/environment.md, where the public has 94.3
     assert goals_answerable(movie) / 200 == pytest.approx(0.84, abs=0.02)

@@ -1,0 +1,51 @@
+"""Blocks that show a file as it is: of the examples, and reports in results/."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+
+from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block
+
+EXAMPLES = ROOT / "examples"
+
+
+@block("deep_sea.results")
+def _deep_sea() -> str:
+    sys.path.append(str(EXAMPLES / "deep_sea"))  # an example is a folder of scripts, no package
+    import deep_sea_results as sea
+
+    return sea.table(sea.read(), list(sea.AGENT_NAMES))
+
+
+def _extending(name: str) -> str:
+    """Returns a file of the example package of options, so that the page shows what runs."""
+    file = EXAMPLES / "extending" / "bbq_extending" / f"{name}.py"
+    return f"```python\n{file.read_text(encoding='utf-8')}```"
+
+
+for _name in ("ucb_policy", "ucb", "langevin", "visits", "chain"):
+    block(f"extending.{_name}", _name)(_extending)
+
+
+@block("study.uncertainty")
+def _uncertainty() -> str:
+    """Returns the table of how well uncertainty warns, of the study of several kinds of it."""
+    text = (RESULTS / "study" / "uncertainty" / "report.md").read_text(encoding="utf-8")
+    return text.split("\n## Does uncertainty predict failure?")[1].split("\n## ")[0]
+
+
+@block("study.simulated")
+def _simulated() -> str:
+    """Returns the report of the study with simulated users, a level deeper."""
+    text = (RESULTS / "study" / "report.md").read_text(encoding="utf-8")
+    text = re.sub(r"\]\((\w+)\.png\)", r"](figures/study_simulated_\1.png)", text)
+    return re.sub("^#", "###", text, count=1).replace("\n## ", "\n#### ")
+
+
+def copy_figures() -> None:
+    """Copies that report's figures to the documentation's."""
+    for name in ("success", "ratings"):
+        file = FIGURES / f"study_simulated_{name}.png"
+        shutil.copyfile(RESULTS / "study" / f"{name}.png", file)
