@@ -141,16 +141,7 @@ class DialogueEnv(EnvBase):
     @property
     def active_features(self) -> torch.Tensor:
         """Which features can differ from 0 in this round, bool ``[F]``: all but inactive slots'."""
-        slots = self.domain.slots
-        is_active = dict(zip(slots, self._active.tolist(), strict=True))
-        return torch.tensor(
-            [
-                is_active.get(member, True) if group.members[: len(slots)] == slots else True
-                for group in self.layout.groups
-                for member in group.members
-            ],
-            device=self.device,
-        )
+        return self.layout.active(self._active)
 
     @property
     def dialogues(self) -> TensorDict:
@@ -185,13 +176,18 @@ class DialogueEnv(EnvBase):
             raise ValueError(f"round must be 0 or later, got {round}")
         self._round = round
         slots = self.domain.slots
-        if self.schedule is not None:
-            slots = self.schedule.active(self.domain, round)
-        self._active = torch.tensor([slot in slots for slot in self.domain.slots]).to(self.device)
+        active = slots if self.schedule is None else self.schedule.active(self.domain, round)
+        self._active = torch.tensor([slot in active for slot in slots], device=self.device)
         legal = self.simulator.action_mask(self._active)
         self._action_mask = legal.expand(*self.batch_size, -1)
         # rand_action draws from the spec, whose mask keeps random actions legal.
-        self.action_spec = self._action_spec(None if self.schedule is None else self._action_mask)
+        self.action_spec = Categorical(
+            len(self.domain.actions),
+            self.batch_size,
+            device=self.device,
+            dtype=torch.int64,
+            mask=None if self.schedule is None else self._action_mask,
+        )
 
     # -- what TorchRL calls ----------------------------------------------------------------------
 
@@ -208,20 +204,10 @@ class DialogueEnv(EnvBase):
             goal_id=Bounded(0, len(self.domain.goals) - 1, one, device=device, dtype=torch.int64),
             shape=batch,
         )
-        self.action_spec = self._action_spec(None)
         self.reward_spec = Unbounded(one, device=device, dtype=torch.float32)
         flag = Binary(1, one, device=device, dtype=torch.bool)
         self.done_spec = Composite(
             done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=batch
-        )
-
-    def _action_spec(self, mask: torch.Tensor | None) -> Categorical:
-        return Categorical(
-            len(self.domain.actions),
-            self.batch_size,
-            device=self.device,
-            dtype=torch.int64,
-            mask=mask,
         )
 
     def _set_seed(self, seed: int | None) -> None:

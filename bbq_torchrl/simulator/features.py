@@ -63,6 +63,7 @@ class FeatureLayout:
 
     def __init__(self, domain: DomainTensors) -> None:
         acts, slots = tuple(domain.act), tuple(domain.slot)
+        self._slots = slots
         self.groups = (
             FeatureGroup("user_act", acts, "the act heard from the user"),
             FeatureGroup(
@@ -116,6 +117,19 @@ class FeatureLayout:
     @cached_property
     def _columns(self) -> dict[str, int]:
         return {name: index for index, name in enumerate(self.names)}
+
+    def active(self, slots: torch.Tensor) -> torch.Tensor:
+        """Returns which features can differ from 0, bool ``[F]``: all but those of inactive slots.
+
+        Args:
+            slots: the active slots, bool ``[S]``.
+        """
+        features = slots.new_ones(self.size)
+        for group in self.groups:
+            if group.members[: len(slots)] == self._slots:
+                first = self[group.name].start
+                features[first : first + len(slots)] = slots
+        return features
 
     def column(self, group: str, member: str) -> int:
         """Returns the index of one feature.
