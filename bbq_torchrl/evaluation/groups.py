@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.runs import read_run
+from bbq_torchrl.evaluation.runs import read_run, telling
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -159,8 +159,6 @@ def _label(
             and any(other.get(key, value) != value for other in settings)
         )
     ]
-    # Two options of a group differ in many keys: the option says enough.
-    options = {key.partition(".")[0] for key in keys if key.endswith(".name")}
-    told = [f"{group}={setting[f'{group}.name']}" for group in sorted(options)]
-    told += [f"{key}={setting[key]}" for key in keys if key.partition(".")[0] not in options]
-    return ", ".join([name, *told])
+    # The options first, by group.
+    told = sorted(telling(keys), key=lambda key: (0, key) if key.endswith(".name") else (1, ""))
+    return ", ".join([name, *(f"{key.removesuffix('.name')}={setting[key]}" for key in told)])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bbq_torchrl.evaluation.learning import areas
+from bbq_torchrl.evaluation.runs import telling
 from bbq_torchrl.evaluation.statistics import Summary, paired_differences, summarize, t_test
 from bbq_torchrl.study.statistics import holm
 
@@ -125,13 +126,7 @@ def _different_dialogues(one: Group, other: Group) -> list[str]:
         for key, value in settings[0].items()
         if key.startswith(_OF_DIALOGUES) and settings[1].get(key, value) != value
     }
-    # Two options of a group differ in many keys: the option says enough.
-    options = {key.partition(".")[0] for key in different if key.endswith(".name")}
-    return [
-        f"{key} differs ({values[0]}, {values[1]})"
-        for key, values in different.items()
-        if key.endswith(".name") or key.partition(".")[0] not in options
-    ]
+    return [f"{key} differs ({', '.join(map(str, different[key]))})" for key in telling(different)]
 
 
 def _compared(one: Group, other: Group) -> dict[str, tuple[Sequence[float], Sequence[float]]]:

@@ -214,14 +214,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         groups = read_groups(find_results(given.folders))
+        to_text, write = _markdown, write_report
         if given.table1:
-            text = table1_text(groups) if given.out is None else write_table1(groups, given.out)
+            to_text, write = table1_text, write_table1
         elif given.grid:
-            text = grid_text(groups) if given.out is None else write_grid(groups, given.out)
-        elif given.out is not None:
-            text = write_report(groups, given.out)
-        else:
-            text = _markdown(groups)
+            to_text, write = grid_text, write_grid
+        text = to_text(groups) if given.out is None else write(groups, given.out)
     except (ValueError, OSError) as error:
         output.complain(f"error: {sentence(error)}")
         return 2

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-__all__ = ["Member", "Run", "find_results", "read_run"]
+__all__ = ["Member", "Run", "find_results", "read_run", "telling"]
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
@@ -121,6 +121,18 @@ class Run:
     def agent(self) -> str:
         """The agent as the paper calls it, such as ``BBQN-MAP``."""
         return agent_name(self.config)
+
+
+def telling(keys: Iterable[str]) -> list[str]:
+    """Returns the keys that tell settings apart: where an option differs, its name says enough.
+
+    Example:
+        >>> telling(["env.every", "env.name", "env.start", "spike.dialogues"])
+        ['env.name', 'spike.dialogues']
+    """
+    keys = list(keys)
+    options = {key.partition(".")[0] for key in keys if key.endswith(".name")}
+    return [key for key in keys if key.endswith(".name") or key.partition(".")[0] not in options]
 
 
 def find_results(places: Iterable[Path]) -> list[Path]:

@@ -96,19 +96,20 @@ def annealed_rounds(fraction: float, task: Task) -> int:
     return max(1, round(fraction * task.rounds))
 
 
-def keys_with_lists(schemas: Mapping[str, Mapping[str, type]]) -> dict[str, list[str]]:
-    """Returns the dotted keys that can have a list, each with the options that have the key.
+def keys_with_lists(schemas: Mapping[str, Mapping[str, type]]) -> list[str]:
+    """Returns the dotted keys that can have a list, each once.
 
     Args:
         schemas: group to option to its dataclass.
     """
-    found: dict[str, list[str]] = {}
-    for group, options in schemas.items():
-        for option, schema in options.items():
-            for item in fields(schema):
-                if item.metadata["allowed"].per_replica:
-                    found.setdefault(f"{group}.{item.name}", []).append(option)
-    return found
+    found = {
+        f"{group}.{item.name}": None
+        for group, options in schemas.items()
+        for schema in options.values()
+        for item in fields(schema)
+        if item.metadata["allowed"].per_replica
+    }
+    return list(found)
 
 
 def _lists(config: Config) -> Iterator[tuple[str, list[Any]]]:
