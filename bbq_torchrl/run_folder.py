@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["CHECKPOINTS", "CONFIG", "CURVE", "METRICS", "RESULT", "write_text"]
+__all__ = ["CHECKPOINTS", "CONFIG", "CURVE", "METRICS", "RESULT", "write_bytes", "write_text"]
 
 CONFIG = "config.yaml"
 """The composed configuration."""
@@ -28,9 +28,14 @@ CURVE = "curve.png"
 
 def write_text(path: Path, text: str) -> None:
     """Writes a file so that a reader, or a crash, finds the old text or the new, never a part."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Writes a file as :func:`write_text` does."""
     temporary = path.with_name(f".{path.name}.new")
-    with temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(text)
+    with temporary.open("wb") as file:
+        file.write(content)
         file.flush()
         os.fsync(file.fileno())
     os.replace(temporary, path)

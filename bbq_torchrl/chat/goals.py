@@ -5,9 +5,8 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import DONT_CARE, RESERVED_TEXT, fold
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.study.outcome import Judge
+from bbq_torchrl.study.outcome import Judge, card
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,11 +56,6 @@ def goal_lines(goal: Goal, names: Mapping[str, str]) -> list[str]:
         goal: the person's.
         names: how people call the slots.
     """
-    wishes = [
-        f"{names.get(slot, slot)}: {_shown(value)}" for slot, value in goal.constraints.items()
-    ]
-    return [*wishes, *(f"find out: {names.get(slot, slot)}" for slot in goal.requests)]
-
-
-def _shown(value: str) -> str:
-    return "anything" if fold(value) == fold(RESERVED_TEXT[DONT_CARE]) else value
+    shown = card(goal, names)
+    wishes = [f"{name}: {value}" for name, value in shown["wishes"]]
+    return [*wishes, *(f"find out: {name}" for name in shown["questions"])]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.chat.goals import REASONS, goal_lines
 from bbq_torchrl.language.extra import needed
 from bbq_torchrl.study.outcome import Judge
-from bbq_torchrl.study.talk import Exchange
 from bbq_torchrl.study.talk import Frame as Act
 
 if TYPE_CHECKING:
@@ -175,10 +174,10 @@ class Chat:
             "": "The conversation is over.",
         }
         self._say(how[ended])
-        said = [Exchange(as_act(t.answer.heard), as_act(t.answer.said)) for t in self._turns]
+        said = [(as_act(turn.answer.heard), as_act(turn.answer.said)) for turn in self._turns]
         if self._goal is None:
             complete = self._partner.domain.complete_slot
-            offers = [item.said.informs for item in said if complete in item.said.informs]
+            offers = [act.informs for _, act in said if complete in act.informs]
             if not offers:
                 self._say("No booking was offered.")
             else:

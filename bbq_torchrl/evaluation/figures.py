@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bbq_torchrl.evaluation.statistics import MIN_BOOTSTRAP, estimate
+from bbq_torchrl.run_folder import write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -164,11 +165,9 @@ def _colors(count: int) -> Sequence[Any]:
 
 def _axes(rows: int = 1) -> tuple[Any, Any]:
     # The object interface: no window system, and no global state beside other figures.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 4.5 if rows == 1 else 3.3 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, sharex=True)
 
 
@@ -230,7 +229,6 @@ def _save(figure: Any, panels: Sequence[Any], file: Path) -> None:
         axes.spines[["top", "right"]].set_visible(False)
     # Below the axes: inside, some curve would always be behind it.
     figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
-    # At once, as a reader or a crash finds it: the old figure or the new one.
-    temporary = file.with_name(f".{file.name}.new")
-    figure.savefig(temporary, dpi=150, format=file.suffix.removeprefix("."))
-    os.replace(temporary, file)
+    picture = BytesIO()
+    figure.savefig(picture, dpi=150, format=file.suffix.removeprefix("."))
+    write_bytes(file, picture.getvalue())

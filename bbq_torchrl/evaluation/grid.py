@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.evaluation.markdown import table
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

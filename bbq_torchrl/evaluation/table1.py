@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.evaluation.learning import reach
-from bbq_torchrl.evaluation.markdown import table
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, Reach, learning
-from bbq_torchrl.evaluation.markdown import table
 from bbq_torchrl.evaluation.statistics import Estimate, probability_of_improvement, summarize
+from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

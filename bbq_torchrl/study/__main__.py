@@ -6,6 +6,7 @@ import argparse
 import importlib
 import importlib.util
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,15 +81,18 @@ def _parser() -> argparse.ArgumentParser:
     report.set_defaults(command=_report)
 
     power = commands.add_parser("power", help="how likely a study finds a difference")
-    power.add_argument("better", type=_rate, help="success of one agent")
-    power.add_argument("worse", type=_rate, help="success of the other")
+    power.add_argument("better", type=_number(0.001, 0.999), help="success of one agent")
+    power.add_argument("worse", type=_number(0.001, 0.999), help="success of the other")
     power.add_argument("people", type=_whole(1, 100_000), help="who each meet both")
     power.add_argument(
         "--sessions", type=_whole(1, 50), default=1, help="of a person with each agent"
     )
     power.add_argument("--pairs", type=_whole(1, 1_000), default=1, help="pairs declared")
     power.add_argument(
-        "--person-sd", type=_sd, default=1.0, help="how much people differ, in log-odds"
+        "--person-sd",
+        type=_number(0.0, 10.0),
+        default=1.0,
+        help="how much people differ, in log-odds",
     )
     power.add_argument("--simulations", type=_whole(100, 1_000_000), default=4_000)
     power.add_argument("--seed", type=_whole(0, 2**32 - 1), default=0)
@@ -122,16 +126,10 @@ def _simulate(given: argparse.Namespace) -> None:
 
 
 def _check_installed() -> None:
-    missing = [
-        name
-        for name in ("starlette", "jinja2", "uvicorn")
-        if importlib.util.find_spec(name) is None
-    ]
-    if missing:
-        raise StudyError(
-            "serve",
-            [f"it needs the packages {', '.join(missing)}: {install_command('study')}"],
-        )
+    needed = ("starlette", "jinja2", "uvicorn")
+    if missing := [name for name in needed if importlib.util.find_spec(name) is None]:
+        text = f"it needs the packages {', '.join(missing)}: {install_command('study')}"
+        raise StudyError("serve", [text])
 
 
 def _function(option: str, name: str) -> Callable[..., Any]:
@@ -139,10 +137,8 @@ def _function(option: str, name: str) -> Callable[..., Any]:
     try:
         return getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
-        raise StudyError(
-            option,
-            [f"it must be module:function that can be imported, got {shown(name)}: {error}"],
-        ) from error
+        text = f"it must be module:function that can be imported, got {shown(name)}: {error}"
+        raise StudyError(option, [text]) from error
 
 
 def _report(given: argparse.Namespace) -> None:
@@ -158,16 +154,7 @@ def _report(given: argparse.Namespace) -> None:
 def _power(given: argparse.Namespace) -> None:
     from bbq_torchrl.study.power import power
 
-    found = power(
-        given.better,
-        given.worse,
-        given.people,
-        sessions=given.sessions,
-        pairs=given.pairs,
-        person_sd=given.person_sd,
-        simulations=given.simulations,
-        seed=given.seed,
-    )
+    found = power(**{name: value for name, value in vars(given).items() if name != "command"})
     _say(f"power of the sign-flip test, the declared one: {found.sign_flip:.3f}")
     _say(f"power of Fisher's exact test over all sessions: {found.fisher:.3f}")
     _say(f"standard error of both: at most {found.standard_error:.3f}")
@@ -184,24 +171,16 @@ def _whole(low: int, high: int) -> Callable[[str], int]:
     return whole_number
 
 
-def _number(text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if low <= value <= high:
-        return value
-    raise argparse.ArgumentTypeError(
-        f"must be a number between {low} and {high}, got {shown(text)}"
-    )
+def _number(low: float, high: float) -> Callable[[str], float]:
+    def number(text: str) -> float:
+        with suppress(ValueError):
+            if low <= (value := float(text)) <= high:
+                return value
+        raise argparse.ArgumentTypeError(
+            f"must be a number between {low} and {high}, got {shown(text)}"
+        )
 
-
-def _rate(text: str) -> float:
-    return _number(text, 0.001, 0.999)
-
-
-def _sd(text: str) -> float:
-    return _number(text, 0.0, 10.0)
+    return number
 
 
 def _say(line: str) -> None:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.study.statistics import Interval, holm, mann_whitney, mean, sign_flip, two_by_two
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Collection, Mapping, Sequence
 
-    from bbq_torchrl.study.results import Result, Results
+    from bbq_torchrl.study.results import Results
 
 __all__ = ["Comparison", "compare_pairs"]
 
@@ -68,14 +68,10 @@ def compare_pairs(results: Results, without: Collection[str] = ()) -> list[Compa
 
 
 def _compare(results: Results, better: str, worse: str) -> Comparison:
-    success = _differences(results, better, worse, lambda session: int(session.success))
-    rating = _differences(results, better, worse, _overall)
-    won = [[session.success for session in _sessions(results, agent)] for agent in (better, worse)]
-    rated = [
-        [value for session in _sessions(results, agent) if (value := _overall(session)) is not None]
-        for agent in (better, worse)
-    ]
-    fisher, boschloo = two_by_two(*won)
+    won = [results.successes(agent) for agent in (better, worse)]
+    rated = [results.ratings(agent) for agent in (better, worse)]
+    success, rating = _differences(*won), _differences(*rated)
+    fisher, boschloo = two_by_two(*map(_all, won))
     p, rating_p = sign_flip(success), sign_flip(rating)
     return Comparison(
         better=better,
@@ -89,28 +85,20 @@ def _compare(results: Results, better: str, worse: str) -> Comparison:
         rating=mean([[float(value)] for value in rating]),
         rating_p=rating_p,
         rating_holm=rating_p,
-        mann_whitney=mann_whitney(*rated),
+        mann_whitney=mann_whitney(*map(_all, rated)),
     )
 
 
-def _sessions(results: Results, agent: str) -> list[Result]:
-    return [session for sessions in results.of(agent).values() for session in sessions]
-
-
-def _overall(session: Result) -> int | None:
-    return session.ratings["overall"] if session.ratings else None
+def _all(by_person: Mapping[str, Sequence[int]]) -> list[int]:
+    return [value for values in by_person.values() for value in values]
 
 
 def _differences(
-    results: Results, better: str, worse: str, value: Callable[[Result], int | None]
+    one: Mapping[str, Sequence[int]], other: Mapping[str, Sequence[int]]
 ) -> list[Fraction]:
     """Returns each person's mean with one agent minus that with the other, of who has both."""
-    means: list[dict[str, Fraction]] = []
-    for agent in (better, worse):
-        found = {
-            person: [number for session in sessions if (number := value(session)) is not None]
-            for person, sessions in results.of(agent).items()
-        }
-        means.append({p: Fraction(sum(v), len(v)) for p, v in found.items() if v})
-    one, other = means
-    return [one[person] - other[person] for person in sorted(one.keys() & other.keys())]
+    first, second = (
+        {person: Fraction(sum(v), len(v)) for person, v in side.items() if v}
+        for side in (one, other)
+    )
+    return [first[person] - second[person] for person in sorted(first.keys() & second.keys())]

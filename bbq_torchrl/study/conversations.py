@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.study.outcome import Judge
 from bbq_torchrl.study.records import SCALES
-from bbq_torchrl.study.talk import Exchange
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.domains import Goal
     from bbq_torchrl.study.plan import Study
     from bbq_torchrl.study.records import Person, Session, StoredExchange
     from bbq_torchrl.study.store import Store
-    from bbq_torchrl.study.talk import Talker
+    from bbq_torchrl.study.talk import Frame, Talker
 
-__all__ = ["MAX_TEXT", "Conversations", "RefusedError"]
+__all__ = ["MAX_TEXT", "Conversations", "RefusedError", "seed_of"]
 
 MAX_TEXT = 1_000
 """Characters of a message."""
@@ -103,8 +102,8 @@ class Conversations:
                 )
             text = clean(form.get("text", ""))
             state = exchanges[-1].state if exchanges else None
-            reply = self._talker.reply(session.agent, state, text, _seed(session, number))
-            said = [*map(_exchange, exchanges), Exchange(reply.heard, reply.said)]
+            reply = self._talker.reply(session.agent, state, text, seed_of(session.id, number))
+            said = [*_frames(exchanges), (reply.heard, reply.said)]
             end = None
             if reply.ended:
                 end = ("agent", self._judge.verdict(self.goal(session), said))
@@ -126,7 +125,7 @@ class Conversations:
                 raise RefusedError(
                     HTTPStatus.CONFLICT, "Please say something to the assistant before you end."
                 )
-            verdict = self._judge.verdict(self.goal(session), map(_exchange, exchanges))
+            verdict = self._judge.verdict(self.goal(session), _frames(exchanges))
             self._store.end(session, "person", verdict)
 
     def rate(self, person: Person, form: Mapping[str, str]) -> None:
@@ -198,12 +197,13 @@ def clean(text: str) -> str:
     return plain
 
 
-def _exchange(stored: StoredExchange) -> Exchange:
-    return Exchange(stored.heard, stored.said)
+def _frames(exchanges: Sequence[StoredExchange]) -> list[tuple[Frame, Frame]]:
+    return [(item.heard, item.said) for item in exchanges]
 
 
-def _seed(session: Session, number: int) -> int:
-    digest = hashlib.sha256(f"{session.id} {number}".encode()).digest()
+def seed_of(*parts: object) -> int:
+    """Returns the same number below 2**32 for the same parts."""
+    digest = hashlib.sha256(" ".join(map(str, parts)).encode()).digest()
     return int.from_bytes(digest[:4], "big")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
@@ -83,7 +83,15 @@ _SQLITE = (3, 37, 0)  # the first with STRICT tables
 
 
 class StoreError(StudyError):
-    """The study's data cannot be read or written."""
+    """The study's data cannot be read or written.
+
+    Args:
+        path: of its file.
+        faults: one sentence or more.
+    """
+
+    def __init__(self, path: Path, *faults: str) -> None:
+        super().__init__(str(path), faults)
 
 
 class Database:
@@ -101,40 +109,32 @@ class Database:
         self._mutex = threading.RLock()
         if sqlite3.sqlite_version_info < _SQLITE:
             raise StoreError(
-                str(path), [f"it needs SQLite 3.37 or newer, this is {sqlite3.sqlite_version}"]
+                path, f"it needs SQLite 3.37 or newer, this is {sqlite3.sqlite_version}"
             )
         if not path.parent.is_dir():
-            raise StoreError(str(path), ["its folder does not exist"])
-        self._lock = FileLock(path.with_name(f"{path.name}.lock"))
-        try:
-            self._lock.acquire(timeout=0)
-        except Timeout as error:
-            raise StoreError(
-                str(path), ["another server is at work on it: end that one, or wait"]
-            ) from error
-        except OSError as error:
-            raise StoreError(str(path), [f"it cannot be used: {error.strerror}"]) from error
-        try:
+            raise StoreError(path, "its folder does not exist")
+        lock = FileLock(path.with_name(f"{path.name}.lock"))
+        with ExitStack() as opened:
+            try:
+                opened.enter_context(lock.acquire(timeout=0))
+            except Timeout as error:
+                text = "another server is at work on it: end that one, or wait"
+                raise StoreError(path, text) from error
+            except OSError as error:
+                raise StoreError(path, f"it cannot be used: {error.strerror}") from error
             with _told(path):
                 self._connection = sqlite3.connect(
                     path, isolation_level=None, check_same_thread=False
                 )
-        except BaseException:
-            self._lock.release()
-            raise
-        try:
-            with _told(path):
+                opened.callback(self._connection.close)
                 self._prepare()
-        except BaseException:
-            self.close()
-            raise
+            self._opened = opened.pop_all()
 
     def _prepare(self) -> None:
         connection = self._connection
-        _check(self.path, connection)
+        version = _check(self.path, connection)
         for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
-        version = _version(connection)
         for number, script in enumerate(MIGRATIONS[version:], start=version + 1):
             connection.executescript(
                 f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {number}; COMMIT;"
@@ -169,8 +169,7 @@ class Database:
     def close(self) -> None:
         """Closes the file and lets other servers have it."""
         with self._mutex:
-            self._connection.close()
-            self._lock.release()
+            self._opened.close()
 
 
 @contextmanager
@@ -181,42 +180,31 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         StoreError: there is no such file, or it is newer or damaged.
     """
     if not path.is_file():
-        raise StoreError(str(path), ["there is no such file: the study has not been served yet"])
-    with _told(path):
-        connection = sqlite3.connect(path.absolute().as_uri() + "?mode=ro", uri=True)
-        try:
-            _check(path, connection)
-            if _version(connection) < len(MIGRATIONS):
-                raise StoreError(
-                    str(path), ["it is of an older version: serve the study once to update it"]
-                )
-            connection.execute("BEGIN")  # one moment of the study for all queries
-            yield connection
-        finally:
-            connection.close()
+        raise StoreError(path, "there is no such file: the study has not been served yet")
+    address = path.absolute().as_uri() + "?mode=ro"
+    with _told(path), closing(sqlite3.connect(address, uri=True)) as connection:
+        if _check(path, connection) < len(MIGRATIONS):
+            raise StoreError(path, "it is of an older version: serve the study once to update it")
+        connection.execute("BEGIN")  # one moment of the study for all queries
+        yield connection
 
 
-def _version(connection: sqlite3.Connection) -> int:
-    return int(connection.execute("PRAGMA user_version").fetchone()[0])
-
-
-def _check(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuses a file that is newer than this package, damaged, or of something else."""
-    version = _version(connection)
+def _check(path: Path, connection: sqlite3.Connection) -> int:
+    """Refuses a file that is newer, damaged, or of something else. Returns its version."""
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     if version > len(MIGRATIONS):
         raise StoreError(
-            str(path),
-            [
-                f"it is of version {version}, made by a newer bbq-torchrl; "
-                f"this one reads versions up to {len(MIGRATIONS)}"
-            ],
+            path,
+            f"it is of version {version}, made by a newer bbq-torchrl; "
+            f"this one reads versions up to {len(MIGRATIONS)}",
         )
     found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
     if found != "ok":
-        raise StoreError(str(path), [f"it is damaged: {found}"])
+        raise StoreError(path, f"it is damaged: {found}")
     tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
     if version == 0 and tables:
-        raise StoreError(str(path), ["it is a database, but not one of a study"])
+        raise StoreError(path, "it is a database, but not one of a study")
+    return version
 
 
 @contextmanager
@@ -234,4 +222,4 @@ def _told(path: Path) -> Iterator[None]:
             "unable to open": "it cannot be opened or made there",
         }
         said = next((says for key, says in known.items() if key in text), "SQLite says")
-        raise StoreError(str(path), [f"{said} ({text})"]) from error
+        raise StoreError(path, f"{said} ({text})") from error

@@ -5,11 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import re
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.study.records import SCALES
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.study.results import Results
 
-__all__ = ["defused", "export", "without_names", "write"]
+__all__ = ["defused", "export", "without_names"]
 
 _FORMULA = ("=", "+", "-", "@")
 _REPLACED = (
@@ -59,11 +59,11 @@ def export(folder: Path, results: Results) -> None:
         for item in results.sessions
     ]
     columns = (*head, *SCALES, "own_verdict", "exchanges", "entropy", "simulated")
-    write(folder / "sessions.csv", _csv(columns, rows))
+    write_text(folder / "sessions.csv", _csv(columns, rows))
     said = ("session", "number", "seconds", "text", "answer", "heard", "said")
-    rows_said = _csv((*said, "entropy", "simulated"), _exchange_rows(results))
-    write(folder / "exchanges.csv", rows_said)
-    write(folder / "sessions.jsonl", "".join(_lines(results)))
+    columns_said = (*said, "entropy", "simulated")
+    write_text(folder / "exchanges.csv", _csv(columns_said, _exchange_rows(results)))
+    write_text(folder / "sessions.jsonl", "".join(_lines(results)))
 
 
 def without_names(text: str) -> str:
@@ -89,13 +89,6 @@ def defused(cell: Any) -> Any:
     """
     is_formula = isinstance(cell, str) and cell.lstrip().startswith(_FORMULA)
     return f"'{cell}" if is_formula else cell
-
-
-def write(file: Path, text: str) -> None:
-    """Writes a file at once: who reads it finds the old one or the new one."""
-    temporary = file.with_name(f".{file.name}.new")
-    temporary.write_text(text, encoding="utf-8", newline="")
-    os.replace(temporary, file)
 
 
 def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

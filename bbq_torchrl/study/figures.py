@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.run_folder import write_bytes
 from bbq_torchrl.study.statistics import mean, proportion
 
 if TYPE_CHECKING:
@@ -29,17 +30,16 @@ def draw_success(file: Path, results: Results, comparisons: Sequence[Comparison]
         comparisons: of the declared pairs; Holm's p is shown.
     """
     agents = list(results.terms.agents)
-    figure, axes = _axes(len(agents))
-    tops = {}
+    axes = _axes(results)
+    level = 0.0
     for place, agent in enumerate(agents):
-        people = [[item.success for item in sessions] for sessions in results.of(agent).values()]
-        share = proportion(people)
+        share = proportion(results.successes(agent).values())
         if share.count:
             error = [[share.value - share.low], [share.high - share.value]]
             axes.bar(place, share.value, color=BAR, yerr=error, capsize=4, width=0.6)
             axes.text(place, 0.02, f"n = {share.count}", ha="center", fontsize=8)
-        tops[agent] = share.high if share.count else 0.0
-    level = max(tops.values()) + 0.04
+            level = max(level, share.high)
+    level += 0.04
     for comparison in comparisons:
         if comparison.people:
             left, right = agents.index(comparison.better), agents.index(comparison.worse)
@@ -48,9 +48,8 @@ def draw_success(file: Path, results: Results, comparisons: Sequence[Comparison]
             label = f"p = {comparison.holm:.3f}" if comparison.holm >= 0.001 else "p < 0.001"
             axes.text((left + right) / 2, level + 0.025, label, ha="center", fontsize=8)
             level += 0.09
-    axes.set(ylabel="success rate", ylim=(0, max(1.0, level + 0.03)), title=_title(results))
-    axes.set_yticks([0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    _save(figure, axes, file, agents)
+    axes.set(ylabel="success rate", ylim=(0, max(1.0, level + 0.03)))
+    _save(axes, file)
 
 
 def draw_ratings(file: Path, results: Results) -> None:
@@ -60,13 +59,9 @@ def draw_ratings(file: Path, results: Results) -> None:
         file: a PNG file.
         results: the study's.
     """
-    agents = list(results.terms.agents)
-    figure, axes = _axes(len(agents))
-    for place, agent in enumerate(agents):
-        people = [
-            [float(item.ratings["overall"]) for item in sessions if item.ratings]
-            for sessions in results.of(agent).values()
-        ]
+    axes = _axes(results)
+    for place, agent in enumerate(results.terms.agents):
+        people = results.ratings(agent).values()
         values = [value for person in people for value in person]
         bottom = 0.0
         for rating, color in enumerate(RATINGS, start=1):
@@ -77,35 +72,29 @@ def draw_ratings(file: Path, results: Results) -> None:
         if values:
             text = f"mean {mean(people).value:.2f}\nn = {len(values)}"
             axes.text(place, 1.02, text, ha="center", fontsize=8)
-    axes.set(
-        ylabel=f"share of {'simulated ' if results.simulated else ''}ratings",
-        ylim=(0, 1.15),
-        title=_title(results),
-    )
-    axes.set_yticks([0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    figure.legend(loc="outside lower center", ncols=5, fontsize=8, frameon=False)
-    _save(figure, axes, file, agents)
+    whose = "simulated " if results.simulated else ""
+    axes.set(ylabel=f"share of {whose}ratings", ylim=(0, 1.15))
+    axes.figure.legend(loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    _save(axes, file)
 
 
-def _title(results: Results) -> str:
-    name = results.terms.name
-    return f"{name} (simulated users)" if results.simulated else name
-
-
-def _axes(count: int) -> tuple[Any, Any]:
+def _axes(results: Results) -> Any:
+    """Returns empty axes with a place for each agent."""
     # The object interface: no window system, and no global state beside other figures.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(max(4.0, 1.4 * count + 1), 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
-
-
-def _save(figure: Any, axes: Any, file: Path, agents: Sequence[str]) -> None:
+    agents = list(results.terms.agents)
+    width = max(4.0, 1.4 * len(agents) + 1)
+    axes = Figure(figsize=(width, 4.5), layout="constrained").add_subplot()
+    axes.set_title(results.title)
     axes.set_xticks(range(len(agents)), agents)
-    axes.set_xlim(-0.6, len(agents) - 0.4)
+    axes.set_yticks([0, 0.2, 0.4, 0.6, 0.8, 1.0])
     axes.spines[["top", "right"]].set_visible(False)
-    temporary = file.with_name(f".{file.name}.new")
-    figure.savefig(temporary, dpi=150, format="png")
-    os.replace(temporary, file)
+    return axes
+
+
+def _save(axes: Any, file: Path) -> None:
+    axes.set_xlim(-0.6, len(axes.get_xticks()) - 0.4)
+    picture = BytesIO()
+    axes.figure.savefig(picture, dpi=150, format="png")
+    write_bytes(file, picture.getvalue())

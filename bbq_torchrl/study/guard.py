@@ -7,6 +7,10 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
+from starlette.datastructures import Headers, MutableHeaders
+
+from bbq_torchrl.study.conversations import RefusedError
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -65,52 +69,49 @@ class Guard:
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                names = {name for name, _ in message["headers"]}
-                message["headers"] += [
-                    (name.encode(), value.encode())
-                    for name, value in HEADERS.items()
-                    if name.encode() not in names
-                ]
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
             await send(message)
 
         app: ASGIApp = self._app
         if scope["method"] not in ("GET", "HEAD"):
-            refused, form = await self._form(scope, receive)
-            if refused is not None:
-                app = self._page(*refused)
+            try:
+                scope.setdefault("state", {})["form"] = await self._form(scope, receive)
+            except RefusedError as error:
+                app = self._page(error.status, str(error))
                 app.headers["connection"] = "close"
-            scope.setdefault("state", {})["form"] = form
         await app(scope, receive, send_with_headers)
 
-    async def _form(
-        self, scope: Scope, receive: Receive
-    ) -> tuple[tuple[HTTPStatus, str] | None, dict[str, str]]:
-        """Returns why a form is refused, or ``None``, and its fields."""
-        headers = {
-            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
-        }
+    async def _form(self, scope: Scope, receive: Receive) -> dict[str, str]:
+        """Returns the fields of a form.
+
+        Raises:
+            RefusedError: it is not one to read.
+        """
+        headers = Headers(scope=scope)
         origin = headers.get("origin")
         try:
             is_foreign = origin is not None and urlsplit(origin).netloc != headers.get("host")
         except ValueError:
             is_foreign = True
         if is_foreign:
-            return (HTTPStatus.FORBIDDEN, "This form was sent from another site."), {}
+            raise RefusedError(HTTPStatus.FORBIDDEN, "This form was sent from another site.")
         kind = headers.get("content-type", "").partition(";")[0].strip().lower()
         if kind != "application/x-www-form-urlencoded":
-            return (HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected."), {}
+            raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected.")
         try:
             body = await asyncio.wait_for(_body(receive), self._seconds)
         except asyncio.TimeoutError:
-            return (
+            raise RefusedError(
                 HTTPStatus.REQUEST_TIMEOUT,
                 f"The form took more than {self._seconds:g} seconds to arrive: send it again.",
-            ), {}
+            ) from None
         if body is None:
-            return (
+            raise RefusedError(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
                 f"The form is too large: {MAX_BODY:,} bytes are allowed.",
-            ), {}
+            )
         try:
             fields = parse_qsl(
                 body.decode("latin-1"),
@@ -120,11 +121,12 @@ class Guard:
                 max_num_fields=MAX_FIELDS,
             )
         except ValueError:
-            return (HTTPStatus.BAD_REQUEST, f"The form has more than {MAX_FIELDS} fields."), {}
+            text = f"The form has more than {MAX_FIELDS} fields."
+            raise RefusedError(HTTPStatus.BAD_REQUEST, text) from None
         form = dict(fields)
         if len(form) < len(fields):
-            return (HTTPStatus.BAD_REQUEST, "The form has a field twice."), {}
-        return None, form
+            raise RefusedError(HTTPStatus.BAD_REQUEST, "The form has a field twice.")
+        return form
 
 
 async def _body(receive: Receive) -> bytes | None:

@@ -1,4 +1,4 @@
-"""Whether a conversation with a person was a success, and why not.
+"""A person's goal, and whether a conversation was a success, and why not.
 
 A simulated user knows what it has asked and what was answered; of a person only the goal card and
 the dialogue acts are known. The rule is the simulator's, said of these.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT, fold
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from bbq_torchrl.domains import Domain, Goal
-    from bbq_torchrl.study.talk import Exchange
+    from bbq_torchrl.study.talk import Frame
 
-__all__ = ["Judge", "Verdict"]
+__all__ = ["Judge", "Verdict", "card"]
 
 _NO_MATCH = fold(RESERVED_TEXT[NO_MATCH])
 _AVAILABLE = fold(RESERVED_TEXT[AVAILABLE])
@@ -39,6 +39,25 @@ class Verdict:
     def success(self) -> bool:
         """Whether it was a success."""
         return not self.reasons
+
+
+def card(goal: Goal, labels: Mapping[str, str]) -> dict[str, Any]:
+    """Returns what a goal card shows.
+
+    Args:
+        goal: the person's.
+        labels: how people call the slots.
+
+    Returns:
+        ``wishes``, pairs of label and value, and ``questions``, labels.
+    """
+    return {
+        "wishes": [
+            (labels.get(slot, slot), "anything" if fold(value) == _DONT_CARE else value)
+            for slot, value in goal.constraints.items()
+        ],
+        "questions": [labels.get(slot, slot) for slot in goal.requests],
+    }
 
 
 class Judge:
@@ -65,42 +84,39 @@ class Judge:
         self._ticket, self._complete = domain.ticket_slot, domain.complete_slot
         self._free = frozenset(domain.free_slots)
         self._all = frozenset(range(len(domain.records)))
-        rows: dict[tuple[str, str], set[int]] = defaultdict(set)
-        has: dict[str, set[int]] = defaultdict(set)
+        self._rows: dict[tuple[str, str], set[int]] = defaultdict(set)
+        self._has: dict[str, set[int]] = defaultdict(set)
         for row, record in enumerate(domain.records):
             for slot, value in record.items():
-                rows[slot, fold(value)].add(row)
-                has[slot].add(row)
-        self._rows, self._has = dict(rows), dict(has)
+                self._rows[slot, fold(value)].add(row)
+                self._has[slot].add(row)
 
     def is_attainable(self, goal: Goal) -> bool:
         """Returns whether some record holds all wishes and has all that is asked for."""
-        rows = self._matching(goal.constraints)
-        for slot in goal.requests:
-            rows = rows & self._has.get(slot, frozenset())
-        return bool(rows)
+        has_all = (self._has.get(slot, ()) for slot in goal.requests)
+        return bool(self._matching(goal.constraints).intersection(*has_all))
 
     def verdict(
-        self, goal: Goal, exchanges: Iterable[Exchange], *, in_time: bool = True
+        self, goal: Goal, exchanges: Iterable[tuple[Frame, Frame]], *, in_time: bool = True
     ) -> Verdict:
         """Returns the verdict on a conversation.
 
         Args:
             goal: the person's goal card.
-            exchanges: first to last.
+            exchanges: what was understood of the person and what the agent said, first to last.
             in_time: it did not run out of turns.
         """
         offer: dict[str, str] = {}
         answers: dict[str, str] = {}
         latest: dict[str, str] = {}
-        for exchange in exchanges:
-            latest |= _folded(exchange.heard.informs)
-            told = _folded(exchange.said.informs)
+        for heard, said in exchanges:
+            latest |= _folded(heard.informs)
+            told = _folded(said.informs)
             if self._complete in told:
                 offer = told
                 if told[self._complete] == _NO_MATCH:
                     latest[self._ticket] = _NO_MATCH
-            elif exchange.said.act == "inform":
+            elif said.act == "inform":
                 latest |= told
                 answers |= told
         asked = {slot: answers.get(slot, _NO_MATCH) for slot in goal.requests}
@@ -109,7 +125,7 @@ class Judge:
             "no offer": not offer,
             "wishes": bool(offer) and not _holds(offer, wishes),
             "no ticket": bool(offer) and offer[self._complete] != _AVAILABLE,
-            "questions": not self._matching(wishes) & self._answered(asked),
+            "questions": not self._matching(wishes) & self._holding(asked.items()),
             "no match left": _NO_MATCH in latest.values(),
             "out of turns": not in_time,
         }
@@ -117,18 +133,15 @@ class Judge:
 
     def _matching(self, values: Mapping[str, str]) -> frozenset[int]:
         """Returns the records that hold all values; free slots and "do not care" match any."""
-        found = self._all
-        for slot, value in _folded(values).items():
-            if slot not in self._free and value != _DONT_CARE:
-                found = found & self._rows.get((slot, value), frozenset())
-        return found
+        return self._holding(
+            (slot, value)
+            for slot, value in _folded(values).items()
+            if slot not in self._free and value != _DONT_CARE
+        )
 
-    def _answered(self, answers: Mapping[str, str]) -> frozenset[int]:
-        """Returns the records that hold all answers, as they are."""
-        found = self._all
-        for item in answers.items():
-            found = found & self._rows.get(item, frozenset())
-        return found
+    def _holding(self, items: Iterable[tuple[str, str]]) -> frozenset[int]:
+        """Returns the records that hold all values, as they are."""
+        return self._all.intersection(*(self._rows.get(item, ()) for item in items))
 
 
 def _folded(values: Mapping[str, str]) -> dict[str, str]:

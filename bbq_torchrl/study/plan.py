@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ import yaml
 from bbq_torchrl.text import FaultsError, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from bbq_torchrl.domains import Domain
 
@@ -123,7 +124,7 @@ def load_study(path: str | Path) -> Study:
         raise StudyError(str(file), [f"it cannot be read: {error}"]) from error
     reader = _Reader(file, content)
     terms = reader.terms()
-    if reader.faults or terms is None or reader.domain is None:
+    if reader.faults:
         raise StudyError(str(file), reader.faults)
     return Study(file, terms, reader.domain)
 
@@ -143,10 +144,9 @@ class _Reader:
     def __init__(self, file: Path, content: Mapping[str, Any]) -> None:
         self._file, self._given = file, content
         self.faults: list[str] = []
-        self.domain: Domain | None = None
 
-    def terms(self) -> Terms | None:
-        """Returns the terms; ``None`` where some key could not be read."""
+    def terms(self) -> Terms:
+        """Returns the terms, with ``None`` for what could not be read."""
         keys = [item.name for item in fields(Terms)]
         self.faults += [
             f"{shown(key)} is not a key of a study; allowed are {', '.join(keys)}"
@@ -155,139 +155,141 @@ class _Reader:
         ]
         if missing := [key for key in _REQUIRED if key not in self._given]:
             self.faults.append(f"it lacks the keys {', '.join(missing)}")
-        agents = self._agents()
-        self._read_domain()
-        values = {
-            "name": self._words("name"),
-            "consent": self._words("consent"),
-            "agents": agents,
-            "pairs": self._pairs(agents),
-            "participants": self._count("participants", None),
-            "domain": self._given.get("domain", _MOVIE),
-            "sessions": self._count("sessions", max(1, len(agents or ()))),
-            "max_turns": self._count("max_turns", 20),
-            "idle_minutes": self._count("idle_minutes", 60),
-            "ask_below": self._ask_below(agents),
-        }
-        sessions = values["sessions"]
-        if agents and sessions and sessions % len(agents):
-            self.faults.append(
-                f"sessions must be a multiple of the number of agents ({len(agents)}), so that "
-                f"everybody meets all agents equally often, got {sessions}"
-            )
-        values["goals"] = self._goals(sessions or 1)
-        return None if any(value is None for value in values.values()) else Terms(**values)
-
-    def _words(self, key: str) -> str | None:
-        value = self._given.get(key)
-        if isinstance(value, str) and value.strip():
-            return value.strip()
-        if key in self._given:
-            self.faults.append(f"{key} must be text, not blank, got {shown(value)}")
-        return None
-
-    def _count(self, key: str, default: int | None) -> int | None:
-        value = self._given.get(key, default)
-        low, high = _COUNTS[key]
-        if isinstance(value, int) and not isinstance(value, bool) and low <= value <= high:
-            return value
-        if key in self._given:
-            self.faults.append(
-                f"{key} must be a whole number between {low} and {high}, got {shown(value)}"
-            )
-        return None
-
-    def _agents(self) -> dict[str, str] | None:
-        value = self._given.get("agents")
-        if isinstance(value, dict) and value and all(map(_is_text, [*value, *value.values()])):
-            return dict(value)
-        if "agents" in self._given:
-            self.faults.append(
-                "agents must map one name or more to where the agent is, both text, "
-                f"got {shown(value)}"
-            )
-        return None
-
-    def _ask_below(self, agents: Mapping[str, str] | None) -> dict[str, float] | None:
-        value = self._given.get("ask_below", {})
-        is_known = isinstance(value, dict) and set(value) <= set(agents or value)
-        if is_known and all(map(_is_probability, value.values())):
-            return {name: float(below) for name, below in value.items()}
-        self.faults.append(
-            f"ask_below must map agents of the study to numbers between 0 and 1, got {shown(value)}"
+        self._agents = self._read("agents", _agents) or {}
+        self.domain = self._read("domain", self._domain, _MOVIE)
+        sessions = self._read("sessions", self._sessions, max(1, len(self._agents)))
+        return Terms(
+            name=self._read("name", _words),
+            consent=self._read("consent", _words),
+            agents=self._agents,
+            pairs=self._read("pairs", self._pairs),
+            participants=self._read("participants", _count),
+            domain=self._given.get("domain", _MOVIE),
+            sessions=sessions,
+            goals=self._read("goals", partial(self._goals, sessions or 1), _ATTAINABLE),
+            max_turns=self._read("max_turns", _count, 20),
+            idle_minutes=self._read("idle_minutes", _count, 60),
+            ask_below=self._read("ask_below", self._ask_below, {}),
         )
+
+    def _read(self, key: str, take: Callable[[str, Any], Any], default: Any = None) -> Any:
+        if key in self._given or key not in _REQUIRED:
+            try:
+                return take(key, self._given.get(key, default))
+            except FaultsError as error:
+                self.faults += error.faults
+            except ValueError as error:
+                self.faults.append(str(error))
         return None
 
-    def _pairs(self, agents: Mapping[str, str] | None) -> tuple[tuple[str, str], ...] | None:
-        if "pairs" not in self._given:
-            return None
-        value = self._given["pairs"]
-        if not isinstance(value, list):
-            self.faults.append(
-                f"pairs must be a list of pairs of agents, [] for none, got {shown(value)}"
-            )
-            return None
-        faults = list(_pair_faults(value, agents))
-        self.faults += faults
-        return None if faults else tuple((better, worse) for better, worse in value)
-
-    def _read_domain(self) -> None:
+    def _domain(self, key: str, name: Any) -> Domain:
         from bbq_torchrl.domains import load_domain, movie_domain
 
-        name = self._given.get("domain", _MOVIE)
+        allowed = f"{key} must be {_MOVIE} or a domain's folder"
         if not _is_text(name):
-            self.faults.append(f"domain must be {_MOVIE} or a domain's folder, got {shown(name)}")
-            return
+            raise ValueError(f"{allowed}, got {shown(name)}")
+        folder = self._file.parent / Path(name).expanduser()
         try:
-            folder = self._file.parent / Path(name).expanduser()
-            self.domain = movie_domain() if name == _MOVIE else load_domain(folder)
+            return movie_domain() if name == _MOVIE else load_domain(folder)
         except FileNotFoundError as error:
-            self.faults.append(f"domain must be {_MOVIE} or a domain's folder: {error}")
+            raise ValueError(f"{allowed}: {error}") from error
         except FaultsError as error:
-            self.faults += [f"domain {shown(name)}: {fault}" for fault in error.faults]
+            faults = [f"{key} {shown(name)}: {fault}" for fault in error.faults]
+            raise FaultsError(key, faults) from error
 
-    def _goals(self, sessions: int) -> tuple[int, ...] | None:
-        if self.domain is None:
-            return None
+    def _sessions(self, key: str, value: Any) -> int:
+        sessions, agents = _count(key, value), len(self._agents)
+        if agents and sessions % agents:
+            raise ValueError(
+                f"{key} must be a multiple of the number of agents ({agents}), so that "
+                f"everybody meets all agents equally often, got {sessions}"
+            )
+        return sessions
+
+    def _pairs(self, key: str, value: Any) -> tuple[tuple[str, str], ...]:
+        if not isinstance(value, list):
+            raise ValueError(
+                f"{key} must be a list of pairs of agents, [] for none, got {shown(value)}"
+            )
+        if faults := list(_pair_faults(value, self._agents)):
+            raise FaultsError(key, faults)
+        return tuple((better, worse) for better, worse in value)
+
+    def _ask_below(self, key: str, value: Any) -> dict[str, float]:
+        is_known = isinstance(value, dict) and set(value) <= set(self._agents or value)
+        if is_known and all(map(_is_probability, value.values())):
+            return {name: float(below) for name, below in value.items()}
+        raise ValueError(
+            f"{key} must map agents of the study to numbers between 0 and 1, got {shown(value)}"
+        )
+
+    def _goals(self, sessions: int, key: str, value: Any) -> tuple[int, ...]:
         from bbq_torchrl.study.outcome import Judge
 
+        if self.domain is None:
+            return ()
         judge, goals = Judge(self.domain), self.domain.goals
         attainable = [
             number for number, goal in enumerate(goals, start=1) if judge.is_attainable(goal)
         ]
-        value = self._given.get("goals", _ATTAINABLE)
         chosen = attainable if value == _ATTAINABLE else value
-        if not isinstance(chosen, list) or not all(
-            isinstance(item, int) and not isinstance(item, bool) and 1 <= item <= len(goals)
-            for item in chosen
-        ):
-            self.faults.append(
-                f"goals must be {_ATTAINABLE} or a list of numbers between 1 and {len(goals)}, "
+        if not isinstance(chosen, list) or not all(_is_whole(n, 1, len(goals)) for n in chosen):
+            raise ValueError(
+                f"{key} must be {_ATTAINABLE} or a list of numbers between 1 and {len(goals)}, "
                 f"got {shown(value)}"
             )
-            return None
+        faults = []
         if hopeless := sorted(set(chosen) - set(attainable)):
-            self.faults.append(
-                "goals must be ones that some record of the domain can meet, which holds not of "
+            faults.append(
+                f"{key} must be ones that some record of the domain can meet, which holds not of "
                 f"{shown(hopeless)}"
             )
         if len(set(chosen)) < max(len(chosen), sessions):
-            self.faults.append(
-                f"goals must be distinct and at least as many as sessions ({sessions}), "
+            faults.append(
+                f"{key} must be distinct and at least as many as sessions ({sessions}), "
                 f"got {shown(chosen)}"
             )
+        if faults:
+            raise FaultsError(key, faults)
         return tuple(chosen)
+
+
+def _words(key: str, value: Any) -> str:
+    if not _is_text(value):
+        raise ValueError(f"{key} must be text, not blank, got {shown(value)}")
+    return str(value.strip())
+
+
+def _count(key: str, value: Any) -> int:
+    low, high = _COUNTS[key]
+    if not _is_whole(value, low, high):
+        raise ValueError(
+            f"{key} must be a whole number between {low} and {high}, got {shown(value)}"
+        )
+    return int(value)
+
+
+def _agents(key: str, value: Any) -> dict[str, str]:
+    if isinstance(value, dict) and value and all(map(_is_text, [*value, *value.values()])):
+        return dict(value)
+    raise ValueError(
+        f"{key} must map one name or more to where the agent is, both text, got {shown(value)}"
+    )
 
 
 def _is_text(value: object) -> bool:
     return isinstance(value, str) and bool(value.strip())
 
 
+def _is_whole(value: object, low: int, high: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+
+
 def _is_probability(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 1
 
 
-def _pair_faults(pairs: list[Any], agents: Mapping[str, str] | None) -> Iterator[str]:
+def _pair_faults(pairs: list[Any], agents: Mapping[str, str]) -> Iterator[str]:
     seen: list[set[str]] = []
     for pair in pairs:
         if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_text, pair)):
@@ -299,7 +301,7 @@ def _pair_faults(pairs: list[Any], agents: Mapping[str, str] | None) -> Iterator
             yield f"pairs must be declared once, got {shown(pair)} again"
         seen.append(set(pair))
         for agent in pair:
-            if agents is not None and agent not in agents:
+            if agents and agent not in agents:
                 yield (
                     f"pairs must name agents of the study ({', '.join(agents)}), "
                     f"got {shown(agent)} in {shown(pair)}"

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
-from scipy import special, stats
+from scipy import optimize, special, stats
 
 from bbq_torchrl.study.statistics import sign_flip
 
 __all__ = ["Power", "power"]
+
+LEVEL = 0.05
+"""Of the tests."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,6 @@ def power(
     sessions: int = 1,
     pairs: int = 1,
     person_sd: float = 0.0,
-    alpha: float = 0.05,
     simulations: int = 2_000,
     seed: int = 0,
 ) -> Power:
@@ -44,7 +47,7 @@ def power(
 
     A person's log-odds of success with either agent are shifted by a normal draw of standard
     deviation ``person_sd``; the agents' mean success stays what is given. Holm is taken at its
-    strictest: the pair must be significant at ``alpha / pairs``.
+    strictest: the pair must be significant at the level divided by their number.
 
     Args:
         better: success of one agent, between 0 and 1.
@@ -53,7 +56,6 @@ def power(
         sessions: of a person with each agent.
         pairs: how many pairs are declared.
         person_sd: how much people differ, in log-odds.
-        alpha: level of the tests.
         simulations: how many studies.
         seed: of everything random.
     """
@@ -63,34 +65,28 @@ def power(
         rng.binomial(sessions, special.expit(_center(rate, person_sd) + shift))
         for rate in (better, worse)
     ]
-    level = alpha / pairs
-    known: dict[tuple[int, ...], float] = {}
+    level, count = LEVEL / pairs, people * sessions
 
-    def flipped(row: np.ndarray) -> bool:
-        # The test only sees how often each difference occurs.
-        key = tuple(np.bincount(row + sessions, minlength=2 * sessions + 1).tolist())
-        if key not in known:
-            known[key] = sign_flip([Fraction(int(value), sessions) for value in row])
-        return known[key] <= level
+    @cache
+    def flipped(differences: tuple[int, ...]) -> float:
+        return sign_flip([Fraction(value, sessions) for value in differences])
 
-    found = np.mean([flipped(row) for row in won[0] - won[1]])
-    totals = {tuple(pair) for pair in np.stack([side.sum(1) for side in won], 1).tolist()}
-    count = people * sessions
-    exact = {
-        (one, other): stats.fisher_exact([[one, count - one], [other, count - other]]).pvalue
-        for one, other in totals
-    }
-    sums = zip(won[0].sum(1).tolist(), won[1].sum(1).tolist(), strict=True)
-    fisher = np.mean([exact[pair] <= level for pair in sums])
-    return Power(float(found), float(fisher), 0.5 / simulations**0.5)
+    @cache
+    def exact(one: int, other: int) -> float:
+        return stats.fisher_exact([[one, count - one], [other, count - other]]).pvalue
+
+    # The test only sees how often each difference occurs.
+    found = [flipped(tuple(row)) <= level for row in np.sort(won[0] - won[1]).tolist()]
+    totals = zip(*(side.sum(1).tolist() for side in won), strict=True)
+    fisher = [exact(*pair) <= level for pair in totals]
+    return Power(float(np.mean(found)), float(np.mean(fisher)), 0.5 / simulations**0.5)
 
 
 def _center(rate: float, person_sd: float) -> float:
     """Returns the log-odds that, shifted by people's normal draws, succeed at ``rate``."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(40)
-    low, high = -50.0, 50.0
-    for _ in range(100):
-        center = (low + high) / 2
-        share = float((special.expit(center + person_sd * nodes) * weights).sum() / weights.sum())
-        low, high = (center, high) if share < rate else (low, center)
-    return (low + high) / 2
+
+    def excess(center: float) -> float:
+        return np.average(special.expit(center + person_sd * nodes), weights=weights) - rate
+
+    return optimize.brentq(excess, -50, 50)

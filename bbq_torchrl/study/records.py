@@ -95,5 +95,8 @@ class Person:
         return next((session for session in self.sessions if not session.is_rated), None)
 
 
-EXCHANGES = "SELECT number, at, text, answer, heard, said, beliefs, state FROM exchange"
-"""Selects what :meth:`StoredExchange.of` takes."""
+EXCHANGES = """
+    SELECT number, at, text, answer, heard, said, beliefs, state FROM exchange
+    WHERE session = ? ORDER BY number
+"""
+"""Selects of a session what :meth:`StoredExchange.of` takes, first to last."""

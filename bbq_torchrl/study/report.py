@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from itertools import chain
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.markdown import table
+from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.study.comparisons import compare_pairs
-from bbq_torchrl.study.export import export, write
+from bbq_torchrl.study.export import export
 from bbq_torchrl.study.figures import draw_ratings, draw_success
 from bbq_torchrl.study.rating import RATING_RULE
 from bbq_torchrl.study.records import SCALES
@@ -39,13 +42,13 @@ def write_report(folder: Path, results: Results) -> None:
     if results.sessions:
         draw_success(folder / "success.png", results, compare_pairs(results))
         draw_ratings(folder / "ratings.png", results)
-    write(folder / "report.md", report_text(results))
+    write_text(folder / "report.md", report_text(results))
 
 
 def report_text(results: Results) -> str:
     """Returns the report as Markdown."""
     terms = results.terms
-    lines = [f"# {terms.name}{' (simulated users)' if results.simulated else ''}", ""]
+    lines = [f"# {results.title}", ""]
     if results.simulated:
         lines += [f"**The people of this study are simulated users.** {RATING_RULE}", ""]
     rated = sum(session.ratings is not None for session in results.sessions)
@@ -58,42 +61,27 @@ def report_text(results: Results) -> str:
     ]
     if not results.sessions:
         return "\n".join([*lines, "No session has ended yet: there is nothing to report.", ""])
-    return "\n".join(
-        [
-            *lines,
-            *_agents(results),
-            *_pairs(results),
-            *_ratings(results),
-            *_failures(results),
-            *_agreement(results),
-            *_uncertainty(results),
-            *_flags(results),
-        ]
-    )
+    for section in (_agents, _pairs, _ratings, _failures, _agreement, _uncertainty, _flags):
+        lines += section(results)
+    return "\n".join(lines)
 
 
 def _agents(results: Results) -> Iterator[str]:
     yield from ("## Agents", "")
     rows = []
     for agent in results.terms.agents:
-        people = results.of(agent).values()
-        success = proportion([[item.success for item in sessions] for sessions in people])
+        success = proportion(results.successes(agent).values())
         own = proportion(
-            [[bool(item.verdict) for item in sessions if item.ratings] for sessions in people]
+            [
+                [bool(item.verdict) for item in sessions if item.ratings]
+                for sessions in results.of(agent).values()
+            ]
         )
-        scales = [
-            mean(
-                [
-                    [float(item.ratings[name]) for item in sessions if item.ratings]
-                    for sessions in people
-                ]
-            )
-            for name in SCALES
-        ]
+        scales = [mean(results.ratings(agent, name).values()) for name in SCALES]
         rows.append((agent, success.count, success, own, *scales))
     head = ("agent", "sessions", "success", "own verdict", *SCALES)
-    yield from _table(head, rows)
     yield from (
+        table(head, rows),
         "",
         "Means with 95 % intervals: Wilson's for success (sessions of one person counted by "
         "their design effect), Student's t over people for ratings from 1 to 5. Success is the "
@@ -110,8 +98,8 @@ def _pairs(results: Results) -> Iterator[str]:
         yield from ("No pair was declared, so nothing is tested.", "")
         return
     comparisons = compare_pairs(results)
-    yield from _comparison_table(comparisons)
     yield from (
+        _comparison_table(comparisons),
         "",
         "Primary: p of the sign-flip permutation test of people's differences in success, and "
         "the same by Holm over all declared pairs. Fisher and Boschloo take sessions for "
@@ -123,36 +111,30 @@ def _pairs(results: Results) -> Iterator[str]:
          _p(item.mann_whitney))
         for item in comparisons
     ]  # fmt: skip
-    yield from _table(("pair", "overall rating", "p sign-flip", "Holm", "Mann-Whitney"), rows)
+    yield table(("pair", "overall rating", "p sign-flip", "Holm", "Mann-Whitney"), rows)
     yield ""
     if flagged := results.flags():
         yield from (f"Without the {len(flagged)} people who are flagged below:", "")
-        yield from _comparison_table(compare_pairs(results, flagged))
-        yield ""
+        yield from (_comparison_table(compare_pairs(results, flagged)), "")
 
 
-def _comparison_table(comparisons: Iterable[Comparison]) -> Iterator[str]:
+def _comparison_table(comparisons: Iterable[Comparison]) -> str:
     rows = [
         (f"{item.better} – {item.worse}", item.people, item.success, _p(item.p),
          f"**{_p(item.holm)}**", _p(item.fisher), _p(item.boschloo))
         for item in comparisons
     ]  # fmt: skip
     head = ("pair", "people", "success", "p sign-flip", "Holm", "Fisher", "Boschloo")
-    yield from _table(head, rows)
+    return table(head, rows)
 
 
 def _ratings(results: Results) -> Iterator[str]:
     yield from ("## Distribution of overall ratings", "")
     rows = []
     for agent in results.terms.agents:
-        counts = Counter(
-            item.ratings["overall"]
-            for sessions in results.of(agent).values()
-            for item in sessions
-            if item.ratings
-        )
+        counts = Counter(chain(*results.ratings(agent).values()))
         rows.append((agent, *(counts[rating] for rating in range(1, 6))))
-    yield from _table(("agent", "1", "2", "3", "4", "5"), rows)
+    yield table(("agent", "1", "2", "3", "4", "5"), rows)
     yield from ("", "![Distribution of ratings](ratings.png)", "")
 
 
@@ -162,17 +144,13 @@ def _failures(results: Results) -> Iterator[str]:
     if not reasons:
         yield from ("No session failed.", "")
         return
-    counts = {
-        agent: Counter(
-            reason
-            for sessions in results.of(agent).values()
-            for session in sessions
-            for reason in session.reasons
-        )
-        for agent in results.terms.agents
-    }
-    rows = [(agent, *(counts[agent][reason] for reason in reasons)) for agent in counts]
-    yield from _table(("agent", *reasons), rows)
+    counts = Counter(
+        (session.agent, reason) for session in results.sessions for reason in session.reasons
+    )
+    rows = [
+        (agent, *(counts[agent, reason] for reason in reasons)) for agent in results.terms.agents
+    ]
+    yield table(("agent", *reasons), rows)
     yield from ("", "A session may fail for several reasons.", "")
 
 
@@ -207,8 +185,8 @@ def _uncertainty(results: Results) -> Iterator[str]:
     if rows:
         yield from ("## Does uncertainty predict failure?", "")
         head = ("agent", "sessions", "entropy", f"entropy of the first {FIRST} answers", "length")
-        yield from _table(head, rows)
         yield from (
+            table(head, rows),
             "",
             "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people: "
             ".5 says nothing, 1 all. Entropy is that of the best action, a mean over a session's "
@@ -236,20 +214,12 @@ def _flags(results: Results) -> Iterator[str]:
     if not flags:
         yield from ("Nobody is conspicuous.", "")
         return
-    yield from _table(("person", "flags"), [(who, "; ".join(what)) for who, what in flags.items()])
+    yield table(("person", "flags"), [(who, "; ".join(what)) for who, what in flags.items()])
     yield from ("", "All of them are in every number above unless it says otherwise.", "")
 
 
 def _who(results: Results) -> str:
     return "simulated users" if results.simulated else "people"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    lines = [head, ["---"] * len(head), *rows]
-    return [
-        f"| {' | '.join(str(cell).replace('|', chr(92) + '|') for cell in line)} |"
-        for line in lines
-    ]
 
 
 def _p(value: float) -> str:

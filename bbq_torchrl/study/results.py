@@ -90,6 +90,11 @@ class Results:
     open: int
     sessions: tuple[Result, ...]
 
+    @property
+    def title(self) -> str:
+        """The study's name, which says so where its people are simulated."""
+        return f"{self.terms.name}{' (simulated users)' if self.simulated else ''}"
+
     def of(self, agent: str) -> dict[str, list[Result]]:
         """Returns an agent's sessions by person."""
         found: dict[str, list[Result]] = defaultdict(list)
@@ -97,6 +102,20 @@ class Results:
             if session.agent == agent:
                 found[session.person].append(session)
         return dict(found)
+
+    def successes(self, agent: str) -> dict[str, list[bool]]:
+        """Returns the judge's verdicts on an agent by person."""
+        return {
+            person: [session.success for session in sessions]
+            for person, sessions in self.of(agent).items()
+        }
+
+    def ratings(self, agent: str, scale: str = "overall") -> dict[str, list[int]]:
+        """Returns an agent's ratings by person, also those who have rated nothing."""
+        return {
+            person: [session.ratings[scale] for session in sessions if session.ratings]
+            for person, sessions in self.of(agent).items()
+        }
 
     def flags(self) -> dict[str, list[str]]:
         """Returns what is conspicuous of people; nobody is left out of anything for it."""
@@ -173,35 +192,23 @@ def _sessions(connection: sqlite3.Connection, names: Mapping[int, str]) -> list[
         WHERE ended IS NOT NULL ORDER BY id
         """
     ).fetchall()
-    return [
-        Result(
-            id=number,
-            person=names[person],
-            position=position,
-            agent=agent,
-            goal=goal,
-            ended_by=ended_by,
-            success=bool(success),
-            reasons=tuple(json.loads(reasons)),
-            ratings=None if verdict is None else dict(zip(SCALES, scales, strict=True)),
-            verdict=None if verdict is None else bool(verdict),
-            exchanges=tuple(
-                StoredExchange.of(row)
-                for row in connection.execute(
-                    f"{EXCHANGES} WHERE session = ? ORDER BY number", (number,)
-                )
-            ),
+    found = []
+    for row in rows:
+        number, person, position, agent, goal, ended_by, success, reasons, verdict, *scales = row
+        is_rated = verdict is not None
+        found.append(
+            Result(
+                id=number,
+                person=names[person],
+                position=position,
+                agent=agent,
+                goal=goal,
+                ended_by=ended_by,
+                success=bool(success),
+                reasons=tuple(json.loads(reasons)),
+                ratings=dict(zip(SCALES, scales, strict=True)) if is_rated else None,
+                verdict=bool(verdict) if is_rated else None,
+                exchanges=tuple(map(StoredExchange.of, connection.execute(EXCHANGES, (number,)))),
+            )
         )
-        for (
-            number,
-            person,
-            position,
-            agent,
-            goal,
-            ended_by,
-            success,
-            reasons,
-            verdict,
-            *scales,
-        ) in rows
-    ]
+    return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING, Protocol
 
-from bbq_torchrl.study.conversations import Conversations
+from bbq_torchrl.study.conversations import Conversations, seed_of
 from bbq_torchrl.study.rating import drawn_ratings
 from bbq_torchrl.study.store import Store
 
@@ -77,7 +77,7 @@ def simulate(
             clock.now = place * _DAY
             token = conversations.enrol({"nonce": _nonce(seed, place), "consent": "yes"})
             for begin, person, session in _unrated(store, token, clock.now):
-                drawn = _number(seed, place, session.position)
+                drawn = seed_of(seed, place, session.position)
                 user, clock.now = users(session.goal, drawn), begin
                 messages = _converse(conversations, store, clock, person, session, user)
                 form = {"nonce": _nonce(drawn, "rating"), "session": str(session.position)}
@@ -124,12 +124,4 @@ def _form(satisfied: bool, messages: int, seed: int) -> dict[str, str]:
 
 
 def _nonce(*parts: object) -> str:
-    return _hash(*parts)[:32]
-
-
-def _number(*parts: object) -> int:
-    return int(_hash(*parts)[:8], 16)
-
-
-def _hash(*parts: object) -> str:
-    return hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()
+    return hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()[:32]

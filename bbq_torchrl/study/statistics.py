@@ -161,7 +161,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return adjusted
 
 
-def two_by_two(one: Sequence[bool], other: Sequence[bool]) -> tuple[float, float]:
+def two_by_two(one: Sequence[int], other: Sequence[int]) -> tuple[float, float]:
     """Returns Fisher's and Boschloo's exact p-values; both take sessions for independent."""
     table = [[sum(side), len(side) - sum(side)] for side in (one, other)]
     if not one or not other or 0 in np.sum(table, axis=0):

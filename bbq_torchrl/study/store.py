@@ -72,7 +72,7 @@ class Store:
         secret: str | None,
     ) -> str:
         """Returns the study's secret; makes the study where there is none yet."""
-        path, package = str(self._database.path), bbq_torchrl.__version__
+        package = bbq_torchrl.__version__
         found = connection.execute("SELECT terms, package, secret, simulated FROM study").fetchone()
         if found is None:
             secret = secret or secrets.token_urlsafe(32)
@@ -97,7 +97,7 @@ class Store:
         ]
         if faults:
             advice = "a study goes on as it was begun; a changed one needs a new file name"
-            raise StoreError(path, [f"{fault} ({advice})" for fault in faults])
+            raise StoreError(self._database.path, *(f"{fault} ({advice})" for fault in faults))
         connection.execute("UPDATE study SET terms = ?", (self._terms.text(),))
         return str(found[2])
 
@@ -163,12 +163,7 @@ class Store:
 
     def exchanges(self, session: int) -> list[StoredExchange]:
         """Returns what was said in a session, first to last."""
-        return [
-            StoredExchange.of(row)
-            for row in self._database.rows(
-                f"{EXCHANGES} WHERE session = ? ORDER BY number", session
-            )
-        ]
+        return list(map(StoredExchange.of, self._database.rows(EXCHANGES, session)))
 
     def texts(self, session: int) -> list[tuple[str, str]]:
         """Returns what both said in a session: all that people see of an exchange."""
@@ -199,7 +194,7 @@ class Store:
             reply: the agent's.
             end: who or what ended the conversation, and the verdict; ``None`` if it goes on.
         """
-        beliefs = reply.beliefs_content()
+        beliefs = None if reply.beliefs is None else json.dumps(asdict(reply.beliefs))
         with self._database.transaction() as connection:
             now = self._clock()
             connection.execute(
@@ -207,7 +202,7 @@ class Store:
                 (
                     *(session.id, number, nonce, now, text, reply.text),
                     *(json.dumps(asdict(reply.heard)), json.dumps(asdict(reply.said))),
-                    *(None if beliefs is None else json.dumps(beliefs), reply.state),
+                    *(beliefs, reply.state),
                 ),
             )
             if end is not None:

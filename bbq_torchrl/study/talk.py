@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["Belief", "Beliefs", "Exchange", "Frame", "Reply", "Talker"]
+__all__ = ["Belief", "Beliefs", "Frame", "Reply", "Talker"]
 
 
 @dataclass(frozen=True)
@@ -70,15 +70,6 @@ class Beliefs:
     actions: tuple[Belief, ...]
     entropy: float
 
-    @classmethod
-    def of(cls, content: Mapping[str, Any]) -> Beliefs:
-        """Returns the beliefs that were stored as ``content``."""
-        actions = (
-            Belief(**{**item, "band50": tuple(item["band50"]), "band90": tuple(item["band90"])})
-            for item in content["actions"]
-        )
-        return cls(tuple(actions), content["entropy"])
-
 
 @dataclass(frozen=True)
 class Reply:
@@ -101,23 +92,6 @@ class Reply:
     ended: bool = False
     state: str = ""
     beliefs: Beliefs | None = None
-
-    def beliefs_content(self) -> dict[str, Any] | None:
-        """Returns the beliefs as plain data."""
-        return None if self.beliefs is None else asdict(self.beliefs)
-
-
-@dataclass(frozen=True)
-class Exchange:
-    """A person's turn and the agent's answer, as the judge reads them.
-
-    Attributes:
-        heard: what was understood.
-        said: what the agent said.
-    """
-
-    heard: Frame
-    said: Frame
 
 
 class Talker(Protocol):

@@ -6,25 +6,27 @@ import hmac
 import logging
 import secrets
 from http import HTTPStatus
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, RedirectResponse
 from starlette.routing import Route
 
 from bbq_torchrl.study.conversations import MAX_TEXT, Conversations, RefusedError
 from bbq_torchrl.study.database import StoreError
 from bbq_torchrl.study.guard import BODY_SECONDS, Guard
-from bbq_torchrl.study.pages import STATIC_FILES, bars, card, render, static
+from bbq_torchrl.study.outcome import card
+from bbq_torchrl.study.pages import best, render
 from bbq_torchrl.study.records import SCALES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from starlette.requests import Request
+    from starlette.responses import Response
 
     from bbq_torchrl.study.plan import Study
     from bbq_torchrl.study.records import Person
@@ -59,24 +61,15 @@ def application(
         body_seconds: in which a form must have arrived.
     """
     pages = _Pages(study, store, talker)
-
-    def threaded(page: Callable[[Request], Response]) -> Callable[[Request], Any]:
-        async def endpoint(request: Request) -> Response:
-            return await run_in_threadpool(page, request)
-
-        return endpoint
-
-    def route(path: str, page: Callable[[Request], Response], *methods: str) -> Route:
-        return Route(path, threaded(page), methods=list(methods))
-
+    # Pages are no coroutines: Starlette makes each in a thread.
     routes = [
-        route("/join/{key}", pages.consent, "GET"),
-        route("/join/{key}", pages.enrol, "POST"),
-        route("/p/{token}", pages.now, "GET"),
-        route("/p/{token}/{step}", pages.step, "POST"),
-        route("/r/{key}", pages.progress, "GET"),
-        route("/r/{key}/{session:int}", pages.transcript, "GET"),
-        route("/static/{name}", _static, "GET"),
+        Route("/join/{key}", pages.consent),
+        Route("/join/{key}", pages.enrol, methods=["POST"]),
+        Route("/p/{token}", pages.now),
+        Route("/p/{token}/{step}", pages.step, methods=["POST"]),
+        Route("/r/{key}", pages.progress),
+        Route("/r/{key}/{session:int}", pages.transcript),
+        Route("/static/{name}", _static),
     ]
     handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
     guard = Middleware(Guard, page=pages.message, body_seconds=body_seconds)
@@ -85,9 +78,9 @@ def application(
 
 def _static(request: Request) -> Response:
     name = request.path_params["name"]
-    if name not in STATIC_FILES:
+    if name not in ("study.css", "study.js"):
         raise HTTPException(HTTPStatus.NOT_FOUND)
-    return Response(static(name), media_type=STATIC_FILES[name])
+    return FileResponse(Path(__file__).parent / "static" / name)
 
 
 class _Pages:
@@ -96,6 +89,7 @@ class _Pages:
     def __init__(self, study: Study, store: Store, talker: Talker) -> None:
         self._study, self._store, self._talker = study, store, talker
         self._conversations = Conversations(study, store, talker)
+        self._steps = {name: getattr(self._conversations, name) for name in ("say", "end", "rate")}
 
     # -- taking part -------------------------------------------------------------------------------
 
@@ -124,15 +118,11 @@ class _Pages:
             self._person(request),
             request.state.form,
         )
-        steps = {
-            "say": self._conversations.say,
-            "end": self._conversations.end,
-            "rate": self._conversations.rate,
-        }
-        if request.path_params["step"] not in steps:
+        take = self._steps.get(request.path_params["step"])
+        if take is None:
             raise HTTPException(HTTPStatus.NOT_FOUND)
         try:
-            steps[request.path_params["step"]](person, form)
+            take(person, form)
         except RefusedError as error:
             person = self._person(request)  # as it is by now
             return self._page(token, person, error.status, str(error), form)
@@ -140,13 +130,13 @@ class _Pages:
             _log.exception("a step could not be stored")
             status = HTTPStatus.SERVICE_UNAVAILABLE
             problem = "What you sent could not be stored. Please send it again in a minute."
-            return self._page(token, person, status, problem, form, keep_nonce=True)
         except Exception:
             _log.exception("an agent could not answer")
             status = HTTPStatus.INTERNAL_SERVER_ERROR
             problem = "The assistant could not answer. Please send your message again."
-            return self._page(token, person, status, problem, form, keep_nonce=True)
-        return _to(token)
+        else:
+            return _to(token)
+        return self._page(token, person, status, problem, form, keep_nonce=True)
 
     def _page(
         self,
@@ -215,14 +205,13 @@ class _Pages:
         session = self._store.session(request.path_params["session"])
         if session is None:
             raise HTTPException(HTTPStatus.NOT_FOUND)
-        turns = [
-            (item, bars(item.beliefs["actions"]) if item.beliefs else [])
-            for item in self._store.exchanges(session.id)
-        ]
-        goal = card(self._conversations.goal(session), self._talker.labels)
-        key = request.path_params["key"]
         return self._html(
-            "transcript", HTTPStatus.OK, key=key, session=session, card=goal, turns=turns
+            "transcript",
+            HTTPStatus.OK,
+            key=request.path_params["key"],
+            session=session,
+            card=card(self._conversations.goal(session), self._talker.labels),
+            turns=[(item, best(item.beliefs)) for item in self._store.exchanges(session.id)],
         )
 
     # -- what all pages share ----------------------------------------------------------------------

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.evaluation.markdown import table
 from bbq_torchrl.evaluation.statistics import estimate
+from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -10,7 +10,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from bbq_torchrl.domains import Goal
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.study.talk import Exchange, Frame
+from bbq_torchrl.study.talk import Frame
 
 
 class Conversations:
@@ -57,7 +57,7 @@ class Conversations:
         requests = [slot for slot in self._flags(first["requests"]) if slot != ticket]
         goal = Goal(self._values(first["constraints"]), tuple(requests))
         exchanges = [
-            Exchange(
+            (
                 Frame(
                     self.acts[int(before["heard_act"])],
                     self._values(before["user_informs"]),

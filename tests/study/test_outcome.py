@@ -9,7 +9,7 @@ from oracle.small import small_domain
 
 from bbq_torchrl.domains import Goal
 from bbq_torchrl.study.outcome import Judge
-from bbq_torchrl.study.talk import Exchange, Frame
+from bbq_torchrl.study.talk import Frame
 
 from .simulated import Conversations
 
@@ -30,11 +30,11 @@ def judge():
 
 
 def told(**informs):
-    return Exchange(Frame("request"), Frame("inform", informs))
+    return (Frame("request"), Frame("inform", informs))
 
 
 def heard(**informs):
-    return Exchange(Frame("inform", informs), Frame("greeting"))
+    return (Frame("inform", informs), Frame("greeting"))
 
 
 def offer(taskcomplete="ticket available", **informs):
