@@ -136,9 +136,8 @@ def draw_chat(file: Path) -> None:
 
     from bbq_torchrl.chat import Partner, TrainedAgent
     from bbq_torchrl.chat.goals import choose_goal
-    from bbq_torchrl.chat.language import make_ears, make_mouth
+    from bbq_torchrl.chat.language import make_ears, make_mouth, slot_names
     from bbq_torchrl.chat.terminal import Chat
-    from bbq_torchrl.language import load_phrases
 
     torch.set_num_threads(1)
     agent = TrainedAgent(AGENT)
@@ -151,11 +150,8 @@ def draw_chat(file: Path) -> None:
             screen.print(f"you: {line}", markup=False, highlight=False)
         return line
 
-    phrases = load_phrases(agent.domain, agent.folder)
-    names = {slot: entry.name for slot, entry in phrases.slots.items()}
-    partner = Partner(
-        agent, make_ears(agent.domain, agent.folder), make_mouth(agent.domain, agent.folder)
-    )
+    names = slot_names(agent.domain)
+    partner = Partner(agent, make_ears(agent.domain), make_mouth(agent.domain))
     Chat(partner, choose_goal(partner.domain, 1, 0), screen, names=names).run(read)
     drawn = screen.export_svg(title=f"bbq chat {AGENT} --goal 1")
     # Any font of the reader's will do, and none is loaded from another host.

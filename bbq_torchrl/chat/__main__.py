@@ -86,31 +86,27 @@ def _chat(given: argparse.Namespace) -> None:
 
     from bbq_torchrl.chat.agent import TrainedAgent
     from bbq_torchrl.chat.goals import choose_goal
-    from bbq_torchrl.chat.language import make_ears, make_mouth
+    from bbq_torchrl.chat.language import make_ears, make_mouth, slot_names
     from bbq_torchrl.chat.partner import Partner
     from bbq_torchrl.chat.spelling import Spelling
     from bbq_torchrl.chat.terminal import Chat, console, prompt
-    from bbq_torchrl.language import load_phrases
 
     torch.set_num_threads(1)
     screen = console()
     read = _lines() if given.plain or not sys.stdin.isatty() else prompt()
     agent = TrainedAgent(given.run, replica=given.replica, mode=given.mode, weights=given.weights)
-    spelling = Spelling(agent.domain, agent.folder)
+    spelling = Spelling(agent.domain)
     goal = None if given.free else choose_goal(spelling.domain, given.goal, given.seed)
     ears = make_ears(
         agent.domain,
-        agent.folder,
         file=given.understander,
         labeled=given.labeled,
         endpoint=endpoint if given.nlu == "endpoint" else None,
         tell=screen.print,
     )
-    mouth = make_mouth(agent.domain, agent.folder, endpoint if given.nlg == "endpoint" else None)
-    phrases = load_phrases(agent.domain, agent.folder)
-    names = {slot: entry.name for slot, entry in phrases.slots.items()}
+    mouth = make_mouth(agent.domain, endpoint if given.nlg == "endpoint" else None)
     partner = Partner(agent, ears, mouth, spelling, ask_below=given.ask_below)
-    Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
+    Chat(partner, goal, screen, names=slot_names(agent.domain), seed=given.seed).run(read)
 
 
 def _endpoint(given: argparse.Namespace) -> Endpoint | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -19,6 +20,7 @@ from bbq_torchrl.options import ConfigError
 from bbq_torchrl.study.talk import Belief, Beliefs
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from torch import Tensor
@@ -81,7 +83,6 @@ class TrainedAgent:
 
     Attributes:
         domain: what it talks about.
-        folder: where the domain's phrases are looked for; ``None`` for the generic ones.
         simulator: of the domain, as the agent was trained in it.
         active: bool ``[S]``, the slots active for the agent.
         name: of the policy, such as ``mean`` or ``greedy``.
@@ -106,7 +107,6 @@ class TrainedAgent:
                 f"replica must be between 0 and {config.replicas - 1} for {folder}, got {replica}"
             )
         self.domain: Domain = env.domain
-        self.folder = self.domain.folder
         self.simulator: Simulator = env.simulator
         self.active = env.active_slots
         self._mask: Tensor = env.simulator.action_mask(env.active_slots)
@@ -135,19 +135,18 @@ class TrainedAgent:
         return int(self._acted(observation, seed)["action"])
 
     @torch.no_grad()
-    def beliefs(self, observation: Tensor, seed: int, draws: int = DRAWS) -> Beliefs | None:
+    def beliefs(self, observation: Tensor, seed: int) -> Beliefs | None:
         """Returns what the agent thinks of its legal actions, the best first.
 
         Args:
             observation: float32 ``[F]``.
             seed: of the draws.
-            draws: how many.
 
         Returns:
             ``None`` for an agent without a posterior.
         """
         with self._seeded(seed):
-            found = q_draws(self._policy, self._rows(observation), draws)
+            found = q_draws(self._policy, self._rows(observation), DRAWS)
         if found is None:
             return None
         values = found[self._replica].masked_fill(~self._mask, -torch.inf)
@@ -158,16 +157,9 @@ class TrainedAgent:
         actions = []
         for rank in means.argsort(descending=True).tolist():
             low90, low50, high50, high90 = bands[:, rank].tolist()
-            action = int(legal[rank])
-            actions.append(
-                Belief(
-                    str(self.domain.actions[action]),
-                    float(means[rank]),
-                    (low50, high50),
-                    (low90, high90),
-                    float(chances[action]),
-                )
-            )
+            action, mean = int(legal[rank]), float(means[rank])
+            name, chance = self.domain.action_names[action], float(chances[action])
+            actions.append(Belief(name, mean, (low50, high50), (low90, high90), chance))
         return Beliefs(tuple(actions), float(torch.special.entr(chances).sum()))
 
     def values(self, observation: Tensor, seed: int) -> dict[str, float]:
@@ -175,7 +167,7 @@ class TrainedAgent:
         values = self._acted(observation, seed)["action_value"]
         values = values.masked_fill(~self._mask, -torch.inf)
         return {
-            str(self.domain.actions[action]): float(values[action])
+            self.domain.action_names[action]: float(values[action])
             for action in values.argsort(descending=True)[: int(self._mask.sum())].tolist()
         }
 
@@ -193,12 +185,14 @@ class TrainedAgent:
         Returns:
             ``None`` for a policy whose network is not known, or where one action alone is legal.
         """
-        inputs = self._rows(observation)
+        inputs, names = self._rows(observation), self.domain.action_names
         best = self.decide(observation, seed)
         beliefs = self.beliefs(observation, seed)
-        ranked = self.values(observation, seed) if beliefs is None else beliefs.actions
-        names = [item if isinstance(item, str) else item.action for item in ranked]
-        others = [name for name in names if name != str(self.domain.actions[best])]
+        if beliefs is None:
+            ranked = list(self.values(observation, seed))
+        else:
+            ranked = [belief.action for belief in beliefs.actions]
+        others = [name for name in ranked if name != names[best]]
         with self._seeded(seed):
             found = path_draws(self._policy, inputs, _WHY_DRAWS)
             if found is None or not others:
@@ -223,10 +217,9 @@ class TrainedAgent:
         # What the finite path misses goes to no group: it is small, and would be made up.
         parts["nothing known"] = at_start
         reasons = (_reason(name, part) for name, part in parts.items())
-        actions = self.domain.actions
         return Reasons(
-            str(actions[best]),
-            str(actions[second]),
+            names[best],
+            names[second],
             _reason("all", at_end),
             tuple(sorted(reasons, key=lambda reason: -abs(reason.mean))),
         )
@@ -247,24 +240,12 @@ class TrainedAgent:
     def _rows(self, observation: Tensor) -> Tensor:
         return observation.expand(self._replicas, 1, -1)
 
-    def _seeded(self, seed: int) -> _Seeded:
-        return _Seeded(self._lock, seed)
-
-
-class _Seeded:
-    """Torch's global generator, seeded for one thread at a time and left as it was."""
-
-    def __init__(self, lock: threading.Lock, seed: int) -> None:
-        self._lock, self._seed = lock, seed
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-        self._state = torch.get_rng_state()
-        torch.manual_seed(self._seed)
-
-    def __exit__(self, *_: object) -> None:
-        torch.set_rng_state(self._state)
-        self._lock.release()
+    @contextmanager
+    def _seeded(self, seed: int) -> Iterator[None]:
+        """Seeds torch's global generator, for one thread at a time, and leaves it as it was."""
+        with self._lock, torch.random.fork_rng(devices=()):
+            torch.manual_seed(seed)
+            yield
 
 
 def _reason(group: str, draws: Tensor) -> Reason:

@@ -10,6 +10,7 @@ from bbq_torchrl.language import (
     EndpointUnderstander,
     Generator,
     Understander,
+    load_phrases,
 )
 from bbq_torchrl.language.kept import kept_understander
 
@@ -20,12 +21,11 @@ if TYPE_CHECKING:
     from bbq_torchrl.chat.partner import Ears, Mouth
     from bbq_torchrl.domains import Domain
 
-__all__ = ["make_ears", "make_mouth"]
+__all__ = ["make_ears", "make_mouth", "slot_names"]
 
 
 def make_ears(
     domain: Domain,
-    folder: Path | None,
     *,
     file: Path | None = None,
     labeled: Path | None = None,
@@ -37,8 +37,7 @@ def make_ears(
     Without a file it is :func:`~bbq_torchrl.language.kept.kept_understander`.
 
     Args:
-        domain: what is spoken of.
-        folder: where its phrases are; ``None`` for the generic ones.
+        domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
         file: of an understander that was trained before.
         labeled: own labeled lines to learn from as well.
         endpoint: who is asked first.
@@ -49,19 +48,23 @@ def make_ears(
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
     if file is not None:
-        own = Understander.load(file, domain, folder)
+        own = Understander.load(file, domain, domain.folder)
     else:
-        own = kept_understander(domain, folder, labeled, tell)
+        own = kept_understander(domain, domain.folder, labeled, tell)
     return own if endpoint is None else EndpointUnderstander(endpoint, own)
 
 
-def make_mouth(domain: Domain, folder: Path | None, endpoint: Endpoint | None = None) -> Mouth:
+def make_mouth(domain: Domain, endpoint: Endpoint | None = None) -> Mouth:
     """Returns who says what an agent means.
 
     Args:
-        domain: what is spoken of.
-        folder: where its phrases are; ``None`` for the generic ones.
+        domain: as of :func:`make_ears`.
         endpoint: who is asked first.
     """
-    own = Generator.of(domain, folder)
+    own = Generator.of(domain, domain.folder)
     return own if endpoint is None else EndpointGenerator(endpoint, own)
+
+
+def slot_names(domain: Domain) -> dict[str, str]:
+    """Returns how people call the slots of a domain."""
+    return {slot: entry.name for slot, entry in load_phrases(domain, domain.folder).slots.items()}

@@ -158,7 +158,7 @@ class Partner:
     ) -> None:
         self.agent, self._ask_below = agent, ask_below
         self._ears, self._mouth = ears, mouth
-        self._spelling = spelling or Spelling(agent.domain, agent.folder)
+        self._spelling = spelling or Spelling(agent.domain)
         self.domain = self._spelling.domain
         # The agent sees numbers of records: those that match in whichever spelling.
         simulator = Simulator(tensorize(self.domain), max_turn=agent.simulator.max_turn)
@@ -187,10 +187,7 @@ class Partner:
         now = replace(now, asking=Asking())
         if heard.act == "greeting" and not (heard.informs or heard.requests):
             return self._say(now, understood, heard, Frame("greeting"), seed)
-        if now.state is None:
-            state = self._tracking.start(heard)
-        else:
-            state = self._tracking.hear(now.state, heard)
+        state = self._hear(now.state, heard)
         if heard.act == "closing":
             now = replace(now, state=state)
             return self._say(now, understood, heard, Frame("closing"), seed, ended="person")
@@ -224,10 +221,12 @@ class Partner:
         return self.agent.reasons(self._observed(memory, heard), seed)
 
     def _observed(self, memory: str | None, heard: Frame) -> torch.Tensor:
-        state = _Memory.of(memory).state
-        tracking = self._tracking
-        state = tracking.start(heard) if state is None else tracking.hear(state, heard)
-        return tracking.observe(state)
+        return self._tracking.observe(self._hear(_Memory.of(memory).state, heard))
+
+    def _hear(self, state: TensorDict | None, heard: Frame) -> TensorDict:
+        if state is None:
+            return self._tracking.start(heard)
+        return self._tracking.hear(state, heard)
 
     def _understood(self, text: str, question: Frame | None) -> Understood:
         """Returns what a text means, its values in the one spelling."""

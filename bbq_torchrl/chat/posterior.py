@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from tensordict import TensorDict
@@ -83,13 +84,9 @@ def path_draws(
 
 
 def _is_bayesian(policy: TensorDictModuleBase) -> bool:
-    if not isinstance(policy, (EvaluationPolicy, Greedy)):
-        return False
-    try:
-        posteriors(policy)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):  # raised where there is no posterior
+        return isinstance(policy, (EvaluationPolicy, Greedy)) and bool(posteriors(policy))
+    return False
 
 
 def _drops_units(policy: TensorDictModuleBase) -> bool:

@@ -138,9 +138,9 @@ def _names_choices(said: Act) -> bool:
 
 def make_users(study: Study) -> Callable[[int, int], SimulatedUser]:
     """Returns what makes a user of a study from the number of its goal, from 1, and a seed."""
-    domain = study.domain
-    spelling = Spelling(domain, domain.folder)
-    simulator, speak = Simulator(tensorize(spelling.domain)), Generator.of(domain, domain.folder)
+    spelling = Spelling(study.domain)
+    simulator = Simulator(tensorize(spelling.domain))
+    speak = Generator.of(study.domain, study.domain.folder)
 
     def user(goal: int, seed: int) -> SimulatedUser:
         return SimulatedUser(simulator, speak, goal, seed, spelling.of)

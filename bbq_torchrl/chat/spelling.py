@@ -10,7 +10,6 @@ from bbq_torchrl.language.lexicon import Lexicon
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from bbq_torchrl.domains import Domain
 
@@ -24,8 +23,7 @@ class Spelling:
     or a goal has one of them. Whoever types the other means the same.
 
     Args:
-        domain: what is spoken of.
-        folder: where its phrases are; ``None`` for the generic ones.
+        domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
 
     Attributes:
         domain: the same, its records and goals in that spelling: the one that most of them have.
@@ -33,13 +31,13 @@ class Spelling:
     Example:
         >>> from bbq_torchrl.domains import movie_domain
         >>> domain = movie_domain()
-        >>> spelling = Spelling(domain, domain.folder)
+        >>> spelling = Spelling(domain)
         >>> spelling.of({"numberofpeople": "two", "starttime": "2:15pm", "city": "nowhere"})
         {'numberofpeople': '2', 'starttime': '2:15 pm', 'city': 'nowhere'}
     """
 
-    def __init__(self, domain: Domain, folder: Path | None) -> None:
-        self._lexicon = Lexicon(domain, load_phrases(domain, folder))
+    def __init__(self, domain: Domain) -> None:
+        self._lexicon = Lexicon(domain, load_phrases(domain, domain.folder))
         self.domain = replace(
             domain,
             records=tuple(map(self.of, domain.records)),

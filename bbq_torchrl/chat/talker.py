@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import threading
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
 
 from bbq_torchrl.chat.agent import TrainedAgent
-from bbq_torchrl.chat.language import make_ears, make_mouth
+from bbq_torchrl.chat.language import make_ears, make_mouth, slot_names
 from bbq_torchrl.chat.partner import Partner
 from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.chat.terminal import as_act
-from bbq_torchrl.language import load_phrases
 from bbq_torchrl.language.kept import language_key
 from bbq_torchrl.shipped import run_folder
 from bbq_torchrl.study import Reply, StudyError
@@ -34,26 +32,18 @@ class AgentTalker:
         ears: who understands.
         mouth: who speaks.
         language: a hash of both.
-        labels: how people call the domain's slots.
 
     Attributes:
         domain: the study's, in the spelling that all acts have.
+        labels: how people call the domain's slots.
 
     Raises:
         StudyError: with every agent that cannot be loaded, or is of another domain.
     """
 
-    def __init__(
-        self,
-        study: Study,
-        ears: Ears,
-        mouth: Mouth,
-        *,
-        language: str,
-        labels: dict[str, str],
-    ) -> None:
-        self.labels = labels
-        spelling = Spelling(study.domain, study.domain.folder)
+    def __init__(self, study: Study, ears: Ears, mouth: Mouth, *, language: str) -> None:
+        self.labels = slot_names(study.domain)
+        spelling = Spelling(study.domain)
         self.domain = spelling.domain
         self._language = language
         # The tagger is not safe to be used by several threads at once.
@@ -110,16 +100,7 @@ def make_talker(study: Study) -> AgentTalker:
         StudyError: with every agent that cannot be loaded.
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
-    from bbq_torchrl.domains.folder import MOVIE_FOLDER
-
     torch.set_num_threads(1)
-    is_movie = study.terms.domain == "movie"
-    folder = MOVIE_FOLDER if is_movie else study.path.parent / Path(study.terms.domain).expanduser()
-    phrases = load_phrases(study.domain, folder)
-    return AgentTalker(
-        study,
-        make_ears(study.domain, folder),
-        make_mouth(study.domain, folder),
-        language=language_key(study.domain, folder),
-        labels={slot: entry.name for slot, entry in phrases.slots.items()},
-    )
+    domain = study.domain
+    language = language_key(domain, domain.folder)
+    return AgentTalker(study, make_ears(domain), make_mouth(domain), language=language)

@@ -13,11 +13,9 @@ from bbq_torchrl.study.talk import Frame as Act
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from bbq_torchrl.chat.agent import Reasons
     from bbq_torchrl.chat.partner import Answer, Partner
     from bbq_torchrl.domains import Goal
     from bbq_torchrl.language import Frame
-    from bbq_torchrl.study.talk import Beliefs
 
 __all__ = ["Chat", "as_act", "console", "prompt"]
 
@@ -147,24 +145,32 @@ class Chat:
         self._say(f"the agent's act: {answer.said}")
         beliefs = self._partner.beliefs(turn.memory, answer.heard, turn.seed)
         if beliefs is None:
-            values = self._partner.values(turn.memory, answer.heard, turn.seed)
-            rows = [(action, f"{value:.2f}") for action, value in list(values.items())[:_SHOWN]]
-            self._table(("action", "Q"), rows)
+            values = self._partner.values(turn.memory, answer.heard, turn.seed).items()
+            self._table(("action", "Q"), [(name, f"{q:.2f}") for name, q in [*values][:_SHOWN]])
             self._say("This agent has no posterior: it does not know how sure it is.")
             return
-        self._table(("action", "mean Q", "50 %", "90 %", "P(best)"), _rows(beliefs))
+        rows = [
+            (item.action, f"{item.mean:.2f}", _band(item.band50), _band(item.band90),
+             f"{item.p_best:.2f}")
+            for item in beliefs.actions[:_SHOWN]
+        ]  # fmt: skip
+        self._table(("action", "mean Q", "50 %", "90 %", "P(best)"), rows)
         self._say(f"entropy of the best action: {beliefs.entropy:.2f} nats")
 
     def _show_why(self, turn: _Turn) -> None:
         answer = turn.answer
-        reasons = (
-            self._partner.reasons(turn.memory, answer.heard, turn.seed) if answer.acted else None
-        )
+        reasons = None
+        if answer.acted:
+            reasons = self._partner.reasons(turn.memory, answer.heard, turn.seed)
         if reasons is None:
             self._say("There are no two actions to compare here.")
             return
         self._say(f"{reasons.action} rather than {reasons.other}, in units of Q:")
-        self._table(("because of", "mean", "90 %"), _parts(reasons))
+        parts = [
+            (part.group.replace("_", " "), f"{part.mean:+.2f}", _band(part.band90))
+            for part in (*reasons.parts[:_SHOWN], reasons.difference)
+        ]
+        self._table(("because of", "mean", "90 %"), parts)
 
     def _outcome(self, ended: str) -> bool | None:
         how = {
@@ -249,24 +255,6 @@ def prompt() -> Callable[[], str | None]:
         return line
 
     return read
-
-
-def _rows(beliefs: Beliefs) -> list[tuple[str, ...]]:
-    return [
-        (
-            item.action,
-            f"{item.mean:.2f}",
-            _band(item.band50),
-            _band(item.band90),
-            f"{item.p_best:.2f}",
-        )
-        for item in beliefs.actions[:_SHOWN]
-    ]
-
-
-def _parts(reasons: Reasons) -> list[tuple[str, ...]]:
-    rows = [*reasons.parts[:_SHOWN], reasons.difference]
-    return [(row.group.replace("_", " "), f"{row.mean:+.2f}", _band(row.band90)) for row in rows]
 
 
 def _band(ends: tuple[float, float]) -> str:

@@ -85,18 +85,14 @@ class Tracking:
         tracker = self._simulator.tracker
         agent = tracker.complete(state["held"], torch.tensor(action))
         asked, open_ = tracker.answer(state["heard_requests"], state["open_requests"], agent)
-        return TensorDict(
-            {
-                **state.to_dict(),
-                "held": tracker.hold(state["held"], agent),
-                "heard_requests": asked,
-                "open_requests": open_,
-                "agent_act": agent.act,
-                "agent_informs": agent.informs,
-                "agent_requests": agent.requests,
-                "turn": state["turn"] + 2,
-            },
-            batch_size=[],
+        return state.replace(
+            held=tracker.hold(state["held"], agent),
+            heard_requests=asked,
+            open_requests=open_,
+            agent_act=agent.act,
+            agent_informs=agent.informs,
+            agent_requests=agent.requests,
+            turn=state["turn"] + 2,
         )
 
     def hear(self, state: TensorDict, heard: Frame) -> TensorDict:
@@ -122,16 +118,12 @@ class Tracking:
             state["agent_requests"],
             utterance,
         )
-        return TensorDict(
-            {
-                **state.to_dict(),
-                "held": tracker.hear(state["held"], utterance.informs),
-                "user_informs": utterance.informs,
-                "heard_act": utterance.act,
-                "heard_requests": asked,
-                "open_requests": open_,
-            },
-            batch_size=[],
+        return state.replace(
+            held=tracker.hear(state["held"], utterance.informs),
+            user_informs=utterance.informs,
+            heard_act=utterance.act,
+            heard_requests=asked,
+            open_requests=open_,
         )
 
     def observe(self, state: TensorDict) -> torch.Tensor:

@@ -69,7 +69,7 @@ def mouth(movie):
 
 @pytest.fixture(scope="session")
 def spelling(movie):
-    return Spelling(movie, MOVIE_FOLDER)
+    return Spelling(movie)
 
 
 @pytest.fixture

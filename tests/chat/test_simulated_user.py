@@ -105,7 +105,7 @@ def test_simulated_users_take_part_in_a_study_of_trained_agents(runs, mouth, mon
     file = runs / "rehearsal.yaml"
     file.write_text(STUDY, encoding="utf-8")
     study = load_study(file)
-    talker = AgentTalker(study, Acts(), mouth, language="", labels={})
+    talker = AgentTalker(study, Acts(), mouth, language="")
     simulate(study, talker, simulated_user.make_users(study), seed=3)
     results = read_results(study.data)
     assert results.simulated
