@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
-from bbq_torchrl.domains.validate import REQUIRED_ACTS, check_domain
+from bbq_torchrl.domains.validate import ACTION_KINDS, REQUIRED_ACTS, ActionKind, check_domain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 __all__ = ["REQUIRED_ACTS", "Action", "Domain", "Goal", "ScriptedPolicySpec"]
 
-ActionKind = Literal["act", "request", "inform", "multiple_choice"]
 PolicyKind = Literal["script", "careful"]
 
 _ACTION_TEXT = re.compile(r"(?P<act>[A-Za-z_]\w*)(\((?P<slot>\w+)\))?")
@@ -42,10 +41,8 @@ class Action:
     slot: str | None = None
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(ActionKind):
-            raise ValueError(
-                f"an action's kind must be one of {get_args(ActionKind)}, got {self.kind!r}"
-            )
+        if self.kind not in ACTION_KINDS:
+            raise ValueError(f"an action's kind must be one of {ACTION_KINDS}, got {self.kind!r}")
         if (self.kind == "act") != (self.slot is None):
             raise ValueError(
                 f"an action of kind 'act' has no slot and every other kind has one, "
@@ -72,12 +69,9 @@ class Action:
         act, slot = match["act"], match["slot"]
         if slot is None:
             return cls("act", act)
-        if act == "request":
-            return cls("request", act, slot)
-        if act == "inform":
-            return cls("inform", act, slot)
-        if act == "multiple_choice":
-            return cls("multiple_choice", act, slot)
+        for kind in ACTION_KINDS[1:]:
+            if act == kind:
+                return cls(kind, act, slot)
         raise ValueError(
             f"only request, inform and multiple_choice carry a slot in an action, got {text!r}"
         )

@@ -9,6 +9,7 @@ import yaml
 
 from bbq_torchrl.domains.domain import Action, ScriptedPolicySpec
 from bbq_torchrl.domains.faults import Fault, Location
+from bbq_torchrl.domains.validate import ACTION_KINDS
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ SPECIFICATION_FILE = "domain.yaml"
 
 _NAME_LISTS = ("acts", "slots", "essential", "extension_order", "free_slots")
 _TEXTS = ("name", "ticket_slot", "complete_slot")
-_ACTION_KINDS = ("act", "request", "inform", "multiple_choice")
 _KEYS = (
     *_NAME_LISTS,
     *_TEXTS,
@@ -137,14 +137,21 @@ class _Reader:
 
     def __init__(self, found: Specification) -> None:
         self._found = found
+        self._readers: dict[str, Callable[[str, Any], Any]] = {
+            **dict.fromkeys(_NAME_LISTS, _names),
+            **dict.fromkeys(_TEXTS, _text),
+            "actions": self._actions,
+            "opening_slot": _opening,
+            "turn_width": _integer,
+            "policies": self._policies,
+            "reference_slot_error_prob": _number,
+        }
 
     def read(self, content: object) -> None:
-        fields, faults = self._found.fields, self._found.faults
-        try:
-            given = _mapping("the file", content)
-        except ValueError as error:
-            faults.append(Fault((), str(error)))
+        given = self._take((), _mapping, "the file", content)
+        if given is None:
             return
+        fields, faults = self._found.fields, self._found.faults
         allowed = f"allowed are {', '.join(_KEYS)}"
         faults += [
             Fault((key,), f"it has the unknown key {shown(key)}; {allowed}")
@@ -156,69 +163,49 @@ class _Reader:
             faults.append(Fault((), f"it lacks the keys {', '.join(missing)}"))
         for key in _KEYS:
             if key in given or key not in needed:
-                self._field(key, given.get(key), fields)
-
-    def _field(self, key: str, content: object, fields: dict[str, Any]) -> None:
-        readers: dict[str, Callable[[str, object], Any]] = {
-            **dict.fromkeys(_NAME_LISTS, _names),
-            **dict.fromkeys(_TEXTS, _text),
-            "opening_slot": _opening,
-            "turn_width": _integer,
-            "reference_slot_error_prob": _number,
-        }
-        if key == "actions":
-            self._actions(content, fields)
-        elif key == "policies":
-            self._policies(content, fields)
-        else:
-            try:
-                fields[key] = readers[key](key, content)
-            except ValueError as error:
-                self._fault((key,), error)
-                if key in _HARMLESS:
+                before = len(faults)
+                value = self._take((key,), self._readers[key], key, given.get(key))
+                if len(faults) == before or value:
+                    fields[key] = value
+                elif key in _HARMLESS:
                     fields[key] = _HARMLESS[key]
 
-    def _fault(self, place: Place, error: ValueError) -> None:
-        self._found.faults.append(Fault(place, str(error)))
-
-    def _actions(self, content: object, fields: dict[str, Any]) -> None:
-        before = len(self._found.faults)
-        actions: list[Action] = []
+    def _take(
+        self, place: Place, read: Callable[[str, Any], Any], key: str, content: object
+    ) -> Any:
+        """Returns what a key says; ``None`` where it cannot be read, which is noted."""
         try:
-            given = _mapping("actions", content)
-            _check_keys("actions", given, _ACTION_KINDS, optional=("multiple_choice",))
+            return read(key, content)
         except ValueError as error:
-            self._fault(("actions",), error)
-            return
-        for kind in _ACTION_KINDS:
-            try:
-                names = _names(f"actions.{kind}", given.get(kind, []))
-            except ValueError as error:
-                self._fault(("actions", kind), error)
-                continue
-            actions += [
-                Action("act", name) if kind == "act" else Action(kind, kind, name)  # type: ignore[arg-type]
-                for name in names
-            ]
-        if len(self._found.faults) == before:
-            fields["actions"] = tuple(actions)
+            self._found.faults.append(Fault(place, str(error)))
+            return None
 
-    def _policies(self, content: object, fields: dict[str, Any]) -> None:
-        fields["policies"] = policies = {}
-        try:
-            given = _mapping("policies", content)
-        except ValueError as error:
-            self._fault(("policies",), error)
-            return
-        for name, entry in given.items():
-            key = f"policies.{name}"
-            try:
-                policy = _mapping(key, entry)
-                _check_keys(key, policy, ("kind", "steps"))
-                steps = _names(f"{key}.steps", policy["steps"])
-                policies[name] = ScriptedPolicySpec(_text(f"{key}.kind", policy["kind"]), steps)  # type: ignore[arg-type]
-            except ValueError as error:
-                self._fault(("policies", name), error)
+    def _actions(self, key: str, content: object) -> tuple[Action, ...]:
+        given = _mapping(key, content)
+        _check_keys(key, given, ACTION_KINDS, optional=("multiple_choice",))
+        names = {
+            kind: self._take((key, kind), _names, f"{key}.{kind}", given.get(kind, []))
+            for kind in ACTION_KINDS
+        }
+        if None in names.values():
+            return ()
+        acts = [Action("act", name) for name in names.pop("act")]
+        return (*acts, *(Action(kind, kind, slot) for kind in names for slot in names[kind]))
+
+    def _policies(self, key: str, content: object) -> dict[str, ScriptedPolicySpec]:
+        """Returns those that can be read."""
+        policies = {
+            name: self._take((key, name), _policy, f"{key}.{name}", entry)
+            for name, entry in _mapping(key, content).items()
+        }
+        return {name: policy for name, policy in policies.items() if policy is not None}
+
+
+def _policy(key: str, content: object) -> ScriptedPolicySpec:
+    policy = _mapping(key, content)
+    _check_keys(key, policy, ("kind", "steps"))
+    steps = _names(f"{key}.steps", policy["steps"])
+    return ScriptedPolicySpec(_text(f"{key}.kind", policy["kind"]), steps)  # type: ignore[arg-type]
 
 
 def _mapping(key: str, content: object) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from bbq_torchrl.domains.values import FIRST_VALUE, NONE, RESERVED_TEXT, fold, v
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from bbq_torchrl.domains.domain import Action, Domain
+    from bbq_torchrl.domains.domain import Domain
 
 __all__ = ["DomainTensors", "build_vocabulary", "tensorize"]
 
@@ -124,7 +124,8 @@ def tensorize(domain: Domain) -> DomainTensors:
     ids = value_ids(vocabulary)
 
     def slots_of(kind: str) -> torch.Tensor:
-        return torch.tensor([_slot_of(action, kind, slot) for action in domain.actions])
+        names = (action.slot if action.kind == kind else None for action in domain.actions)
+        return torch.tensor([-1 if name is None else slot[name] for name in names])
 
     def mask(names: Iterable[str]) -> torch.Tensor:
         chosen = set(names)
@@ -170,8 +171,3 @@ def tensorize(domain: Domain) -> DomainTensors:
         essential_slots=mask(domain.essential),
         extension_slots=tuple(slot[name] for name in domain.extension_order),
     )
-
-
-def _slot_of(action: Action, kind: str, slot: Mapping[str, int]) -> int:
-    """Returns the id of the action's slot if the action is of that kind, else -1."""
-    return slot[action.slot] if action.kind == kind and action.slot is not None else -1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 from bbq_torchrl.domains.faults import DomainError, Fault
 from bbq_torchrl.domains.values import DONT_CARE, RESERVED_TEXT, fold
@@ -15,7 +15,14 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains.domain import Domain
     from bbq_torchrl.domains.faults import Place
 
-__all__ = ["MAX_TURN_WIDTH", "REQUIRED_ACTS", "check_domain", "repeated"]
+__all__ = [
+    "ACTION_KINDS",
+    "MAX_TURN_WIDTH",
+    "REQUIRED_ACTS",
+    "ActionKind",
+    "check_domain",
+    "repeated",
+]
 
 REQUIRED_ACTS = (
     "request",
@@ -30,11 +37,14 @@ REQUIRED_ACTS = (
 )
 """The acts whose meaning the user simulator knows; a domain may add others."""
 
+ActionKind = Literal["act", "request", "inform", "multiple_choice"]
+ACTION_KINDS: tuple[ActionKind, ...] = get_args(ActionKind)
+"""In the order of the actions: those without a slot, then those that carry one."""
+
 MAX_TURN_WIDTH = 1_000
 """The widest one-hot turn: a feature each, in every observation."""
 
 _RESERVED = {fold(text): key for key, text in RESERVED_TEXT.items()}
-_ACTION_KINDS = ("act", "request", "inform", "multiple_choice")
 
 
 def check_domain(domain: Domain) -> None:
@@ -135,11 +145,11 @@ def _actions(domain: Domain) -> Iterator[Fault]:
             )
         if action.slot is not None:
             yield from _unknown(domain, place, [action.slot], f"action {action} names ")
-        elif action.act in ("request", "inform", "multiple_choice"):
+        elif action.act in ACTION_KINDS[1:]:
             yield Fault(place, f"action {action} needs a slot, written {action.act}(slot)")
         if action.kind in ("request", "multiple_choice") and action.slot in domain.special_slots:
             yield Fault(place, f"action {action} makes no sense: no user constrains {action.slot}")
-    kinds = [_ACTION_KINDS.index(action.kind) for action in domain.actions]
+    kinds = [ACTION_KINDS.index(action.kind) for action in domain.actions]
     if kinds != sorted(kinds):
         yield Fault(
             ("actions",),

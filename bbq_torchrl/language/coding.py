@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains import DONT_CARE, NONE, fold
+from bbq_torchrl.domains.values import value_ids
 from bbq_torchrl.language.frames import ANY, Frame
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Coding:
         self.acts, self.slots = tuple(domain.act), tuple(domain.slot)
         self._complete = self.slots[domain.complete]
         self._vocabulary = domain.vocabulary
-        self._ids = [{fold(text): id_ for id_, text in enumerate(t)} for t in domain.vocabulary]
+        self._ids = value_ids(domain.vocabulary)
 
     def frame(self, act: int, informs: Sequence[int], requests: Sequence[bool]) -> Frame:
         """Returns the frame of an act, value ids ``[S]`` and requested slots ``[S]``."""

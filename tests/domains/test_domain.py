@@ -162,6 +162,13 @@ FAULTS = {
         {"policies": {"x": ScriptedPolicySpec("careful", ("terrace",))}},
         r"needs.*request\(terrace\)",
     ),
+    "policy farewell": (
+        {
+            "actions": (Action.parse("closing"), *ACTIONS[1:]),
+            "policies": {"x": ScriptedPolicySpec("careful", ("area",))},
+        },
+        "needs the action 'thanks'",
+    ),
     "turn width": ({"turn_width": 0}, "turn_width.*0"),
     "turn width of a trillion": ({"turn_width": 10**12}, "between 1 and 1000, got 1000000000000"),
     "opening twice": ({"opening_slot": ("area", "area")}, "opening_slot must name a slot once"),

@@ -86,32 +86,71 @@ def test_a_missing_file_is_named(folder: Path, name: str):
         load_domain(folder)
 
 
-CSV_FAULTS = {
-    "empty file": ("", "header.*missing"),
+CSV, GOALS, VALUES = "knowledge_base.csv", "goals.jsonl", "values.json"
+DAMAGE = {
+    "empty file": (CSV, "", "header.*missing"),
     "too few fields": (
+        CSV,
         "area,day\nnorth,today\nnorth\n",
         "line 3: it has 1 fields, the header has 2",
     ),
-    "cut off": ("area,day\nnorth,tod", "truncated"),
-    "open quote": ('area,day\n"north,today\n', "line 2: it is not valid CSV"),
-    "column twice": ("area,area\nnorth,south\n", "header.*once"),
-    "empty line": ("area,day\n\nnorth,today\n", "line 2: it has 0 fields"),
-    "line break": ('area,day\n"no\nrth",today\n', "line 2: area must have one line"),
+    "cut off": (CSV, "area,day\nnorth,tod", "truncated"),
+    "open quote": (CSV, 'area,day\n"north,today\n', "line 2: it is not valid CSV"),
+    "column twice": (CSV, "area,area\nnorth,south\n", "header.*once"),
+    "empty line": (CSV, "area,day\n\nnorth,today\n", "line 2: it has 0 fields"),
+    "line break": (CSV, 'area,day\n"no\nrth",today\n', "line 2: area must have one line"),
+    "CSV no text": (CSV, "area,day\n\ud800,x\n", r"knowledge_base\.csv: it must be UTF-8"),
+    "not JSON": (GOALS, "{", "goals.jsonl, line 1: it is not valid JSON"),
+    "no object": (GOALS, "[]", "line 1: it must have the keys"),
+    "key twice": (GOALS, '{"constraints": {"a": "b", "a": "c"}, "requests": []}', "once.*'a'"),
+    "constraints list": (GOALS, '{"constraints": [], "requests": []}', "constraints must map"),
+    "requests text": (GOALS, '{"constraints": {}, "requests": "area"}', "requests must be a list"),
+    "unknown value": (
+        GOALS,
+        '{"constraints": {"area": "the moon"}, "requests": []}',
+        "goals.jsonl, line 1: it wants area = 'the moon'",
+    ),
+    "a slot twice": (
+        GOALS,
+        '{"constraints": {"zip": "1"}, "requests": ["zip"]}',
+        "goals.jsonl, line 1: it names the unknown slot 'zip'",
+    ),
+    "a line separator": (
+        GOALS,
+        '{"constraints": {"area": "old\u2028town"}, "requests": []}',
+        "goals.jsonl, line 1: area must have one line of text",
+    ),
+    "half a letter": (
+        GOALS,
+        '{"constraints": {"area": "\\ud800"}, "requests": []}',
+        "line 1: area must have text that UTF-8 can hold",
+    ),
+    "nested": (GOALS, "[" * 100_000, "goals.jsonl, line 1: it is nested too deeply"),
+    "long": (GOALS, json.dumps("x" * 1_000_000), r"must have the keys .* characters \.\.\.\]"),
+    "values cut off": (VALUES, '{"area": ["north"', "not valid JSON"),
+    "list": (VALUES, "[]", "must map slots"),
+    "text": (VALUES, '{"area": "north"}', "area must be a list"),
+    "slot twice": (VALUES, '{"area": ["x"], "area": ["y"]}', "once.*area"),
+    "values nested": (VALUES, "[" * 100_000, "values.json: it is nested too deeply"),
+    "blank value": (
+        VALUES,
+        '{\n "area": [\n  "north",\n  " "\n ]\n}\n',
+        "values.json, line 4: area must have one line of text",
+    ),
+    "escaped value": (
+        VALUES,
+        '{"area": [\n "\\u2028caf\\u00e9"]}',
+        "values.json, line 2: area must have one line",
+    ),
 }
 
 
-@pytest.mark.parametrize(("text", "message"), CSV_FAULTS.values(), ids=CSV_FAULTS)
-def test_a_damaged_knowledge_base_is_refused(folder: Path, text: str, message: str):
-    (folder / "knowledge_base.csv").write_text(text)
+@pytest.mark.parametrize(("name", "text", "message"), DAMAGE.values(), ids=DAMAGE)
+def test_damaged_data_are_refused_with_file_and_line(folder: Path, name, text, message):
+    (folder / name).write_bytes(text.encode(errors="surrogatepass"))
     with pytest.raises(ValueError, match=message) as caught:
         load_domain(folder)
     assert str(folder) in str(caught.value)
-
-
-def test_a_file_that_is_no_text_is_refused(folder: Path):
-    (folder / "knowledge_base.csv").write_bytes(b"area,day\n\xff\xfe,x\n")
-    with pytest.raises(ValueError, match=r"knowledge_base\.csv: it must be UTF-8"):
-        load_domain(folder)
 
 
 def test_a_byte_order_mark_is_no_part_of_the_header(folder: Path, restaurant: Domain):
@@ -120,60 +159,10 @@ def test_a_byte_order_mark_is_no_part_of_the_header(folder: Path, restaurant: Do
     assert load_domain(folder) == restaurant
 
 
-GOAL_FAULTS = {
-    "not JSON": ("{", "goals.jsonl, line 1: it is not valid JSON"),
-    "no object": ("[]", "line 1: it must have the keys"),
-    "key twice": ('{"constraints": {"a": "b", "a": "c"}, "requests": []}', "once.*'a'"),
-    "constraints list": ('{"constraints": [], "requests": []}', "constraints must map"),
-    "requests text": ('{"constraints": {}, "requests": "area"}', "requests must be a list"),
-    "unknown value": (
-        '{"constraints": {"area": "the moon"}, "requests": []}',
-        "goals.jsonl, line 1: it wants area = 'the moon'",
-    ),
-    "a line separator": (
-        '{"constraints": {"area": "old\u2028town"}, "requests": []}',
-        "goals.jsonl, line 1: area must have one line of text",
-    ),
-    "half a letter": (
-        '{"constraints": {"area": "\\ud800"}, "requests": []}',
-        "line 1: area must have text that UTF-8 can hold",
-    ),
-    "nested": ("[" * 100_000, "goals.jsonl, line 1: it is nested too deeply"),
-    "long": (json.dumps("x" * 1_000_000), r"must have the keys .* characters \.\.\.\]"),
-}
-
-
-@pytest.mark.parametrize(("line", "message"), GOAL_FAULTS.values(), ids=GOAL_FAULTS)
-def test_damaged_goals_are_refused(folder: Path, line: str, message: str):
-    (folder / "goals.jsonl").write_text(line and f"{line}\n")
-    with pytest.raises(ValueError, match=message):
-        load_domain(folder)
-
-
 def test_a_goal_may_spell_a_value_in_another_case(folder: Path):
     goal = {"constraints": {"area": "OLD town"}, "requests": []}
     (folder / "goals.jsonl").write_text(json.dumps(goal) + "\n")
     assert load_domain(folder).goals == (Goal({"area": "OLD town"}),)
-
-
-VALUES_FAULTS = {
-    "cut off": ('{"area": ["north"', "not valid JSON"),
-    "list": ("[]", "must map slots"),
-    "text": ('{"area": "north"}', "area must be a list"),
-    "slot twice": ('{"area": ["x"], "area": ["y"]}', "once.*area"),
-    "nested": ("[" * 100_000, "values.json: it is nested too deeply"),
-    "blank value": (
-        '{\n "area": [\n  "north",\n  " "\n ]\n}\n',
-        "values.json, line 4: area must have one line of text",
-    ),
-}
-
-
-@pytest.mark.parametrize(("text", "message"), VALUES_FAULTS.values(), ids=VALUES_FAULTS)
-def test_damaged_values_are_refused(folder: Path, text: str, message: str):
-    (folder / "values.json").write_text(text)
-    with pytest.raises(ValueError, match=message):
-        load_domain(folder)
 
 
 YAML_FAULTS = {

@@ -12,6 +12,7 @@ pytest.importorskip("starlette", reason="needs the extra study")
 from starlette.testclient import TestClient
 
 from bbq_torchrl.study import load_study
+from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.store import Store
 from bbq_torchrl.study.web import JOIN, RESEARCHER, application
 
@@ -56,7 +57,7 @@ class Site:
         return self.client.post(f"{link}/say", data=form)
 
     def rate(self, link, **changed):
-        scales = dict.fromkeys(("overall", "naturalness", "coherence", "completion"), "4")
+        scales = dict.fromkeys(SCALES, "4")
         form = {**hidden(self.client.get(link).text), **scales, "verdict": "yes", **changed}
         return self.client.post(f"{link}/rate", data=form)
 

@@ -8,9 +8,8 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.domains import Goal
-from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.study.talk import Frame
+from bbq_torchrl.language.coding import Coding
 
 
 class Conversations:
@@ -18,8 +17,7 @@ class Conversations:
 
     def __init__(self, domain, *, batch=500):
         self.env = DialogueEnv(domain, batch_size=(batch,), slot_error_prob=0.0, seed=0)
-        self.tensors = self.env.simulator.domain
-        self.acts, self.slots = tuple(self.tensors.act), tuple(self.tensors.slot)
+        self.coding = Coding(self.env.simulator.domain)
 
     def play(self, policy, random_share, seed, *, booking_share=0.0):
         """Yields (goal, exchanges, in time, success of the simulator)."""
@@ -53,33 +51,17 @@ class Conversations:
     def _conversation(self, states):
         end = next(number for number, state in enumerate(states) if bool(state["done"]))
         first, last = states[0], states[end]
-        ticket = self.slots[self.tensors.ticket]
-        requests = [slot for slot in self._flags(first["requests"]) if slot != ticket]
-        goal = Goal(self._values(first["constraints"]), tuple(requests))
+        card = self._frame(0, first["constraints"], first["requests"])
+        requests = [slot for slot in card.requests if slot != self.env.domain.ticket_slot]
         exchanges = [
             (
-                Frame(
-                    self.acts[int(before["heard_act"])],
-                    self._values(before["user_informs"]),
-                    tuple(self._flags(before["pending"])),
-                ),
-                Frame(
-                    self.acts[int(after["agent_act"])],
-                    self._values(after["agent_informs"]),
-                    tuple(self._flags(after["agent_requests"])),
-                ),
+                self._frame(before["heard_act"], before["user_informs"], before["pending"]),
+                self._frame(after["agent_act"], after["agent_informs"], after["agent_requests"]),
             )
             for before, after in pairwise(states[: end + 1])
         ]
         in_time = int(last["turn"]) <= self.env.simulator.max_turn
-        return goal, exchanges, in_time, bool(last["success"])
+        return Goal(card.informs, tuple(requests)), exchanges, in_time, bool(last["success"])
 
-    def _values(self, ids):
-        return {
-            slot: self.tensors.vocabulary[index][value]
-            for index, (slot, value) in enumerate(zip(self.slots, ids.tolist(), strict=True))
-            if value != NONE
-        }
-
-    def _flags(self, flags):
-        return [slot for slot, flag in zip(self.slots, flags.tolist(), strict=True) if flag]
+    def _frame(self, act, informs, requests):
+        return self.coding.frame(int(act), informs.tolist(), requests.tolist())

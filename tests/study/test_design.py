@@ -9,23 +9,16 @@ import pytest
 
 from bbq_torchrl.study.design import assignments, williams_rows
 
-COUNTS = [1, 2, 3, 4, 5, 6, 7, 10]
 
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_each_treatment_stands_equally_often_in_each_place(count):
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 10])
+def test_each_treatment_stands_in_each_place_and_follows_each_other_equally_often(count):
     rows = williams_rows(count)
     for place in range(count):
         assert len(set(Counter(row[place] for row in rows).values())) == 1
     assert all(sorted(row) == list(range(count)) for row in rows)
-
-
-@pytest.mark.parametrize("count", COUNTS[1:])
-def test_each_treatment_follows_each_other_equally_often(count):
-    rows = williams_rows(count)
     follows = Counter(pair for row in rows for pair in pairwise(row))
     assert len(follows) == count * (count - 1)
-    assert set(follows.values()) == {len(rows) // count}
+    assert set(follows.values()) <= {len(rows) // count}
 
 
 @pytest.mark.parametrize(("agents", "repeats"), [("abc", 1), ("abcd", 2), ("abcdef", 1), ("a", 3)])
@@ -42,6 +35,9 @@ def test_a_block_of_people_has_every_row_once(agents, repeats):
         for plan in plans:
             assert set(Counter(item.agent for item in plan).values()) == {repeats}
             assert len({item.goal for item in plan}) == sessions
+            order = "".join(item.agent for item in plan)
+            rows = {order[start:][: len(agents)] for start in range(0, sessions, len(agents))}
+            assert len(rows) == min(repeats, size)
 
 
 def test_the_draw_depends_on_the_seed_alone():

@@ -8,7 +8,7 @@ import pytest
 from oracle.small import small_domain
 
 from bbq_torchrl.domains import Goal
-from bbq_torchrl.study.outcome import Judge
+from bbq_torchrl.study.outcome import Judge, card
 from bbq_torchrl.study.talk import Frame
 
 from .simulated import Conversations
@@ -43,6 +43,13 @@ def offer(taskcomplete="ticket available", **informs):
 
 ANSWERS = [told(theater="roxy"), told(date="today")]
 WON = [*ANSWERS, offer(**WISHES, theater="roxy", date="today")]
+
+
+def test_a_card_says_what_is_wished_and_asked_for_in_peoples_words():
+    goal = Goal({"city": "reno", "date": "I do NOT care"}, ("theater", "price"))
+    shown = card(goal, {"city": "town", "price": "the price"})
+    wishes = [("town", "reno"), ("date", "anything")]
+    assert shown == {"wishes": wishes, "questions": ["theater", "the price"]}
 
 
 def test_what_the_rule_asks_for_is_a_success(judge):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 from starlette.testclient import TestClient
 
+from bbq_torchrl.study.database import StoreError
+from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.web import application
 
 from .conftest import Site, hidden
@@ -137,12 +140,16 @@ def test_a_second_window_is_told_that_the_conversation_went_on(site):
     assert len(site.store.exchanges(site.session(link).id)) == 1
 
 
-def test_an_agent_out_of_order_loses_no_text(site):
+@pytest.mark.parametrize(("text", "status"), [("crash", 500), ("city=philly", 503)])
+def test_an_agent_out_of_order_and_a_full_disk_lose_no_text(site, monkeypatch, text, status):
     link = site.enrol()
-    form = {**hidden(site.client.get(link).text), "text": "crash"}
-    page = site.client.post(f"{link}/say", data=form)
-    assert page.status_code == 500
-    assert 'value="crash"' in page.text
+    form = {**hidden(site.client.get(link).text), "text": text}
+    with monkeypatch.context() as patch:
+        full = StoreError(site.study.data, "the disk is full")
+        patch.setattr(site.store, "add_exchange", Mock(side_effect=full))
+        page = site.client.post(f"{link}/say", data=form)
+    assert page.status_code == status
+    assert f'value="{text}"' in page.text
     assert hidden(page.text)["nonce"] == form["nonce"]
     assert site.say(link, "city=philly").status_code == 200
 
@@ -158,15 +165,17 @@ def test_a_person_may_end_but_not_before_a_word(site):
     assert rows == [("person", 0)]
 
 
-def test_an_ended_conversation_takes_no_more_messages(site):
+def test_an_ended_conversation_takes_no_more_messages_and_no_other_end(site):
     link = site.enrol()
-    site.say(link, "city=philly")
     late = hidden(site.client.get(link).text)
-    site.client.post(f"{link}/end", data=late)
+    site.say(link, "bye")
     page = site.client.post(f"{link}/say", data={**late, "text": "one more thing"})
     assert page.status_code == 409
     assert "has ended" in page.text
+    assert "has ended" in site.client.post(f"{link}/end", data=late).text
     assert site.talker.calls == 1
+    rows = site.store._database.rows("SELECT ended_by FROM session WHERE ended > 0")
+    assert rows == [("agent",)]
 
 
 def test_a_conversation_runs_out_of_turns(site):
@@ -195,11 +204,11 @@ def test_a_rating_out_of_range_is_refused_and_the_others_are_kept(site, given):
 def test_a_rating_counts_once(site):
     link = site.enrol()
     site.say(link, "bye")
-    form = hidden(site.client.get(link).text)
-    site.rate(link)
-    scales = dict.fromkeys(("overall", "naturalness", "coherence", "completion"), "1")
-    again = site.client.post(f"{link}/rate", data={**form, **scales, "verdict": "no"})
-    assert again.status_code == 409
+    other = hidden(site.client.get(link).text)
+    form = {**hidden(site.client.get(link).text), **dict.fromkeys(SCALES, "4"), "verdict": "yes"}
+    changed = {**other, **dict.fromkeys(SCALES, "1"), "verdict": "no"}
+    answers = [site.client.post(f"{link}/rate", data=data) for data in (form, form, changed)]
+    assert [answer.status_code for answer in answers] == [200, 200, 409]
     assert site.store._database.rows("SELECT overall, verdict FROM rating") == [(4, 1)]
 
 

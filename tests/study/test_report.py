@@ -67,12 +67,19 @@ def test_every_number_of_a_small_study(fill):
     assert pair.success.value == pytest.approx(0.6)  # 4 of 5 against 1 of 5
     assert pair.p == pair.holm == 0.25  # three people differ, all in one direction: 2 / 2³
     assert pair.rating.value == pytest.approx((4 + 2 + 2 - 1 - 1) / 5)
+    assert pair.rating_p == pair.rating_holm == 0.375  # 12 of 2⁵ ways
     assert "| secret-bbqn | 5 | 0.80 [0.38, 0.96] |" in text
     assert "| secret-bbqn | 0 | 1 | 0 | 2 | 2 |" in text
     assert "| secret-dqn | 4 | 4 |" in text  # the reasons
     assert "**0.250**" in text
     assert "Nobody is conspicuous." in text
     assert "simulated" not in text
+
+
+def test_peoples_names_tell_nothing_of_who_came_when(fill):
+    results = fill([(5, 1)] * 8, secret="of this test")
+    names = list(dict.fromkeys(session.person for session in results.sessions))
+    assert names != sorted(names) == [f"P{number}" for number in range(1, 9)]
 
 
 def test_a_simulated_study_says_so_wherever_it_is_shown(fill, tmp_path):

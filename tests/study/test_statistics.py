@@ -25,6 +25,10 @@ from bbq_torchrl.study.statistics import (
 @pytest.mark.parametrize(("won", "count"), [(0, 10), (3, 10), (40, 66), (66, 66)])
 def test_a_proportion_of_single_sessions_has_wilsons_interval(won, count):
     found = proportion([[True]] * won + [[False]] * (count - won))
+    alike = proportion([[True, False]] * count)  # people who differ less than chance has them
+    assert (alike.low, alike.high) == pytest.approx(
+        stats.binomtest(count, 2 * count).proportion_ci(method="wilson"), abs=1e-12
+    )
     expected = stats.binomtest(won, count).proportion_ci(method="wilson")
     assert (found.value, found.count) == (won / count, count)
     assert found.low <= found.value <= found.high  # a figure draws the distances
@@ -150,7 +154,7 @@ def test_the_interval_of_auroc_is_of_people():
     assert again.high - again.low == pytest.approx(strangers.high - strangers.low, rel=0.1)
 
 
-def exact_power(better, worse, people):
+def exact_power(better, worse, people, level):
     """Power of the sign test, which the sign-flip test is with one session of each agent."""
     differs = better * (1 - worse) + worse * (1 - better)
     upward = better * (1 - worse) / differs
@@ -158,14 +162,16 @@ def exact_power(better, worse, people):
     for count in range(people + 1):
         up = np.arange(count + 1)
         p = np.minimum(1, 2 * stats.binom.cdf(np.minimum(up, count - up), count, 0.5))
-        share = (stats.binom.pmf(up, count, upward) * (p <= 0.05)).sum()
+        share = (stats.binom.pmf(up, count, upward) * (p <= level)).sum()
         found += stats.binom.pmf(count, people, differs) * share
     return found
 
 
-def test_power_without_differences_between_people_is_the_closed_form():
-    found = power(0.6, 0.4, 66, person_sd=0.0, simulations=800)
-    assert found.sign_flip == pytest.approx(exact_power(0.6, 0.4, 66), abs=4.5 * 0.018)
+@pytest.mark.parametrize("pairs", [1, 5])
+def test_power_without_differences_between_people_is_the_closed_form(pairs):
+    found = power(0.6, 0.4, 66, person_sd=0.0, pairs=pairs, simulations=800)
+    expected = exact_power(0.6, 0.4, 66, 0.05 / pairs)
+    assert found.sign_flip == pytest.approx(expected, abs=4.5 * 0.018)
 
 
 def test_between_equal_agents_a_difference_is_found_no_more_often_than_the_level():

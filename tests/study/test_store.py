@@ -97,8 +97,17 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
     store = open_store()
     tokens = [store.enrol(nonce) for nonce in NONCES[:5]]
     assert store.enrol(NONCES[5]) is None
-    clock.now += 60 * study.terms.idle_minutes + 1
+    clock.now += 60 * study.terms.idle_minutes
+    # Three people are at work: one talks, one ends, one rates.
+    says, ends, rates = (store.person(token).current for token in tokens[1:4])
+    reply = FakeTalker(study.domain).reply("secret-dqn", None, "hello", 0)
+    store.add_exchange(says, 1, NONCES[7], "hello", reply, None)
+    store.end(ends, "person", Verdict(()))
+    store.rate(rates, NONCES[8], dict.fromkeys(SCALES, 3), True)
+    clock.now += 1
     later = store.enrol(NONCES[6])
+    assert store.enrol(NONCES[9]) is not None
+    assert store.enrol(NONCES[10]) is None
     plans = [
         [(session.agent, session.goal) for session in store.person(token).sessions]
         for token in (tokens[0], later)
