@@ -6,7 +6,7 @@ import argparse
 import importlib
 import importlib.util
 import sys
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,8 @@ __all__ = ["main"]
 TALKER = "bbq_torchrl.chat.talker:make_talker"
 USERS = "bbq_torchrl.chat.simulated_user:make_users"
 """Named, not imported: the study knows neither networks nor language."""
+
+MAX_CONNECTIONS = 1_000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -104,11 +106,32 @@ def _serve(given: argparse.Namespace) -> None:
     _check_installed()
     make = _function("--talker", given.talker)
     study = load_study(given.study)
-    from bbq_torchrl.study.server import serve
+    import uvicorn
+
+    from bbq_torchrl.study.store import Store
+    from bbq_torchrl.study.web import JOIN, RESEARCHER, application
 
     talker = make(study)
     interruption.tell(lambda: "while serving", lambda: "the same command goes on with the study")
-    serve(study, talker, host=given.host, port=given.port, tell=_say)
+    prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
+    with closing(Store(study.data, study.terms, prints)) as store:
+        site = f"http://{given.host}:{given.port}"
+        _say(f"for people: {site}/join/{store.key(JOIN)}")
+        _say(f"for you: {site}/r/{store.key(RESEARCHER)}")
+        uvicorn.run(
+            application(study, store, talker),
+            host=given.host,
+            port=given.port,
+            # The links are secrets, so they are in no log.
+            access_log=False,
+            log_level="warning",
+            server_header=False,
+            proxy_headers=False,
+            limit_concurrency=MAX_CONNECTIONS,
+            # Longer than people think: a message must not meet a connection that is just closed.
+            timeout_keep_alive=120,
+            timeout_graceful_shutdown=10,
+        )
 
 
 def _simulate(given: argparse.Namespace) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import closing
 from typing import TYPE_CHECKING, Protocol
 
 from bbq_torchrl.study.conversations import Conversations, seed_of
@@ -10,7 +11,7 @@ from bbq_torchrl.study.rating import drawn_ratings
 from bbq_torchrl.study.store import Store
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from bbq_torchrl.study.plan import Study
     from bbq_torchrl.study.records import Person, Session
@@ -69,29 +70,26 @@ def simulate(
     """
     prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
     clock, secret = _Clock(), f"simulated {seed}"
-    store = Store(study.data, study.terms, prints, simulated=True, secret=secret, clock=clock)
-    try:
+    with closing(
+        Store(study.data, study.terms, prints, simulated=True, secret=secret, clock=clock)
+    ) as store:
         conversations = Conversations(study, store, talker)
         wanted = study.terms.participants
         for place in range(wanted):
-            clock.now = place * _DAY
+            clock.now = begin = place * _DAY
             token = conversations.enrol({"nonce": _nonce(seed, place), "consent": "yes"})
-            for begin, person, session in _unrated(store, token, clock.now):
+            while (person := store.person(token)) and (session := person.current):
+                clock.now = begin + session.position * _HOUR
                 drawn = seed_of(seed, place, session.position)
-                user, clock.now = users(session.goal, drawn), begin
+                user = users(session.goal, drawn)
                 messages = _converse(conversations, store, clock, person, session, user)
+                ratings = drawn_ratings(user.satisfied, messages, drawn)
                 form = {"nonce": _nonce(drawn, "rating"), "session": str(session.position)}
-                conversations.rate(person, form | _form(user.satisfied, messages, drawn))
+                form |= {name: str(rating) for name, rating in ratings.items()}
+                form["verdict"] = "yes" if user.satisfied else "no"
+                conversations.rate(person, form)
             if (place + 1) % 10 == 0 or place + 1 == wanted:
                 tell(f"{place + 1} of {wanted} simulated users have taken part")
-    finally:
-        store.close()
-
-
-def _unrated(store: Store, token: str, start: float) -> Iterator[tuple[float, Person, Session]]:
-    """Yields when each session begins, the person as they are then, and the session."""
-    while (person := store.person(token)) is not None and (session := person.current) is not None:
-        yield start + session.position * _HOUR, person, session
 
 
 def _converse(
@@ -114,13 +112,6 @@ def _converse(
         found = store.session(session.id)
         if number == len(exchanges) and found is not None and found.is_ended:
             return number
-
-
-def _form(satisfied: bool, messages: int, seed: int) -> dict[str, str]:
-    """Returns ratings and own verdict as a form has them."""
-    ratings = drawn_ratings(satisfied, messages, seed)
-    scales = {name: str(rating) for name, rating in ratings.items()}
-    return {**scales, "verdict": "yes" if satisfied else "no"}
 
 
 def _nonce(*parts: object) -> str:
