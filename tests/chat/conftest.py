@@ -8,7 +8,7 @@ from bbq_torchrl.chat import Partner, TrainedAgent
 from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
-from bbq_torchrl.language import Frame, Generator, TextError, Understood
+from bbq_torchrl.language import Frame, Generator, TextError, Unclear, Understood
 from bbq_torchrl.run import run
 
 TINY = (
@@ -34,11 +34,11 @@ def trained(folder, *more):
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory):
-    """One folder of runs: of BBQN (two replicas), DQN and bootstrapped DQN."""
+    """One folder of runs: BBQN (two replicas), DQN and, before the extension, bootstrapped DQN."""
     folder = tmp_path_factory.mktemp("runs")
     trained(folder / "bbqn", "replicas=2")
     trained(folder / "dqn", "agent=dqn")
-    trained(folder / "bootstrap", "agent=bootstrap")
+    trained(folder / "bootstrap", "agent=bootstrap", "env=domain_ext")
     return folder
 
 
@@ -49,13 +49,18 @@ def agents(runs):
 
 
 class Acts:
-    """Who reads acts as transcripts write them; ``?`` is not understood."""
+    """Who reads acts as transcripts write them; not ``?``, and a godzilla is two movies."""
 
     def __call__(self, text, question=None):
         if text.startswith("\x00"):
             raise TextError("a sentence must have at least one character")
         if text == "?":
             return Understood(Frame("inform"), 0.2)
+        if text == "two for godzilla":
+            unclear = Unclear("moviename", "godzilla", ("godzilla minus one", "godzilla x kong"))
+            return Understood(Frame("inform", {"numberofpeople": "2"}), 0.9, (unclear,))
+        if text == "the first":
+            return Understood(Frame("inform", {question.requests[0]: question.choices[0]}), 0.9)
         return Understood(Frame.parse(text), 0.99)
 
     def asks(self, understood):

@@ -14,6 +14,7 @@ from bbq_torchrl.chat.terminal import Chat
 from bbq_torchrl.domains import Goal
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import Understander
+from bbq_torchrl.study.outcome import Judge
 
 from .conftest import Acts
 
@@ -24,6 +25,11 @@ def play(partner, goal, lines):
     todo = iter([*lines, None])
     chat = Chat(partner, goal, Console(file=screen, width=100), names={"city": "city"})
     return chat.run(lambda: next(todo)), screen.getvalue()
+
+
+def test_goals_that_are_drawn_can_be_met(movie):
+    judge = Judge(movie)
+    assert all(judge.is_attainable(choose_goal(movie, None, seed)) for seed in range(50))
 
 
 def test_a_goal_that_is_met_is_a_success(partner, decided):
@@ -47,17 +53,9 @@ def test_a_goal_that_is_not_met_says_why(partner):
 
 
 def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, decided):
-    decided(partner.agent, *["request(city)"] * 2)
-    lines = [
-        "/acts",
-        "inform(moviename=barbie)",
-        "/acts",
-        "/why",
-        "/goal",
-        "/help",
-        "/nope",
-        "/quit",
-    ]
+    decided(partner.agent, *["request(city)"] * 3)
+    lines = ["/acts", "inform(moviename=barbie)", "/acts", "/why", "/goal", "/help", "/nope"]
+    lines += ["two for godzilla", "/acts", "the first", "/acts", "/quit"]
     success, shown = play(partner, None, lines)
     assert success is None
     for text in (
@@ -68,6 +66,9 @@ def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, de
         "request(city) rather than",
         "There is no goal",
         "A command must be one of /acts, /why, /goal, /help, /quit, got '/nope'.",
+        "unclear: godzilla as moviename, one of godzilla minus one, godzilla x kong",
+        "The agent took no action",
+        "with what was said before: inform(numberofpeople=2, moviename=godzilla minus one)",
         "No booking was offered.",
     ):
         assert text in shown

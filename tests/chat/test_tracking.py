@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from bbq_torchrl.chat.tracking import Tracking
-from bbq_torchrl.domains import DONT_CARE, NONE, tensorize
-from bbq_torchrl.language import ANY, Frame
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.language import Frame
+from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.simulator import ErrorModel, Simulator
 
 PLACES = 8
@@ -18,7 +19,6 @@ class Played:
 
     def __init__(self, domain, errors, seed=0):
         self.tensors = tensorize(domain)
-        self.domain = domain
         self.simulator = Simulator(self.tensors, errors=ErrorModel(self.tensors, errors))
         self.active = torch.ones(self.tensors.n_slots, dtype=torch.bool)
         generator = torch.Generator().manual_seed(seed)
@@ -35,14 +35,8 @@ class Played:
             self.actions.append(action)
 
     def frame(self, state):
-        slots = self.domain.slots
-        informs = {
-            slots[i]: ANY if v == DONT_CARE else self.tensors.vocabulary[i][v]
-            for i, v in enumerate(state["user_informs"].tolist())
-            if v != NONE
-        }
-        requests = tuple(slots[i] for i in state["heard_requests"].nonzero().flatten().tolist())
-        return Frame(self.domain.acts[int(state["heard_act"])], informs, requests)
+        informs, requests = state["user_informs"].tolist(), state["heard_requests"].tolist()
+        return Coding(self.tensors).frame(int(state["heard_act"]), informs, requests)
 
 
 def together(played, place, *, repeats):
