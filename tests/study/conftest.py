@@ -16,7 +16,7 @@ from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.store import Store
 from bbq_torchrl.study.web import JOIN, RESEARCHER, application
 
-from .fakes import AGENTS, FakeTalker
+from .fakes import FakeTalker, prints
 
 STUDY = """
 name: Tickets
@@ -95,8 +95,7 @@ def clock():
 @pytest.fixture
 def site(study, clock):
     talker = FakeTalker(study.domain)
-    fingerprints = {agent: talker.fingerprint(agent) for agent in AGENTS}
-    store = Store(study.data, study.terms, fingerprints, clock=clock)
+    store = Store(study.data, study.terms, prints(study), clock=clock)
     with TestClient(application(study, store, talker), raise_server_exceptions=False) as client:
         yield Site(study, client, store, talker, clock)
     store.close()

@@ -68,6 +68,12 @@ class FakeTalker:
         )
 
 
+def prints(study, **settings):
+    """The fingerprints of a study's agents."""
+    talker = FakeTalker(study.domain, **settings)
+    return {agent: talker.fingerprint(agent) for agent in AGENTS}
+
+
 def make(study):
     """What the command line's --talker names."""
     return FakeTalker(study.domain)

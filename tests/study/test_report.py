@@ -20,7 +20,7 @@ from bbq_torchrl.study.report import report_text, write_report
 from bbq_torchrl.study.results import read_results
 from bbq_torchrl.study.store import Store
 
-from .fakes import FakeTalker
+from .fakes import FakeTalker, prints
 
 ROOT = Path(__file__).parents[2]
 WON, LOST = Verdict(()), Verdict(("wishes", "no ticket"))
@@ -32,9 +32,8 @@ def fill(study, clock):
 
     def make(people, *, terms=study.terms, text="two tickets", pause=10.0, **settings):
         talker = FakeTalker(study.domain)
-        prints = {agent: talker.fingerprint(agent) for agent in terms.agents}
         terms = replace(terms, participants=max(1, len(people)))
-        store = Store(study.data, terms, prints, clock=clock, **settings)
+        store = Store(study.data, terms, prints(study), clock=clock, **settings)
         for number, ratings in enumerate(people):
             person = store.person(store.enrol(f"nonce-{number:020d}"))
             for session in person.sessions:
@@ -120,15 +119,13 @@ def test_flagged_people_are_shown_and_counted(fill):
 
 
 def test_a_report_of_no_session_says_so(fill, tmp_path):
-    results = fill([])
-    write_report(tmp_path / "out", results)
+    write_report(tmp_path / "out", fill([]))
     assert "No session has ended yet" in (tmp_path / "out" / "report.md").read_text()
 
 
-def test_a_report_of_one_agent_tests_nothing(fill, study, tmp_path):
+def test_a_report_of_one_agent_tests_nothing(fill, study):
     terms = replace(study.terms, agents={"secret-dqn": "x"}, pairs=(), sessions=1)
-    write_report(tmp_path / "out", fill([(5,), (3,)], terms=terms))
-    assert "No pair was declared" in (tmp_path / "out" / "report.md").read_text()
+    assert "No pair was declared" in report_text(fill([(5,), (3,)], terms=terms))
 
 
 @pytest.mark.parametrize("rating", [1, 5])
@@ -157,14 +154,11 @@ def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
         assert {row["overall"] for row in csv.DictReader(file)} == {"5", "1", "4", "2"}
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@a", " =cmd()", "\t=x", "\r-x"])
-def test_what_a_spreadsheet_would_run_is_defused(text):
-    assert defused(text) == f"'{text}"
-
-
-@pytest.mark.parametrize("cell", ["two", "a=b", "", -3, 0.5])
-def test_other_cells_stay_as_they_are(cell):
-    assert defused(cell) == cell
+def test_what_a_spreadsheet_would_run_is_defused_and_nothing_else():
+    for text in ("=1+1", "+1", "-1", "@a", " =cmd()", "\t=x", "\r-x"):
+        assert defused(text) == f"'{text}"
+    for cell in ("two", "a=b", "", -3, 0.5):
+        assert defused(cell) == cell
 
 
 @pytest.mark.parametrize(

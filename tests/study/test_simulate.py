@@ -20,7 +20,7 @@ from bbq_torchrl.study.simulate import simulate
 from bbq_torchrl.study.store import Store
 
 from .conftest import STUDY
-from .fakes import FakeTalker, script
+from .fakes import FakeTalker, prints, script
 
 FILES = ("sessions.csv", "exchanges.csv", "sessions.jsonl")
 
@@ -99,9 +99,7 @@ def test_data_of_another_seed_or_of_people_are_not_gone_on_with(study, tmp_path)
         played(study, tmp_path, seed=2)
     people = tmp_path / "people"
     people.mkdir()
-    talker = FakeTalker(study.domain)
-    prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
-    Store(people / "study.sqlite", study.terms, prints).close()
+    Store(people / "study.sqlite", study.terms, prints(study)).close()
     with pytest.raises(StoreError, match="either people or simulated users, not both"):
         played(study, people)
 
