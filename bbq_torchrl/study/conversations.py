@@ -92,7 +92,10 @@ class Conversations:
             if self._store.has_message(session.id, nonce):
                 return
             exchanges = self._store.exchanges(session.id)
-            self._check_open(session)
+            if self._is_ended(session):
+                raise RefusedError(
+                    HTTPStatus.CONFLICT, "That conversation has ended; your message was not sent."
+                )
             number = len(exchanges) + 1
             if form.get("turn") != str(number):
                 raise RefusedError(
@@ -160,12 +163,6 @@ class Conversations:
     def _is_ended(self, session: Session) -> bool:
         found = self._store.session(session.id)
         return found is not None and found.is_ended
-
-    def _check_open(self, session: Session) -> None:
-        if self._is_ended(session):
-            raise RefusedError(
-                HTTPStatus.CONFLICT, "That conversation has ended; your message was not sent."
-            )
 
 
 def clean(text: str) -> str:

@@ -73,8 +73,7 @@ class Session:
     @classmethod
     def of(cls, row: tuple[Any, ...]) -> Session:
         """Returns the session in a row of these columns."""
-        number, position, agent, goal, is_ended, is_rated = row
-        return cls(number, position, agent, goal, bool(is_ended), bool(is_rated))
+        return cls(*row[:4], *map(bool, row[4:]))
 
 
 @dataclass(frozen=True)

@@ -122,8 +122,12 @@ class Results:
         people: dict[str, list[Result]] = defaultdict(list)
         for session in self.sessions:
             people[session.person].append(session)
-        found = {person: _flags(sessions) for person, sessions in people.items()}
-        return {person: flags for person, flags in sorted(found.items(), key=_number) if flags}
+        found = {person: _flags(people[person]) for person in sorted(people, key=_number)}
+        return {person: flags for person, flags in found.items() if flags}
+
+
+def _number(person: str) -> int:
+    return int(person.removeprefix("P"))
 
 
 FAST_SECONDS = 2.0
@@ -143,10 +147,6 @@ def _flags(sessions: Sequence[Result]) -> list[str]:
         "one message a conversation": all(len(session.exchanges) < 2 for session in sessions),
     }
     return [flag for flag, holds in checks.items() if holds]
-
-
-def _number(item: tuple[str, list[str]]) -> int:
-    return int(item[0][1:])
 
 
 def read_results(data: Path) -> Results:

@@ -150,7 +150,7 @@ class _Pages:
     ) -> Response:
         session, form = person.current, form or {}
         if session is None:
-            return self._html("done", status, token=token, problem=problem)
+            return self._html("done", status, problem=problem)
         # A text that was refused is kept, one of an earlier conversation is not.
         given = form if form.get("session") == str(session.position) else {}
         return self._html(
