@@ -75,7 +75,7 @@ class Talkative(threading.Thread):
         try:
             while True:
                 self.unsure = None
-                form = self.visitor.form(f"message {self.count} of {id(self)}")
+                form = self.visitor.form(f"message {self.count} of {self.visitor.link[-8:]}")
                 self.count += 1
                 self.unsure = form
                 assert self.visitor.send(form).status_code == 200
