@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ):
         command = commands.add_parser(name, help=help_)
         command.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
-        command.add_argument("--sentences", type=int, default=3_600, help="to learn from")
+        command.add_argument("--sentences", type=int, default=4_400, help="of people to learn from")
         command.add_argument("--seed", type=int, default=0)
         command.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
         command.add_argument("--file", type=Path, help="where the understander goes")

@@ -52,6 +52,7 @@ _LEAST = 0.4
 _ALSO = 0.7  # "what is there in the evening?" tells the time and asks for it
 _RATHER = 0.1
 _FAINT = 0.3
+_PLAINLY = math.log(0.75)
 _LEAST_LETTERS = 4
 _ABOUT_VALUES = ("inform", "request", "confirm_question")
 _ANY = frozenset(("any", "anything", "whatever", "either"))
@@ -160,7 +161,8 @@ def _decided(
         if act == "request":
             score += 0.0 if requests else _odds(asked[likely])
         elif act == "inform":
-            if requests and (question is None or not (has_content or free)):
+            tells = has_content or free or score > _PLAINLY  # "I said that already. And where?"
+            if requests and (question is None or not tells):
                 continue
         elif has_content and act != "confirm_question":
             if act not in ("thanks", "deny") or requests or unclear or not is_repeated:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.domains import NO_MATCH, RESERVED_TEXT
 from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.language.templates import Piece, Template, expand, is_possible, plain
 from bbq_torchrl.language.words import compact
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Composer"]
 
+_NO_MATCH = RESERVED_TEXT[NO_MATCH]
 _TRIES = 8
 _ASIDES = 0.2
 _LISTS = 0.4
@@ -55,6 +57,9 @@ class Composer:
         self._phrases = phrases
         self._owners = owners or {}
         self._rules = {**phrases.rules, "thing": phrases.user["thing"]}
+        self._known: dict[
+            tuple[int, frozenset[str]], tuple[Sequence[Template], list[Template]]
+        ] = {}
 
     def compose(
         self,
@@ -174,7 +179,7 @@ class Composer:
         """Returns a question in a word or two, or the slot's name."""
         entry = self._phrases.slots[slot]
         plainest = [t for t in entry.phrases["want"] if is_possible(t, {}, self._rules)]
-        for _ in range(_TRIES):
+        for _ in range(_TRIES if plainest else 0):  # generic phrases need the name
             said = expand(turn.rng.choice(plainest), {}, self._rules, turn.rng)
             if len(plain(said).split()) < 3:
                 return said
@@ -219,7 +224,7 @@ class Composer:
                     said,
                     turn,
                     slot,
-                    {"wrong": [Piece(other if other != ANY else "that")]},
+                    {"wrong": [Piece("that" if other in (ANY, _NO_MATCH) else other)]},
                 )
             )
         elif turn.left and question is None:
@@ -294,7 +299,7 @@ class Composer:
         left = {name: turn.values[name] for name in turn.left} | dict(values or {})
         if slot is not None:
             left["name"] = [Piece(self._phrases.slots[slot].name)]
-        possible = [option for option in options if is_possible(option, left, self._rules)]
+        possible = self._possible(options, left)
         if turn.left and values is None:
             # Phrases that say a value of their own are few among those that need none.
             richer = [t for t in possible if any(kind == "slot" for kind, _ in t.names())]
@@ -305,6 +310,17 @@ class Composer:
             if piece.slot in turn.left:
                 turn.left.remove(piece.slot)
         return pieces
+
+    def _possible(
+        self, options: Sequence[Template], values: Mapping[str, list[Piece]]
+    ) -> list[Template]:
+        """Returns the phrases whose values are there; found once for the same ones."""
+        key = (id(options), frozenset(values))
+        if key not in self._known:
+            # The options are held, so that no others can have their id.
+            possible = [o for o in options if is_possible(o, values, self._rules)]
+            self._known[key] = (options, possible)
+        return self._known[key][1]
 
 
 def _join(parts: list[list[Piece]], rng: random.Random, marks: Sequence[str]) -> list[Piece]:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from bbq_torchrl.language.frames import Frame
+from bbq_torchrl.language.words import BREAKS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,23 +21,32 @@ __all__ = ["CUES", "cues_of", "fit_confidence", "probability"]
 
 _PEOPLE = 10.0  # how much of the grammar's weights people's sentences must outweigh
 _GRAMMAR = 1.0
-CUES = 9
+_WHOLE = 0.2  # log-odds by which the whole model is more often right than those of half the lines
+CUES = 11
 
 
 def cues_of(
-    reading: Reading, frame: Frame, chance: float, unclear: Sequence[Unclear], is_steady: bool
+    words: Sequence[str],
+    reading: Reading,
+    frame: Frame,
+    unclear: Sequence[Unclear],
+    *,
+    chance: float,
+    is_steady: bool,
 ) -> np.ndarray:
     """Returns what tells whether a frame is right, ``[CUES]``.
 
     The log-probability of the tags, of all requests and of all that does not matter, the
     probability of the frame's act, the share of unknown words, whether something is unclear,
-    whether the frame stays the same without small words, whether it tells and asks nothing, and 1.
+    whether the frame stays the same without small words, whether it tells and asks nothing,
+    whether the words have a question mark, whether they have several clauses, and 1.
 
     Args:
+        words: of the sentence.
         reading: what the learned parts say.
         frame: what was made of it.
-        chance: the probability of the frame's act.
         unclear: what the frame leaves out.
+        chance: the probability of the frame's act.
         is_steady: whether the sentence without its small words has the same frame.
     """
     return np.array(
@@ -49,6 +59,8 @@ def cues_of(
             bool(unclear),
             is_steady,
             frame == Frame("inform") and not unclear,
+            "?" in words,
+            not BREAKS.isdisjoint(words[:-1]),
             1.0,
         ]
     )
@@ -74,13 +86,15 @@ def fit_confidence(
 
     Args:
         grammar: cues ``[N, CUES]`` of sentences of the grammar and whether each was right ``[N]``.
-        people: the same of sentences of people.
+        people: the same of sentences of people, understood by models that have learned from half
+            of them.
     """
     scale = np.maximum(grammar[0].std(0), 1e-3)
     scale[-1] = 1.0
     weights = _regression(grammar[0] / scale, grammar[1], np.zeros(len(scale)), _GRAMMAR)
     if people is not None:
         weights = _regression(people[0] / scale, people[1], weights, _PEOPLE)
+        weights[-1] += _WHOLE
     return weights / scale
 
 

@@ -33,7 +33,8 @@ _NO_CONTENT = tuple(
 
 
 _SMALL_WORDS = frozenset(("in", "or", "ok", "hi", "me", "oh"))
-_DIALOGUES = 200
+_DIALOGUES = 1_000
+_KEPT = 100  # of 500
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def make_examples(
 def _played(domain: Domain, seed: int) -> Callable[[random.Random], tuple[Frame | None, Frame]]:
     """Returns what draws a turn of simulated dialogues."""
     # Other dialogues than those that the round trip is measured on.
-    found = play(domain, 1, seed=seed + 1_000_000, kept=_DIALOGUES)
+    found = play(domain, _DIALOGUES, seed=seed + 1_000_000, kept=_KEPT)
     turns = [(agent, user) for agent, _, user in found.turns]
     return lambda rng: rng.choice(turns)
 

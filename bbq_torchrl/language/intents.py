@@ -112,7 +112,9 @@ def train_intents(
         epochs: passes over the sentences.
         most: how many features are kept, those that most sentences have.
     """
-    count = Counter(name for names_ in sentences for name in set(names_))
+    count: Counter[str] = Counter()
+    for own in sentences:
+        count.update(set(own))
     ranked = sorted(
         (item for item in count.items() if item[1] > 1), key=lambda item: (-item[1], item[0])
     )

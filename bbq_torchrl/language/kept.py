@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language.labeled import LEARNED_FILE, as_examples, read_lines
+from bbq_torchrl.language.labeled import DRILLED_FILE, LEARNED_FILE, as_examples, read_lines
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.phrases import LANGUAGE_FILE, load_phrases
 from bbq_torchrl.language.understand import Understander
@@ -69,7 +69,7 @@ def language_key(domain: Domain, folder: Path | None, labeled: Path | None = Non
     """
     digest = hashlib.sha256(f"{version('bbq-torchrl')} {domain!r}".encode())
     sources = sorted(Path(__file__).parent.glob("*.*"))
-    files = (LANGUAGE_FILE, LEARNED_FILE)
+    files = (LANGUAGE_FILE, LEARNED_FILE, DRILLED_FILE)
     own = [] if folder is None else [folder / name for name in files]
     for path in (*sources, *own, *([labeled] if labeled is not None else [])):
         if path.is_file():

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.surfaces import Surfaces
 
 __all__ = [
+    "DRILLED_FILE",
     "LEARNED_FILE",
     "Line",
     "as_examples",
@@ -30,7 +31,10 @@ __all__ = [
 ]
 
 LEARNED_FILE = "learned.txt"
-"""Labeled lines in a domain's folder that are learned beside the grammar's."""
+"""Labeled lines in a domain's folder, as people type them: learned beside the grammar's."""
+
+DRILLED_FILE = "drilled.txt"
+"""Labeled lines written for what is hard: learned, but no measure of how sure to be."""
 
 _LONGEST = 10
 
@@ -85,14 +89,15 @@ def read_lines(path: str | Path, domain: Domain) -> list[Line]:
     return lines
 
 
-def domain_lines(domain: Domain, folder: str | Path | None) -> list[Line]:
-    """Returns the labeled lines in a domain's folder, none where it has no :data:`LEARNED_FILE`.
+def domain_lines(domain: Domain, folder: str | Path | None, name: str = LEARNED_FILE) -> list[Line]:
+    """Returns the labeled lines of a file in a domain's folder, none where it has no such file.
 
     Args:
         domain: whose acts and slots the labels may name.
         folder: where the file is looked for.
+        name: of the file.
     """
-    path = None if folder is None else Path(folder).expanduser() / LEARNED_FILE
+    path = None if folder is None else Path(folder).expanduser() / name
     return read_lines(path, domain) if path is not None and path.is_file() else []
 
 
@@ -128,9 +133,14 @@ def _place(
         own = words[place.start : place.stop]
         if tuple(own) in lexicon.names[slot] and _means(slot, own, key, lexicon):
             return place
-    scored = [(_means(slot, words[p.start : p.stop], key, lexicon), -len(p), p) for p in places]
-    best = max(scored, key=lambda item: item[:2], default=(0.0, 0, None))
-    return best[2] if best[0] else None
+    best, best_score = None, 0.0
+    for place in sorted(places, key=len):
+        score = _means(slot, words[place.start : place.stop], key, lexicon)
+        if score > best_score:
+            best, best_score = place, score
+        if score == 1.0:
+            break
+    return best
 
 
 def _means(slot: str, words: list[str], key: str, lexicon: Lexicon) -> float:

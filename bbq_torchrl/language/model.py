@@ -13,6 +13,7 @@ from bbq_torchrl.language.features import Features
 from bbq_torchrl.language.frames import Frame
 from bbq_torchrl.language.intents import IntentNet, train_intents
 from bbq_torchrl.language.tagger import OUTSIDE, Tagger
+from bbq_torchrl.language.words import BREAKS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Model", "Reading", "fit"]
 
-_BREAKS = frozenset((".", ";", "!", "?"))
 _MOST_CLAUSES = 6
 _SURE = 0.75
 
@@ -73,7 +73,7 @@ class Model:
             tags,
             chance,
             each,
-            acts[0].log_softmax(-1),
+            _begun(acts.log_softmax(-1)),
             _united(_of_slots(requests[0], asked), [_of_slots(row, None) for row in requests[1:]]),
             _of_slots(dont_care[0], asked),
             self.features.share_unknown(words),
@@ -91,7 +91,7 @@ def _clauses(
 ) -> list[tuple[Sequence[str], Sequence[str]]]:
     """Returns the clauses of a sentence with their tags; none of a sentence of one clause."""
     pairs = enumerate(zip(words, tags, strict=True))
-    cuts = [at for at, (word, tag) in pairs if word in _BREAKS and tag == OUTSIDE]
+    cuts = [at for at, (word, tag) in pairs if word in BREAKS and tag == OUTSIDE]
     bounds = [-1, *cuts, len(words)]
     found = [
         (words[start + 1 : end], tags[start + 1 : end])
@@ -99,6 +99,14 @@ def _clauses(
         if end - start > 1
     ]
     return found[:_MOST_CLAUSES] if len(found) > 1 else []
+
+
+def _begun(acts: torch.Tensor) -> torch.Tensor:
+    """Returns the log-probabilities of acts ``[A]`` of a sentence and its clauses, ``[1 + C, A]``.
+
+    By the labeling guide a sentence has the act that it begins with, which its first clause shows.
+    """
+    return acts[:2].mean(0).log_softmax(-1)
 
 
 def _united(whole: torch.Tensor, clauses: Sequence[torch.Tensor]) -> torch.Tensor:

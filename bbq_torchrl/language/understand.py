@@ -17,7 +17,7 @@ from bbq_torchrl.language.corpus import make_examples, spoiled
 from bbq_torchrl.language.features import Features
 from bbq_torchrl.language.frames import Understood
 from bbq_torchrl.language.intents import IntentNet
-from bbq_torchrl.language.labeled import as_examples, domain_lines, varied
+from bbq_torchrl.language.labeled import DRILLED_FILE, as_examples, domain_lines, varied
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.model import Model, fit
 from bbq_torchrl.language.noise import DROPPED
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Understander"]
 
-_VERSION = 4
+_VERSION = 5
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
+_OWN = 2  # to so many sentences one of the grammar's own, at least
+_PLAYED = 7  # sentences of simulated users to one of the others
+_TAGGED = 16  # the tagger learns from one in so many of these
 _COPIES = 4  # at most, of each of people's sentences, with other values
-_PLAYED = 4  # sentences of simulated users to one of the grammar's own
-_TAGGED = 8  # the tagger learns from one in so many of these
-_SHARE = 4  # the smaller models learn from one in so many of the grammar's sentences
-_FOLDS = 2  # parts of people's sentences, each understood by a model of the others
+_SHARE = 4  # the smaller model learns from one in so many of the grammar's sentences
 
 
 class Understander:
@@ -85,7 +85,7 @@ class Understander:
         domain: Domain,
         folder: str | Path | None = None,
         *,
-        sentences: int = 3_600,
+        sentences: int = 4_400,
         seed: int = 0,
         labeled: Sequence[Example] = (),
         threshold: float = 0.7,
@@ -97,11 +97,12 @@ class Understander:
         Args:
             domain: what is spoken of.
             folder: where the domain's ``language.yaml`` is, if it has one, with labeled lines of
-                people, ``learned.txt``, which are learned beside the own sentences. The confidence
-                is fitted to them, each half as it is understood by a smaller model that has
-                learned from the other half.
-            sentences: how many to learn from, and of those of people at most; the net learns from
-                four times as many of simulated users.
+                people, which are learned beside the own sentences: ``learned.txt``, as people type,
+                and ``drilled.txt``, written for what is hard. The confidence is fitted to half of
+                the former, as a smaller model understands them that has learned from the rest.
+            sentences: how many of people's to learn from, at most. The grammar's own fill them up
+                and are half as many at least; those of simulated users are seven times as many, and
+                most of them for the net alone.
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
             threshold: the confidence below which the caller should ask again.
@@ -116,18 +117,22 @@ class Understander:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            said = make_examples(domain, phrases, lexicon, sentences, seed)
+            lines = domain_lines(domain, folder)
+            drilled = domain_lines(domain, folder, DRILLED_FILE)
+            step = math.ceil((len(lines) + len(drilled)) / sentences) or 1
+            people = [*as_examples(lines[::step], lexicon), *labeled]
+            hard = as_examples(drilled[::step], lexicon)
+            own = max(sentences - len(people) - len(hard), -(-sentences // _OWN))
+            said = make_examples(domain, phrases, lexicon, own, seed)
             played = make_examples(
                 domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
             )
             surfaces = Surfaces(lexicon, domain.free_slots)
-            lines = domain_lines(domain, folder)
-            lines = lines[:: math.ceil(len(lines) / sentences) or 1]
-            people = [*as_examples(lines, lexicon), *labeled]
 
             def learned(examples: Sequence[Example], share: int) -> Model:
                 """Returns a model of people's sentences and of one in ``share`` of the others."""
-                copies = min(_COPIES, round(sentences / share / max(2 * len(examples), 1)))
+                examples = [*examples, *hard]
+                copies = min(_COPIES, round(sentences / share / max(len(examples), 1)))
                 lines = spoiled(varied(examples, lexicon, surfaces, copies, seed), seed)
                 given = [*said[::share], *lines, *played[:: _TAGGED * share]]
                 users = played[:: share * share]
@@ -135,18 +140,15 @@ class Understander:
 
             model = learned(people, 1)
             others = make_examples(
-                domain, phrases, lexicon, max(sentences // 10, 200), seed + 1, noise=_CALM
+                domain, phrases, lexicon, max(sentences // 20, 200), seed + 1, noise=_CALM
             )
             start = np.zeros(CUES)
-            judged = cls(domain, phrases, model, start)._judged(others)
-            # How sure to be is learned of people's sentences, each of which is understood by a
-            # model that has learned from the others.
-            apart = []
-            for fold in range(_FOLDS if people else 0):
-                rest = [example for at, example in enumerate(people) if at % _FOLDS != fold]
-                blind = cls(domain, phrases, learned(rest, _SHARE), start)
-                apart.append(blind._judged(people[fold::_FOLDS]))
-            calibration = fit_confidence(judged, _joined(apart))
+            judged, apart = cls(domain, phrases, model, start)._judged(others), None
+            if people[1::2]:
+                # How sure to be is learned of people's sentences that the model has not seen.
+                blind = cls(domain, phrases, learned(people[::2], _SHARE), start)
+                apart = blind._judged(people[1::2])
+            calibration = fit_confidence(judged, apart)
         finally:
             torch.set_num_threads(threads)
         return cls(domain, phrases, model, calibration, threshold)
@@ -184,7 +186,8 @@ class Understander:
             again = self._model.read(shorter, question)
             other, _ = assemble(shorter, again, question, self.domain, self.lexicon)
             is_steady = same_frame(frame, other, self.lexicon)
-        return frame, unclear, cues_of(reading, frame, chance, unclear, is_steady)
+        cues = cues_of(words, reading, frame, unclear, chance=chance, is_steady=is_steady)
+        return frame, unclear, cues
 
     def _judged(self, sentences: Sequence[Example]) -> tuple[np.ndarray, np.ndarray]:
         """Returns the cues ``[N, CUES]`` of sentences, and which frames are right ``[N]``."""
@@ -245,14 +248,6 @@ class Understander:
         features = Features(Lexicon(domain, phrases), phrases, about["known"], domain.complete_slot)
         model = Model(features, Tagger(arrays["tagger"].tobytes()), net.eval())
         return cls(domain, phrases, model, arrays["calibration"], about["threshold"])
-
-
-def _joined(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Returns cues and what was right of several parts as one; ``None`` of none."""
-    if not parts:
-        return None
-    cues, right = zip(*parts, strict=True)
-    return np.concatenate(cues), np.concatenate(right)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

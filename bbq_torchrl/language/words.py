@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 import unicodedata
 
-__all__ = ["MAX_CHARACTERS", "TextError", "clean", "compact", "normalize", "tokenize"]
+__all__ = ["BREAKS", "MAX_CHARACTERS", "TextError", "clean", "compact", "normalize", "tokenize"]
 
 MAX_CHARACTERS = 1_000
 """The longest text that is read; nobody types more to a ticket agent."""
+
+BREAKS = frozenset((".", ";", "!", "?"))
+"""The marks between clauses."""
 
 _TOKEN = re.compile(
     r"\d{1,2}(?:[:.h]\d\d)?(?=\s?[ap]\.?m\b)"  # 7 of "7pm", 8.30 of "8.30 pm"

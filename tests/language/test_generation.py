@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import random
 import re
 
 import pytest
@@ -15,7 +16,9 @@ from bbq_torchrl.language import (
     Understood,
     load_phrases,
 )
+from bbq_torchrl.language.compose import Composer
 from bbq_torchrl.language.simulated import play
+from bbq_torchrl.language.templates import plain
 
 SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskcomplete|mc_list")
 
@@ -91,6 +94,27 @@ def test_a_domain_without_phrases_speaks_by_generic_ones(restaurant):
         said = {speak.user(Frame("inform", {slot: value}), session=s) for s in range(20)}
         assert len(said) >= 8
         assert all(value.lower() in text.lower() for text in said)
+
+
+def test_generic_phrases_ask_several_things_at_once():
+    domain = movie_domain()
+    frame, asked = Frame("request", {}, ("city", "price")), set()
+    composer = Composer(domain, load_phrases(domain))
+    for seed in range(60):
+        said = plain(
+            composer.compose(frame, None, random.Random(seed), lambda slot, value, _: value)
+        )
+        assert "city" in said, said
+        assert "price" in said, said
+        asked.add(said)
+    assert len(asked) > 40
+
+
+def test_what_was_without_a_match_is_corrected_by_that(speak):
+    agent, user = Frame("inform", {"date": "no match"}), Frame("inform", {"date": "friday"})
+    said = {speak.user(user, agent, session=session).lower() for session in range(200)}
+    assert not any("no match" in sentence for sentence in said)
+    assert any("not that" in sentence for sentence in said)
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,17 @@ def test_nothing_is_no_number_of_sentences_to_learn_from(sentences):
         Understander.train(movie_domain(), MOVIE_FOLDER, sentences=sentences)
 
 
+def test_both_files_of_lines_in_a_domains_folder_are_learned(understand, tmp_path):
+    question = Frame("request", {}, ("city",))
+    sentences = {"learned.txt": "flibber flobber", "drilled.txt": "wozzle wizzle"}
+    for name, sentence in sentences.items():
+        (tmp_path / name).write_text(f"request(city) | {sentence} | closing\n" * 20)
+    taught = Understander.train(movie_domain(), tmp_path, sentences=40)
+    for sentence in sentences.values():
+        assert understand(sentence, question).frame.act != "closing"
+        assert taught(sentence, question).frame == Frame("closing")
+
+
 def test_a_line_is_learned_with_other_values_as_well(lexicon, tmp_path):
     path = tmp_path / "own.txt"
     path.write_text(" | is wonka on in reno tonight | request(ticket) inform(moviename=wonka, "
