@@ -23,7 +23,15 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.generate import Generator
     from bbq_torchrl.language.understand import Understander
 
-__all__ = ["VOICES", "Score", "measure_lines", "measure_round_trip", "other_hand", "score"]
+__all__ = [
+    "VOICES",
+    "Score",
+    "figures",
+    "measure_lines",
+    "measure_round_trip",
+    "other_hand",
+    "score",
+]
 
 VOICES = ("terse", "chatty", "nonnative")
 LATER = ("second_held_out", "third_held_out")
@@ -209,11 +217,11 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
         understand(text, question)
     seconds = time.process_time() - started
     later = {
-        name: _figures(score(understand, read_lines(data / f"{name}.txt", understand.domain)))
+        name: figures(score(understand, read_lines(data / f"{name}.txt", understand.domain)))
         for name in LATER
     }
     return {
-        "free": _figures(whole),
+        "free": figures(whole),
         **later,
         "voices": {
             voice: {"frame": s.frame, "slot_f1": s.slot_f1, "act": s.act}
@@ -229,7 +237,8 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
     }
 
 
-def _figures(result: Score) -> dict[str, float]:
+def figures(result: Score) -> dict[str, float]:
+    """Returns the figures of a score by their names in ``results/``."""
     return {
         "sentences": len(result.frames),
         "frame": result.frame,
