@@ -57,9 +57,6 @@ class Composer:
         self._phrases = phrases
         self._owners = owners or {}
         self._rules = {**phrases.rules, "thing": phrases.user["thing"]}
-        self._known: dict[
-            tuple[int, frozenset[str]], tuple[Sequence[Template], list[Template]]
-        ] = {}
 
     def compose(
         self,
@@ -299,7 +296,7 @@ class Composer:
         left = {name: turn.values[name] for name in turn.left} | dict(values or {})
         if slot is not None:
             left["name"] = [Piece(self._phrases.slots[slot].name)]
-        possible = self._possible(options, left)
+        possible = [option for option in options if is_possible(option, left, self._rules)]
         if turn.left and values is None:
             # Phrases that say a value of their own are few among those that need none.
             richer = [t for t in possible if any(kind == "slot" for kind, _ in t.names())]
@@ -310,17 +307,6 @@ class Composer:
             if piece.slot in turn.left:
                 turn.left.remove(piece.slot)
         return pieces
-
-    def _possible(
-        self, options: Sequence[Template], values: Mapping[str, list[Piece]]
-    ) -> list[Template]:
-        """Returns the phrases whose values are there; found once for the same ones."""
-        key = (id(options), frozenset(values))
-        if key not in self._known:
-            # The options are held, so that no others can have their id.
-            possible = [o for o in options if is_possible(o, values, self._rules)]
-            self._known[key] = (options, possible)
-        return self._known[key][1]
 
 
 def _join(parts: list[list[Piece]], rng: random.Random, marks: Sequence[str]) -> list[Piece]:

@@ -51,7 +51,6 @@ class Features:
     ) -> None:
         self._offer = offer
         self._names: dict[str, dict[str, set[str]]] = {}
-        self._begun_by: dict[str, set[str]] = {}
         self._part: dict[str, set[str]] = {}
         for slot, names in lexicon.names.items():
             by_first: dict[str, set[str]] = {}
@@ -59,8 +58,6 @@ class Features:
                 if name:
                     by_first.setdefault(name[0], set()).add(" ".join(name))
             self._names[slot] = by_first
-            for word in by_first:
-                self._begun_by.setdefault(word, set()).add(slot)
             if lexicon.kinds[slot] == "text":
                 for word in {word for name in names for word in name if len(word) > 2}:
                     self._part.setdefault(word, set()).add(slot)
@@ -166,9 +163,8 @@ class Features:
     def _windows(self, words: Sequence[str]) -> list[list[str]]:
         """Returns for each word of which slots it begins, or goes on, a name."""
         found: list[list[str]] = [[] for _ in words]
-        begun = {slot for word in words for slot in self._begun_by.get(word, ())}
         for slot, by_first in self._names.items():
-            if slot not in begun:
+            if by_first.keys().isdisjoint(words):
                 continue
             at = 0
             while at < len(words):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -112,9 +113,7 @@ def train_intents(
         epochs: passes over the sentences.
         most: how many features are kept, those that most sentences have.
     """
-    count: Counter[str] = Counter()
-    for own in sentences:
-        count.update(set(own))
+    count = Counter(chain.from_iterable(map(set, sentences)))
     ranked = sorted(
         (item for item in count.items() if item[1] > 1), key=lambda item: (-item[1], item[0])
     )
