@@ -19,7 +19,7 @@ from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.measure import measure_lines, measure_round_trip
 from bbq_torchrl.language.phrases import load_phrases
 from bbq_torchrl.language.simulated import play
-from bbq_torchrl.language.understand import Understander
+from bbq_torchrl.language.understand import SENTENCES, Understander
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -41,7 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ):
         command = commands.add_parser(name, help=help_)
         command.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
-        command.add_argument("--sentences", type=int, default=4_400, help="of people to learn from")
+        command.add_argument(
+            "--sentences", type=int, default=SENTENCES, help="of people to learn from"
+        )
         command.add_argument("--seed", type=int, default=0)
         command.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
         command.add_argument("--file", type=Path, help="where the understander goes")

@@ -21,7 +21,7 @@ __all__ = ["CUES", "cues_of", "fit_confidence", "probability"]
 
 _PEOPLE = 10.0  # how much of the grammar's weights people's sentences must outweigh
 _GRAMMAR = 1.0
-_WHOLE = 0.2  # log-odds by which the whole model is more often right than those of half the lines
+_WHOLE = 0.3  # log-odds by which the whole model is more often right than those of half the lines
 CUES = 11
 
 

@@ -66,11 +66,12 @@ class Features:
             for noun in entry.nouns:
                 self._nouns.setdefault(noun, []).append(slot)
         self.known = frozenset(word.replace("'", "") for word in known)
-        self._by_size: dict[int, list[str]] = {}
+        self._alike: dict[tuple[int, str], list[str]] = {}
         vocabulary = {*self.known, *self._part}
         for word in sorted(vocabulary):
             if word.isalpha() and len(word) > 3:
-                self._by_size.setdefault(len(word), []).append(word)
+                for part in (word[0], word[1:]):
+                    self._alike.setdefault((len(word), part), []).append(word)
         self._all = vocabulary
         self.spelled = lru_cache(maxsize=20_000)(self._spelled)
 
@@ -81,13 +82,14 @@ class Features:
             return word
         if len(word) < 4:
             return UNKNOWN
-        close = [
+        close = (
             other
             for size in (len(word), len(word) + 1, len(word) - 1)
-            for other in self._by_size.get(size, ())
-            if (other[0] == word[0] or other[1:] == word[1:]) and _is_slip(word, other)
-        ]
-        return close[0] if close else UNKNOWN
+            for part in (word[0], word[1:])
+            for other in self._alike.get((size, part), ())
+            if _is_slip(word, other)
+        )
+        return next(close, UNKNOWN)
 
     def share_unknown(self, words: Sequence[str]) -> float:
         """Returns which share of the words is not known, after correction."""

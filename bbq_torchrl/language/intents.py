@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["IntentNet", "train_intents"]
 
 _WIDTH = 48
-_BATCH = 256
+_BATCH = 512
 _RATE = 0.012
 _LEFT_OUT = 0.4
 
@@ -41,7 +41,9 @@ class IntentNet(nn.Module):
 
     def encode(self, names: Sequence[str]) -> list[int]:
         """Returns the ids of a sentence's features."""
-        return sorted({self._index[name] for name in names if name in self._index})
+        found = {self._index.get(name, -1) for name in names}
+        found.discard(-1)
+        return sorted(found)
 
     def forward(self, bags: Sequence[Sequence[int]]) -> tuple[torch.Tensor, ...]:
         """Returns the logits of acts ``[B, A]``, requests and don't-cares ``[B, S + 1]``."""
@@ -120,21 +122,23 @@ def train_intents(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         net = IntentNet([name for name, _ in ranked[:most]], *names)
-        bags = [torch.tensor(net.encode(sentence), dtype=torch.long) for sentence in sentences]
+        bags = [net.encode(sentence) for sentence in sentences]
+        flat = torch.tensor(list(chain.from_iterable(bags)), dtype=torch.long)
+        sizes = torch.tensor([len(bag) for bag in bags])
+        starts = sizes.cumsum(0) - sizes
         target = torch.tensor(acts)
         optimizer = torch.optim.Adam(net.parameters(), lr=_RATE, fused=True)
         steps = epochs * (-(-len(bags) // _BATCH))
         schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, steps)
         for _ in range(epochs):
-            order = torch.randperm(len(bags))
-            for rows in order.split(_BATCH):
-                parts = [bags[row] for row in rows.tolist()]
-                flat = torch.cat(parts)
-                owner = torch.tensor([len(part) for part in parts])
-                owner = torch.arange(len(parts)).repeat_interleave(owner)
-                is_kept = torch.rand(len(flat)) > _LEFT_OUT
-                sizes = torch.bincount(owner[is_kept], minlength=len(parts))
-                act, request, care = net.scores(flat[is_kept], sizes)
+            for rows in torch.randperm(len(bags)).split(_BATCH):
+                own = sizes[rows]
+                shift = starts[rows] - own.cumsum(0) + own
+                places = shift.repeat_interleave(own) + torch.arange(int(own.sum()))
+                is_kept = torch.rand(len(places)) > _LEFT_OUT
+                owner = torch.arange(len(rows)).repeat_interleave(own)[is_kept]
+                kept = torch.bincount(owner, minlength=len(rows))
+                act, request, care = net.scores(flat[places[is_kept]], kept)
                 loss = (
                     functional.cross_entropy(act, target[rows], label_smoothing=0.02)
                     + 25 * functional.binary_cross_entropy_with_logits(request, requests[rows])

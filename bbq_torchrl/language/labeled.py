@@ -123,10 +123,12 @@ def _place(
 ) -> range | None:
     """Returns the words that name the value best: a name in full, else of equal ones the fewest."""
     key = lexicon.key(slot, value)
+    can_edge = [compact(word) != "" for word in words]
     places = [
         range(start, end)
         for start in range(len(words))
         for end in range(start + 1, min(start + _LONGEST, len(words)) + 1)
+        if can_edge[start] and can_edge[end - 1]
         if all(tag == OUTSIDE for tag in tags[start:end])
     ]
     for place in sorted(places, key=len, reverse=True):

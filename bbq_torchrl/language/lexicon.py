@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from bisect import bisect_left
 from collections import Counter, defaultdict
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -171,6 +172,9 @@ class Lexicon:
                 return found
             if READERS[kind](text) is not None or any(letter.isdigit() for letter in name):
                 return Link((), 0.0)
+        article, _, rest = fold(text).partition(" ")
+        if article == "the" and compact(rest) in self._names[slot]:
+            return self.link(slot, rest)  # "the matinee" is no more like "the first matinee"
         return self._nearest(slot, text)
 
     def only_slot(self, text: str) -> str | None:
@@ -229,6 +233,7 @@ class _Names:
         known = {lexicon.key(slot, value) for value in lexicon.values(slot)}
         self._keys = [key for key in pairs.values() if key in known]
         self._joined = [compact(name) for name, key in pairs.items() if key in known]
+        self._sorted = sorted(zip(self._joined, self._keys, strict=True))
         self._words = [frozenset(_telling(name)) for name, key in pairs.items() if key in known]
         count = Counter(word for words in self._words for word in words)
         total = 1 + len(self._words)
@@ -261,9 +266,11 @@ class _Names:
             joined, self._joined, scorer=similarity, score_cutoff=0.66, limit=6
         ):
             scored[self._keys[index]] = max(score, scored.get(self._keys[index], 0.0))
-        for index, name in enumerate(self._joined):
-            if len(joined) >= 5 and name.startswith(joined):
-                scored[self._keys[index]] = max(0.85, scored.get(self._keys[index], 0.0))
+        if len(joined) >= 5:
+            for name, key in self._sorted[bisect_left(self._sorted, (joined, "")) :]:
+                if not name.startswith(joined):
+                    break
+                scored[key] = max(0.85, scored.get(key, 0.0))
         likenesses = [(word, self._like(word)) for word in dict.fromkeys(_telling(text))]
         total = sum(
             max((self._weight[other] for other in like), default=0.0)

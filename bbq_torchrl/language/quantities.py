@@ -112,7 +112,7 @@ def read_time(text: str) -> str | None:
     joined = re.sub(r"\b(?:around )?([\w:.]+?) ?-? ?ish\b", r"around \1", joined)
     relation = "at"
     for phrase, name in _RELATIONS:
-        if re.search(
+        if phrase in joined and re.search(
             rf"(^|\b(at|in|somewhere|something|anything|only|a bit|is) ){phrase}\b", joined
         ):
             relation, joined = name, joined.replace(phrase, " ", 1)

@@ -34,13 +34,19 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.frames import Frame, Unclear
     from bbq_torchrl.language.phrases import Phrases
 
-__all__ = ["Understander"]
+__all__ = ["SENTENCES", "THRESHOLD", "Understander"]
+
+SENTENCES = 7_200
+"""How many sentences of people to learn from, at most."""
+
+THRESHOLD = 0.75
+"""The confidence below which to ask again: .8 of the sentences of unseen hands are above it."""
 
 _VERSION = 5
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
-_OWN = 2  # to so many sentences one of the grammar's own, at least
-_PLAYED = 7  # sentences of simulated users to one of the others
+_OWN = 4  # to so many sentences one of the grammar's own, at least
+_PLAYED = 4  # sentences of simulated users to one of the others
 _TAGGED = 16  # the tagger learns from one in so many of these
 _COPIES = 4  # at most, of each of people's sentences, with other values
 _SHARE = 4  # the smaller model learns from one in so many of the grammar's sentences
@@ -70,7 +76,7 @@ class Understander:
         phrases: Phrases,
         model: Model,
         calibration: Sequence[float] | np.ndarray,
-        threshold: float = 0.7,
+        threshold: float = THRESHOLD,
     ) -> None:
         self.domain = domain
         self.phrases = phrases
@@ -85,10 +91,10 @@ class Understander:
         domain: Domain,
         folder: str | Path | None = None,
         *,
-        sentences: int = 4_400,
+        sentences: int = SENTENCES,
         seed: int = 0,
         labeled: Sequence[Example] = (),
-        threshold: float = 0.7,
+        threshold: float = THRESHOLD,
     ) -> Understander:
         """Returns an understander that has learned from sentences of the domain's own grammar.
 
@@ -101,8 +107,8 @@ class Understander:
                 and ``drilled.txt``, written for what is hard. The confidence is fitted to half of
                 the former, as a smaller model understands them that has learned from the rest.
             sentences: how many of people's to learn from, at most. The grammar's own fill them up
-                and are half as many at least; those of simulated users are seven times as many, and
-                most of them for the net alone.
+                and are a quarter as many at least; those of simulated users are four times as many,
+                and most of them for the net alone.
             seed: chooses them, and the net's first weights.
             labeled: sentences of people, learned beside the own ones.
             threshold: the confidence below which the caller should ask again.
@@ -128,17 +134,19 @@ class Understander:
                 domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
             )
             surfaces = Surfaces(lexicon, domain.free_slots)
+            copies = min(_COPIES, round(sentences / max(len(people) + len(hard), 1)))
 
-            def learned(examples: Sequence[Example], share: int) -> Model:
+            def learned(examples: Sequence[Example], share: int, steps: int) -> Model:
                 """Returns a model of people's sentences and of one in ``share`` of the others."""
-                examples = [*examples, *hard]
-                copies = min(_COPIES, round(sentences / share / max(len(examples), 1)))
-                lines = spoiled(varied(examples, lexicon, surfaces, copies, seed), seed)
+                lines = varied([*examples, *hard], lexicon, surfaces, copies, seed)
+                lines = spoiled(lines, seed)
                 given = [*said[::share], *lines, *played[:: _TAGGED * share]]
                 users = played[:: share * share]
-                return fit(domain, phrases, lexicon, given, users, seed=seed, steps=60, epochs=14)
+                return fit(
+                    domain, phrases, lexicon, given, users, seed=seed, steps=steps, epochs=10
+                )
 
-            model = learned(people, 1)
+            model = learned(people, 1, steps=40)
             others = make_examples(
                 domain, phrases, lexicon, max(sentences // 20, 200), seed + 1, noise=_CALM
             )
@@ -146,8 +154,8 @@ class Understander:
             judged, apart = cls(domain, phrases, model, start)._judged(others), None
             if people[1::2]:
                 # How sure to be is learned of people's sentences that the model has not seen.
-                blind = cls(domain, phrases, learned(people[::2], _SHARE), start)
-                apart = blind._judged(people[1::2])
+                blind = cls(domain, phrases, learned(people[::2], _SHARE, steps=30), start)
+                apart = blind._judged(people[1::4])
             calibration = fit_confidence(judged, apart)
         finally:
             torch.set_num_threads(threads)

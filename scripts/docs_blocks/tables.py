@@ -93,6 +93,22 @@ def _voices() -> str:
     return pivot("voice", cells)
 
 
+@block("language.new_hands")
+def _new_hands() -> str:
+    """Returns what is understood of hands that nothing was learned of."""
+    names = {"frame": "frame", "slot_f1": "slot F1", "act": "act", "answered": "answered"}
+    names |= {"right_of_answered": "right of these", "calibration_error": "calibration error"}
+    names |= {"calibration_floor": "by chance"}
+    found = read_json("new_hands.json")
+    cells = {
+        (str(of["hand"]), name): f"{of[key]:.3f}" for of in found for key, name in names.items()
+    }
+    cells |= {
+        ("mean", name): f"{fmean(of[key] for of in found):.3f}" for key, name in names.items()
+    }
+    return pivot("hand", cells)
+
+
 @block("language.ladder")
 def _ladder() -> str:
     """Returns each policy's success on every rung from acts to text."""

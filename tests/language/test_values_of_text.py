@@ -115,6 +115,7 @@ def lexicon():
         ("city", "springfield", ()),
         ("state", "tx", ("tx",)),
         ("starttime", "1930", ("7:30 pm",)),
+        ("starttime", "the matinee", ("matinee",)),
         ("starttime", "25:99", ()),
         ("date", "february 30", ()),
         ("numberofpeople", "-3", ()),
