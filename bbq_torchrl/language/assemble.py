@@ -116,7 +116,7 @@ def assemble(
         return Frame("inform", {question.requests[0]: offered}), ()
     act = domain.acts[int(reading.acts.argmax())]
     informs, unclear = _values(words, reading, question, lexicon)
-    asks = act == "request" and "?" in words  # "horror movies?" is more than a name
+    asks = act == "request" and "?" in words  # "comedies?" is more than a name
     if not asks and (short := _short_answer(words, reading, question, lexicon)) is not None:
         return Frame("inform", short), ()
     if not (informs or unclear):

@@ -14,7 +14,7 @@ DATA = Path(__file__).parents[1] / "data"
 @pytest.fixture(scope="session")
 def understand():
     """An understander that has seen few sentences: it knows the plain ones."""
-    return Understander.train(movie_domain(), MOVIE_FOLDER, sentences=1_500)
+    return Understander.train(movie_domain(), MOVIE_FOLDER, sentences=1_200)
 
 
 @pytest.fixture(scope="session")

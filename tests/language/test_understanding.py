@@ -85,9 +85,17 @@ def test_of_values_set_against_each_other_the_meant_one_is_heard(
     assert understand(text, Frame("request", {}, (question,))).frame.informs == informs
 
 
-def test_a_name_that_is_asked_about_is_a_question(understand):
-    heard = understand("horror movies?", Frame("request", {}, ("moviename",)))
-    assert heard.frame == Frame("request", {"genre": "horror"}, ("moviename",))
+@pytest.mark.parametrize("act", ["request", "inform"])
+def test_a_name_that_is_asked_about_is_a_question(understand, act):
+    domain, lexicon = understand.domain, understand.lexicon
+    acts = torch.tensor([0.8 if name == act else 0.01 for name in domain.acts]).log()
+    requests = torch.tensor([0.9 * (act == "request" and s == "moviename") for s in domain.slots])
+    tags = ["genre", OUTSIDE]
+    reading = Reading(tags, 0.9, [0.9, 0.9], acts, requests, torch.zeros_like(requests), 0.0)
+    question = Frame("request", {}, ("moviename",))
+    frame, unclear = assemble(["comedies", "?"], reading, question, domain, lexicon)
+    asked = ("moviename",) if act == "request" else ()
+    assert (frame, unclear) == (Frame(act, {"genre": "comedy"}, asked), ())
 
 
 @pytest.mark.parametrize("text", ["-3 people", "25:99", "february 30", "9" * 400, "casablanca"])
