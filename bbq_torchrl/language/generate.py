@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import random
+import re
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,11 @@ __all__ = ["Generator", "chance", "sentence"]
 _NO_MATCH, _AVAILABLE = RESERVED_TEXT[NO_MATCH], RESERVED_TEXT[AVAILABLE]
 _MOST_IN_CONFLICT = 4
 _MOST_CHOICES = 5
+
+# Values that bring their own: "it starts after 10pm", "it is tomorrow".
+_PREPOSITION = re.compile(
+    r"\b(at|on) (?=(after|around|as|before|by|in|next|this|today|tomorrow|tonight)\b)"
+)
 
 
 def chance(session: str | int, turn: int, side: str) -> random.Random:
@@ -125,7 +131,7 @@ class Generator:
             ]
         if not parts:
             parts.append(self._fill(self._phrases.agent[frame.act], rng))
-        return " ".join(sentence(part) for part in parts)
+        return _PREPOSITION.sub("", " ".join(sentence(part) for part in parts))
 
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
         """Returns how an agent asks again for what it did not understand.

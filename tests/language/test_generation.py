@@ -63,6 +63,14 @@ def test_a_value_is_said_word_for_word(speak):
         assert "amc san jose 10" in text.lower()
 
 
+@pytest.mark.parametrize(("slot", "value"), [("starttime", "after 10pm"), ("date", "tomorrow")])
+def test_a_value_with_its_own_preposition_is_given_no_other(speak, slot, value):
+    said = [speak.agent(Frame("inform", {slot: value}), session=n) for n in range(50)]
+    assert all(value in text and f"at {value}" not in text for text in said)
+    assert not any(f"on {value}" in text for text in said)
+    assert len(set(said)) >= 4
+
+
 def test_no_match_names_the_wishes_that_clash(speak):
     domain = movie_domain()
     record, other = next(
