@@ -38,12 +38,16 @@ MAIN = {
 }
 """What BBQN-MAP and DQN were trained on -> the folders of their runs."""
 
-FALLING = {
-    "BBQN-MAP: falling and constant": ("lr_falls/full/bbqn_map", "table1/full/bbqn_map"),
-    "DQN: falling and constant": ("lr_falls/full/dqn", "table1/full/dqn"),
-    "falling: BBQN-MAP and DQN": ("lr_falls/full/bbqn_map", "lr_falls/full/dqn"),
-}
-"""Whose learning rate falls or not -> the folders of their runs."""
+
+def falling(domain: str) -> dict[str, tuple[str, str]]:
+    """Returns whose learning rate falls in a domain of Table 1 -> the folders of their runs."""
+    bbqn, dqn = f"lr_falls/{domain}/bbqn_map", f"lr_falls/{domain}/dqn"
+    return {
+        "BBQN-MAP: falling and constant": (bbqn, f"table1/{domain}/bbqn_map"),
+        "DQN: falling and constant": (dqn, f"table1/{domain}/dqn"),
+        "falling: BBQN-MAP and DQN": (bbqn, dqn),
+    }
+
 
 VERBS = {"final_success": "ends higher than", "training_success": "learns faster than"}
 RIVALS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
@@ -135,7 +139,8 @@ def _expect() -> str:
 
 
 @block("results.readme", MAIN, "trained on", "BBQN-MAP", "DQN")
-@block("learning.rate", FALLING, "full domain", "the one", "the other")
+@block("learning.rate", falling("full"), "full domain", "the one", "the other")
+@block("learning.rate_ext", falling("extension"), "domain extension", "the one", "the other")
 def compared(folders: dict[str, tuple[str, str]], *head: str) -> str:
     """Returns the final success of two agents, and their differences by pairs.
 
