@@ -41,9 +41,7 @@ class IntentNet(nn.Module):
 
     def encode(self, names: Sequence[str]) -> list[int]:
         """Returns the ids of a sentence's features."""
-        found = {self._index.get(name, -1) for name in names}
-        found.discard(-1)
-        return sorted(found)
+        return sorted({self._index[name] for name in names if name in self._index})
 
     def forward(self, bags: Sequence[Sequence[int]]) -> tuple[torch.Tensor, ...]:
         """Returns the logits of acts ``[B, A]``, requests and don't-cares ``[B, S + 1]``."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from bisect import bisect_left
 from collections import Counter, defaultdict
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -233,7 +232,6 @@ class _Names:
         known = {lexicon.key(slot, value) for value in lexicon.values(slot)}
         self._keys = [key for key in pairs.values() if key in known]
         self._joined = [compact(name) for name, key in pairs.items() if key in known]
-        self._sorted = sorted(zip(self._joined, self._keys, strict=True))
         self._words = [frozenset(_telling(name)) for name, key in pairs.items() if key in known]
         count = Counter(word for words in self._words for word in words)
         total = 1 + len(self._words)
@@ -267,10 +265,9 @@ class _Names:
         ):
             scored[self._keys[index]] = max(score, scored.get(self._keys[index], 0.0))
         if len(joined) >= 5:
-            for name, key in self._sorted[bisect_left(self._sorted, (joined, "")) :]:
-                if not name.startswith(joined):
-                    break
-                scored[key] = max(0.85, scored.get(key, 0.0))
+            for name, key in zip(self._joined, self._keys, strict=True):
+                if name.startswith(joined):
+                    scored[key] = max(0.85, scored.get(key, 0.0))
         likenesses = [(word, self._like(word)) for word in dict.fromkeys(_telling(text))]
         total = sum(
             max((self._weight[other] for other in like), default=0.0)

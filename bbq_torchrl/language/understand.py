@@ -104,8 +104,8 @@ class Understander:
             domain: what is spoken of.
             folder: where the domain's ``language.yaml`` is, if it has one, with labeled lines of
                 people, which are learned beside the own sentences: ``learned.txt``, as people type,
-                and ``drilled.txt``, written for what is hard. The confidence is fitted to half of
-                the former, as a smaller model understands them that has learned from the rest.
+                and ``drilled.txt``, written for what is hard. The confidence is fitted to a quarter
+                of the former, as a smaller model understands them that has learned from half of it.
             sentences: how many of people's to learn from, at most. The grammar's own fill them up
                 and are a quarter as many at least; those of simulated users are four times as many,
                 and most of them for the net alone.
