@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["Curves", "draw_comparison", "draw_run", "moving_average"]
+__all__ = ["Curves", "Point", "draw_comparison", "draw_points", "draw_run", "moving_average"]
 
 WINDOW = 10
 """Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
@@ -42,6 +42,22 @@ class Curves:
     final: Any
     evaluated: Any = None
     reward: Any = None
+
+
+class Point(NamedTuple):
+    """A value of a key, and what its seeds came to.
+
+    Attributes:
+        label: the value.
+        final: success of the final evaluation, shape [seeds].
+        cumulative: share of all training dialogues that succeeded, shape [seeds].
+        is_marked: whether it is the value that the others are compared with.
+    """
+
+    label: str
+    final: Sequence[float]
+    cumulative: Sequence[float]
+    is_marked: bool
 
 
 def moving_average(values: Any, window: int = WINDOW) -> Any:
@@ -102,7 +118,7 @@ def draw_run(
             axes.axvline(start, color="0.6", lw=0.8, ls=":")
             axes.text(start, 1.0, f" {slot}", rotation=90, va="top", ha="left", fontsize=7)
     _draw_references(axes, references or {})
-    axes.set(xlabel="round", ylabel="success rate", ylim=(0, 1), title=title)
+    axes.set(xlabel="round", ylabel="success rate", xlim=(0, None), ylim=(0, 1), title=title)
     _save(figure, [axes], file)
 
 
@@ -147,11 +163,48 @@ def draw_comparison(
             smooth = moving_average(group.reward)
             _draw_seeds(drawn["reward"], np.arange(len(smooth)), smooth, color, line=line)
     for name, axes in drawn.items():
-        axes.set(ylabel=names[name], **({} if name == "reward" else {"ylim": (0, 1)}))
+        axes.set(
+            ylabel=names[name], xlim=(0, None), **({} if name == "reward" else {"ylim": (0, 1)})
+        )
     _draw_references(drawn["success"], references or {})
     drawn["success"].set(title=title)
     axes.set(xlabel="round")
     _save(figure, list(drawn.values()), file)
+
+
+def draw_points(file: Path, panels: Mapping[str, Sequence[Point]], *, title: str) -> None:
+    """Draws a panel for each key: every seed of every value, their mean and its 95 % t interval.
+
+    Args:
+        file: a PNG or SVG file.
+        panels: key to its values, at least one.
+        title: the heading.
+    """
+    columns = min(2, len(panels))
+    figure, grid = _axes(rows=-(-len(panels) // columns), columns=columns)
+    axes = list(np.atleast_1d(grid).flat)
+    quantities = {"final": "final success", "cumulative": "cumulative training success"}
+    for (name, label), place, color, marker in zip(
+        quantities.items(), (-0.1, 0.1), COLORS, "os", strict=False
+    ):
+        for panel, points in zip(axes, panels.values(), strict=False):
+            for number, point in enumerate(points):
+                seeds = getattr(point, name)
+                panel.plot([number + place] * len(seeds), seeds, ".", color=color, alpha=0.35)
+                found = estimate(seeds, method="t")
+                half = 0.0 if found.method == "none" else found.high - found.value
+                style = {"fmt": marker, "color": color, "capsize": 3, "ms": 5}
+                shown = label if number == 0 and panel is axes[0] else None
+                panel.errorbar(number + place, found.value, half, label=shown, **style)
+    for panel, (key, points) in zip(axes, panels.items(), strict=False):
+        names = [f"{point.label}*" if point.is_marked else point.label for point in points]
+        places = range(len(names))
+        panel.set(xlabel=key, xticks=places, xticklabels=names, ylim=(0, 1))
+        panel.set_xlim(-0.5, len(names) - 0.5)
+    for panel in axes[len(panels) :]:
+        panel.remove()
+    figure.suptitle(f"{title} (*: the reference)")
+    _save(figure, axes[: len(panels)], file)
 
 
 def _colors(count: int) -> Sequence[Any]:
@@ -163,12 +216,12 @@ def _colors(count: int) -> Sequence[Any]:
     return [colormaps["viridis"](place) for place in np.linspace(0, 0.95, count)]
 
 
-def _axes(rows: int = 1) -> tuple[Any, Any]:
+def _axes(rows: int = 1, columns: int = 1) -> tuple[Any, Any]:
     # The object interface: no window system, and no global state beside other figures.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 4.5 if rows == 1 else 3.3 * rows), layout="constrained")
-    return figure, figure.subplots(rows, sharex=True)
+    return figure, figure.subplots(rows, columns, sharex=columns == 1)
 
 
 def _draw_group(axes: Any, group: Curves, color: str, *, band: bool, line: str = "-") -> None:
@@ -224,7 +277,6 @@ def _draw_references(axes: Any, references: Mapping[str, float]) -> None:
 
 def _save(figure: Any, panels: Sequence[Any], file: Path) -> None:
     for axes in panels:
-        axes.set_xlim(left=0)
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
     # Below the axes: inside, some curve would always be behind it.

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
+from bbq_torchrl.evaluation.ablations import ablation_panels, ablations_text, find_ablations
 from bbq_torchrl.evaluation.csv_tables import write_replicas, write_tables
-from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison
+from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison, draw_points
 from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.pairs import pairings
@@ -45,11 +46,13 @@ __all__ = [
     "cells_of_table1",
     "comparison_tables",
     "curves",
+    "draw_ablations",
     "draw_table1",
     "main",
     "references",
     "setting_of",
     "table1_text",
+    "write_ablations",
     "write_grid",
     "write_report",
     "write_table1",
@@ -124,6 +127,27 @@ def write_grid(groups: Sequence[Group], folder: Path) -> str:
     (folder / "grid.md").write_text(text, encoding="utf-8")
     write_replicas(groups, folder / "replicas.csv")
     return text
+
+
+def write_ablations(groups: Sequence[Group], folder: Path) -> str:
+    """Writes ``ablations.md``, ``replicas.csv`` and the panels as PNG and SVG files.
+
+    Returns the tables as Markdown.
+    """
+    text = ablations_text(groups)
+    folder.mkdir(parents=True, exist_ok=True)
+    draw_ablations(groups, folder / "ablations.png")
+    draw_ablations(groups, folder / "ablations.svg")
+    picture = "![A panel for each key](ablations.png)\n"
+    (folder / "ablations.md").write_text(f"{text}\n{picture}", encoding="utf-8")
+    write_replicas(groups, folder / "replicas.csv")
+    return text
+
+
+def draw_ablations(groups: Sequence[Group], file: Path) -> None:
+    """Draws a panel for each key."""
+    found = find_ablations(groups)
+    draw_points(file, ablation_panels(found), title=f"Ablations of {found.reference.runs[0].agent}")
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:
@@ -211,6 +235,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     form.add_argument(
         "--grid", action="store_true", help="learner x explorer: each learner by each exploration"
     )
+    form.add_argument(
+        "--ablations", action="store_true", help="a run, and runs that each change one key of it"
+    )
     given = parser.parse_args(arguments)
     try:
         groups = read_groups(find_results(given.folders))
@@ -219,6 +246,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             to_text, write = table1_text, write_table1
         elif given.grid:
             to_text, write = grid_text, write_grid
+        elif given.ablations:
+            to_text, write = ablations_text, write_ablations
         text = to_text(groups) if given.out is None else write(groups, given.out)
     except (ValueError, OSError) as error:
         output.complain(f"error: {sentence(error)}")

@@ -1,16 +1,18 @@
-"""Result folders of runs that never ran."""
+"""Result folders of runs that never ran, and the jobs of recipes."""
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING
 
 import yaml
 
+from bbq_torchrl.cli.store import conf_folder
 from bbq_torchrl.evaluation import RunResult
 from bbq_torchrl.evaluation.results import replica_result, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
 DIALOGUES = 100
@@ -100,3 +102,12 @@ def make_run(
     result = run_result(rates, values, references=dict(references or {}), **described)
     write_json(result, folder / "result.json")
     return folder
+
+
+def sweeps(folder: str) -> Iterator[tuple[str, list[str]]]:
+    """Name and overrides of every job of the sweeps in a folder of ``conf/experiment``."""
+    for file in sorted((conf_folder() / "experiment" / folder).glob("*.yaml")):
+        recipe = yaml.safe_load(file.read_text())
+        params = recipe.get("hydra", {}).get("sweeper", {}).get("params", {})
+        lists = [[f"{key}={value}" for value in str(params[key]).split(",")] for key in params]
+        yield from ((f"{folder}/{file.stem}", list(job)) for job in product(*lists))

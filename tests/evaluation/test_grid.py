@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from itertools import product
 
 import pytest
-import yaml
-from result_folders import make_run
+from result_folders import make_run, sweeps
 from scipy import stats
 
-from bbq_torchrl.cli.store import compose, conf_folder
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.grid import deviations, find_grid
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name
@@ -73,19 +71,11 @@ def test_two_settings_of_a_cell_are_refused(runs, capsys):
     assert "got two of BBQN-MAP with explore=thompson" in error
 
 
-def sweeps(folder):
-    """Name and overrides of every job of the recipes in a folder."""
-    for file in sorted((conf_folder() / "experiment" / folder).glob("*.yaml")):
-        params = yaml.safe_load(file.read_text())["hydra"]["sweeper"]["params"]
-        lists = [[f"{key}={value}" for value in str(params[key]).split(",")] for key in params]
-        yield from ((f"{folder}/{file.stem}", list(job)) for job in product(*lists))
-
-
 def test_the_recipes_of_the_grid_are_its_cells():
     found = set()
     for name, overrides in sweeps("explorers"):
         config = compose([f"+experiment={name}", *overrides])
-        assert (config.protocol.rounds, config.replicas) == (100, 5)
+        assert (config.protocol.rounds, config.replicas) == (100, 10)
         learner = agent_name(asdict(config) | {"explore": {}})
         found.add((learner, getattr(config.agent, "dropout", None), config.explore.name))
     explorers = ("epsilon_greedy", "greedy", "boltzmann")
@@ -94,18 +84,3 @@ def test_the_recipes_of_the_grid_are_its_cells():
         *(("DQN", rate, name) for rate in (0.0, 0.5) for name in explorers),
         *(("DQN-Bootstrap", None, name) for name in ("bootstrap", "greedy")),
     }
-
-
-def test_an_ablation_has_the_default_and_changes_one_key():
-    default = asdict(compose(["+experiment=[agents/bbqn_map,paper_full]", "protocol.rounds=100"]))
-    jobs = {}
-    for name, overrides in sweeps("ablations"):
-        jobs.setdefault(name, []).append(overrides)
-    assert len(jobs) == 8
-    for name, settings in jobs.items():
-        assert len(settings) > 1
-        (override,) = settings[-1]
-        group, key = override.partition("=")[0].split(".")
-        config = asdict(compose([f"+experiment={name}", override]))
-        assert config[group][key] != default[group][key]
-        assert config | {group: config[group] | {key: default[group][key]}} == default

@@ -1,0 +1,128 @@
+"""Ablations: a reference run, and runs that each change one key of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from bbq_torchrl.evaluation.figures import Point
+from bbq_torchrl.evaluation.pairs import compare
+from bbq_torchrl.evaluation.runs import telling
+from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.markdown import table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bbq_torchrl.evaluation.groups import Group
+
+__all__ = ["ABLATIONS_NOTE", "Ablations", "ablation_panels", "ablations_text", "find_ablations"]
+
+ABLATIONS_NOTE = """\
+Means over seeds with their 95 % Student t interval; the reference stands in every table. Others are
+compared with it by pairs: replicas that saw the same spiked dialogues, goals and noise of the
+simulator; where a key changes the dialogues themselves there are no pairs. p: of a t test of the
+differences, by Holm's method for the values of the key.
+"""
+
+
+class Ablations(NamedTuple):
+    """One setting, and those that change one key of it.
+
+    Attributes:
+        reference: the runs that all others differ from in one key.
+        keys: dotted key -> value -> its runs, those of the reference among them; numbers in order.
+    """
+
+    reference: Group
+    keys: Mapping[str, Mapping[str, Group]]
+
+
+def find_ablations(groups: Sequence[Group]) -> Ablations:
+    """Finds the reference, which of two groups is the first one.
+
+    Raises:
+        ValueError: there is no group that every other one differs from in one key, or no other.
+    """
+    if len(groups) < 2:
+        raise ValueError(f"ablations need runs of two settings, got {len(groups)}")
+    settings = [group.runs[0].setting for group in groups]
+    changed = [[_changed(own, other) for other in settings] for own in settings]
+    reference = min(range(len(groups)), key=lambda number: max(map(len, changed[number])))
+    keys: dict[str, dict[Any, Group]] = {}
+    for group, setting, names in zip(groups, settings, changed[reference], strict=True):
+        if len(names) > 1:
+            raise ValueError(
+                "ablations must differ from one run in one key each, but "
+                f"{groups[reference].runs[0].folder} and {group.runs[0].folder} differ in "
+                f"{', '.join(names)}"
+            )
+        for name in names:
+            own = settings[reference].get(name)
+            keys.setdefault(name, {own: groups[reference]})[setting.get(name)] = group
+    return Ablations(
+        groups[reference],
+        {
+            name.removesuffix(".name"): {
+                _shown(value): row[value] for value in sorted(row, key=_place)
+            }
+            for name, row in keys.items()
+        },
+    )
+
+
+def _changed(own: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
+    return telling(key for key in {**own, **other} if own.get(key) != other.get(key))
+
+
+def _place(value: Any) -> tuple[bool, float]:
+    is_number = isinstance(value, int | float)
+    return is_number, value if is_number else 0.0
+
+
+def _shown(value: Any) -> str:
+    return "null" if value is None else str(value)
+
+
+def ablations_text(groups: Sequence[Group]) -> str:
+    """Returns a table for each key as Markdown.
+
+    Raises:
+        ValueError: see :func:`find_ablations`.
+    """
+    reference, keys = find_ablations(groups)
+    parts = [f"# Ablations of {reference.runs[0].agent}"]
+    for key, row in keys.items():
+        (own,) = (value for value, group in row.items() if group is reference)
+        declared = [(value, own) for value in row if value != own]
+        differences = {
+            (item.one, quantity): item.cells()[:2]
+            for quantity in ("final_success", "training_success")
+            for item in compare(row, declared, quantity)
+        }
+        none = ("–", "–")
+        rows = [
+            (
+                f"{value} (reference)" if value == own else value,
+                len(group.final),
+                summarize(group.final).t,
+                *differences.get((value, "final_success"), none),
+                summarize(group.cumulative).t,
+                *differences.get((value, "training_success"), none),
+            )
+            for value, group in row.items()
+        ]
+        difference = ("minus the reference", "p")
+        head = (key, "seeds", "final success", *difference, "cumulative", *difference)
+        parts += [f"## {key}", table(head, rows, numbers=len(head) - 1)]
+    return "\n\n".join([*parts, ABLATIONS_NOTE.strip()]) + "\n"
+
+
+def ablation_panels(ablations: Ablations) -> dict[str, list[Point]]:
+    """Returns what is drawn: key -> a point for each value."""
+    return {
+        key: [
+            Point(value, group.final, group.cumulative, is_marked=group is ablations.reference)
+            for value, group in row.items()
+        ]
+        for key, row in ablations.keys.items()
+    }

@@ -1,0 +1,91 @@
+"""Ablations: a reference, and runs that each change one key of it."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import asdict
+
+import pytest
+from result_folders import make_run, sweeps
+from scipy import stats
+
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.evaluation.ablations import find_ablations
+from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.evaluation.report import main
+
+OWN = [0.70, 0.80, 0.75, 0.72, 0.78]
+LESS = [0.66, 0.78, 0.70, 0.71, 0.72]
+SAME = [0.71, 0.79, 0.75, 0.73, 0.77]
+
+
+@pytest.fixture
+def runs(tmp_path):
+    make_run(tmp_path / "0", LESS, changes={"agent.prior_std": 0.3})
+    make_run(tmp_path / "1", OWN)
+    make_run(tmp_path / "2", SAME, changes={"agent.prior_std": 0.01})
+    make_run(tmp_path / "3", LESS, changes={"spike.dialogues": 20})
+    make_run(tmp_path / "4", SAME, changes={"spike.drop_above": 0.5})
+    make_run(tmp_path / "5", SAME, explore="greedy", changes={"explore.per": None})
+    return tmp_path
+
+
+def cells(text, start):
+    (line,) = (line for line in text.splitlines() if line.startswith(start))
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_the_reference_is_what_all_others_differ_from_in_one_key(runs):
+    reference, keys = find_ablations(read_groups(sorted(runs.iterdir())))
+    assert reference.final == OWN
+    assert {key: list(row) for key, row in keys.items()} == {
+        "agent.prior_std": ["0.01", "0.1", "0.3"],
+        "spike.dialogues": ["20", "100"],
+        "spike.drop_above": ["null", "0.5"],
+        "explore": ["thompson", "greedy"],
+    }
+    assert all(reference in row.values() for row in keys.values())
+
+
+def test_the_command_writes_tables_by_pairs_and_panels(runs, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main([str(runs), "--ablations", "--out", str(out)]) == 0
+    text = (out / "ablations.md").read_text()
+    assert capsys.readouterr().out.strip() in text
+    raw = [stats.ttest_rel(other, OWN).pvalue for other in (LESS, SAME)]
+    final = cells(text, "| 0.3 |")
+    assert final[3].startswith(f"{sum(LESS) / 5 - sum(OWN) / 5:+.3f} [")
+    assert final[4] == f"{2 * raw[0]:.3f}"  # by Holm the smaller of two
+    assert cells(text, "| 0.1 (reference) |")[3:5] == ["–", "–"]
+    assert cells(text, "| 20 |")[3:5] == ["–", "–"]  # other spiked dialogues: no pairs
+    pictures = [(out / f"ablations.{kind}").read_bytes() for kind in ("png", "svg")]
+    assert pictures[0].startswith(b"\x89PNG")
+    assert b"svg" in pictures[1][:400]
+    rows = list(csv.DictReader((out / "replicas.csv").read_text().splitlines()))
+    assert len(rows) == 6 * 5
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ({"agent.prior_std": 0.3, "spike.dialogues": 20}, "agent.prior_std, spike.dialogues"),
+        (None, "two"),
+    ],
+)
+def test_what_is_no_ablation_is_refused(tmp_path, capsys, changes, names):
+    make_run(tmp_path / "0", OWN)
+    if changes:
+        make_run(tmp_path / "1", SAME, changes=changes)
+    assert main([str(tmp_path), "--ablations"]) == 2
+    assert names in capsys.readouterr().err
+
+
+def test_every_recipe_changes_one_key_of_the_reference():
+    reference = asdict(compose(["+experiment=ablations/reference"]))
+    jobs = [(name, overrides) for name, overrides in sweeps("ablations") if overrides]
+    assert len({name for name, _ in jobs}) == 8
+    for name, (override,) in jobs:
+        group, key = override.partition("=")[0].split(".")
+        config = asdict(compose([f"+experiment={name}", override]))
+        assert config[group][key] != reference[group][key]
+        assert config | {group: config[group] | {key: reference[group][key]}} == reference
