@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 AGENTS = ("bbqn_map", "dqn")
-DEFAULTS = ("replicas=5", "protocol.rounds=100")
+PROTOCOL = "paper_full,large_batches"
+DEFAULTS = ("protocol.rounds=100",)
 
 Row = tuple[str, int, int, float]
 
@@ -55,7 +56,7 @@ def tandem(
     """
     leader, follower = (
         build_trainer(
-            compose([f"+experiment=[agents/{name},paper_full]", *overrides]), folder / role
+            compose([f"+experiment=[agents/{name},{PROTOCOL}]", *overrides]), folder / role
         )[0]
         for role, name in (("active", active), ("passive", passive))
     )

@@ -80,7 +80,7 @@ def test_the_recipes_of_the_grid_are_its_cells():
         found.add((learner, getattr(config.agent, "dropout", None), config.explore.name))
     explorers = ("epsilon_greedy", "greedy", "boltzmann")
     assert found == {
-        *(("BBQN-MAP", None, name) for name in ("thompson", *explorers)),
+        *(("BBQN-MAP", None, name) for name in ("thompson", *explorers, "thompson_epsilon")),
         *(("DQN", rate, name) for rate in (0.0, 0.5) for name in explorers),
         *(("DQN-Bootstrap", None, name) for name in ("bootstrap", "greedy")),
     }

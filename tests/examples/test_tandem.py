@@ -34,7 +34,8 @@ def example():
 
 def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path):
     rows = [row for part in example["tandem"]("bbqn_map", "dqn", TINY, tmp_path) for row in part]
-    config = compose(["+experiment=[agents/bbqn_map,paper_full]", *TINY])
+    protocol = example["PROTOCOL"]
+    config = compose([f"+experiment=[agents/bbqn_map,{protocol}]", *TINY])
     alone = build_trainer(config, tmp_path / "alone")[0].train()
     watched = read_metrics(tmp_path / "active")
     for name in ("loss", "reward", "eval_success_rate"):
