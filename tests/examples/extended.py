@@ -14,6 +14,7 @@ SHRUNKEN = (
     "protocol.rounds=2",
     "protocol.dialogues=3",
     "protocol.capacity=100",
+    "protocol.batch_size=32",
     "protocol.eval_dialogues=4",
     "protocol.eval_every=1",
     "protocol.eval_every_dialogues=4",
