@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.evaluation.learning import areas
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.statistics import summarize
@@ -22,12 +23,17 @@ if TYPE_CHECKING:
 
 __all__ = ["GRID_NOTE", "Grid", "deviations", "find_grid", "grid_text"]
 
-QUANTITIES = {"final_success": "final success", "training_success": "cumulative training success"}
+QUANTITIES = {
+    "final_success": "final success",
+    "training_success": "cumulative training success",
+    "evaluation_area": "success in evaluation while training",
+}
 
 GRID_NOTE = """\
-Means over seeds with their 95 % Student t interval. Each explorer is compared with the first of
-its learner by pairs: replicas that saw the same spiked dialogues, goals and noise of the simulator.
-p: of a t test of the differences, by Holm's method for all explorers of the learner.
+Means over seeds with their 95 % Student t interval. Training success counts what exploring costs;
+evaluation, a mean over the training, counts what was learned. Each explorer is compared with the
+first of its learner by pairs: replicas that saw the same spiked dialogues, goals and noise of the
+simulator. p: of a t test of the differences, by Holm's method for all explorers of the learner.
 """
 
 Grid = Mapping[str, Mapping[str, "Group"]]
@@ -93,6 +99,8 @@ def grid_text(groups: Sequence[Group]) -> str:
     explorers = list(dict.fromkeys(explorer for row in grid.values() for explorer in row))
     parts = ["# Learner x explorer"]
     for quantity, title in QUANTITIES.items():
+        if quantity == "evaluation_area" and any(group.evaluation is None for group in groups):
+            continue
         rows = [
             (learner, *(_cell(row.get(explorer), quantity) for explorer in explorers))
             for learner, row in grid.items()
@@ -112,5 +120,8 @@ def grid_text(groups: Sequence[Group]) -> str:
 def _cell(group: Group | None, quantity: str) -> str:
     if group is None:
         return NOT_RUN
-    values = group.final if quantity == "final_success" else group.cumulative
+    if quantity == "evaluation_area":
+        values = areas(group.evaluation)
+    else:
+        values = group.final if quantity == "final_success" else group.cumulative
     return f"{summarize(values).t} ({len(values)} seeds)"

@@ -64,6 +64,20 @@ def test_the_command_writes_the_grid(runs, tmp_path, capsys):
     assert (tmp_path / "out" / "replicas.csv").read_text().count("\n") == 1 + 5 * 5
 
 
+def test_evaluation_is_compared_where_all_were_evaluated(tmp_path, capsys):
+    make_run(tmp_path / "0", OWN, eval_every=1)
+    make_run(tmp_path / "1", LESS, explore="greedy", eval_every=1)
+    assert main([str(tmp_path), "--grid"]) == 0
+    part = capsys.readouterr().out.partition("## Success in evaluation while training")[2]
+    difference = sum(LESS) / 5 - sum(OWN) / 5
+    assert f"| BBQN-MAP | greedy minus thompson | {difference:+.3f} [" in part
+    # the metrics of these runs are .1 and .2 below the final rate in the rounds before the last
+    assert f"| {sum(OWN) / 5 - 0.1:.3f} [" in part
+    make_run(tmp_path / "2", SAME, explore="boltzmann")
+    assert main([str(tmp_path), "--grid"]) == 0
+    assert "evaluation while training" not in capsys.readouterr().out.partition("Means over")[0]
+
+
 def test_two_settings_of_a_cell_are_refused(runs, capsys):
     make_run(runs / "5", OWN, changes={"protocol.batch_size": 64})
     assert main([str(runs), "--grid"]) == 2
