@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
@@ -15,6 +18,9 @@ from bbq_torchrl.data import BootstrapMask
 from bbq_torchrl.exploration import BootstrapSampling, Greedy, MajorityVote, ThompsonSampling
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP, bootstrap_actor, q_actor
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, OneStepQLoss
+from bbq_torchrl.trainers import ReplicaAdam
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "extending"))  # for two of the agents
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,6 +29,7 @@ if TYPE_CHECKING:
     from torchrl.envs.transforms import Transform
 
     from bbq_torchrl.bayes.bayes_mlp import MeanInit
+    from bbq_torchrl.trainers import ReplicaOptimizer
 
 __all__ = ["AGENTS", "Agent", "AgentName", "Settings", "default_settings", "make_agent"]
 
@@ -36,6 +43,8 @@ AgentName = Literal[
     "bbqn_mean_zero",
     "bbqn_independent_zero",
     "bbqn_shared_zero",
+    "epinet",
+    "langevin",
 ]
 AGENTS: tuple[AgentName, ...] = get_args(AgentName)
 """BBQN is named after its target's noise; ``_zero``: its weights have mean zero at first."""
@@ -63,7 +72,9 @@ class Settings:
         heads: number of bootstrap heads, each a network of its own.
         mask_prob: probability with which a head learns from a transition; at 1 the heads differ
             by their first weights (and their prior functions) alone.
-        prior_scale: factor of the bootstrap's prior functions.
+        prior_scale: factor of the bootstrap's, or the epinet's, prior functions.
+        index_size: dimensions of the epinet's index.
+        inverse_temperature: of the weights' distribution that Adam LMCDQN samples from.
     """
 
     hidden: tuple[int, ...] = (50, 50)
@@ -81,6 +92,8 @@ class Settings:
     heads: int = 10
     mask_prob: float = 1.0
     prior_scale: float = 3.0
+    index_size: int = 8
+    inverse_temperature: float = 1e8
 
 
 def default_settings(name: AgentName) -> Settings:
@@ -89,10 +102,15 @@ def default_settings(name: AgentName) -> Settings:
     BBQN learns from more mini-batches: from as few as the other agents' it did not solve N = 8 in
     any trial. Its posterior is narrow at first, but for the paper's start, which is the prior. The
     bootstrap learns in smaller steps: the input of N makes the steps of the first layer's output N
-    times larger.
+    times larger. The epinet's values have to differ by no more than the treasure at first, and
+    Adam LMCDQN needs a temperature at which its noise moves weights in a few thousand steps.
     """
     if name.startswith("bbqn_"):
         return Settings(updates_per_step=4.0, std_init=None if name.endswith("_zero") else 0.03)
+    if name == "epinet":
+        return Settings(lr=1e-3, updates_per_step=4.0, prior_scale=0.6, index_size=4)
+    if name == "langevin":
+        return Settings(lr=1e-3, inverse_temperature=100.0)
     return Settings(lr=1e-3) if name.startswith("bootstrap") else Settings()
 
 
@@ -106,6 +124,7 @@ class Agent:
         loss: of a batch of transitions [R, batch].
         begin_dive: to be called before each dive.
         when_stored: what is done to transitions [R, steps] as they are stored, if anything.
+        make_optimizer: takes the loss's parameters, R, and the learning rate as ``lr``.
     """
 
     explore: TensorDictModuleBase
@@ -113,6 +132,7 @@ class Agent:
     loss: OneStepQLoss
     begin_dive: Callable[[], Any]
     when_stored: Transform | None = None
+    make_optimizer: Callable[..., ReplicaOptimizer] = ReplicaAdam
 
 
 def make_agent(name: AgentName, size: int, replicas: int, settings: Settings) -> Agent:
@@ -136,6 +156,10 @@ def make_agent(name: AgentName, size: int, replicas: int, settings: Settings) ->
         target_noise = name.removeprefix("bbqn_").removesuffix("_zero")
         mean_init = "zero" if name.endswith("_zero") else "kaiming"
         return _bbqn(target_noise, mean_init, size, replicas, settings)
+    if name == "epinet":
+        return _epinet(size, replicas, settings)
+    if name == "langevin":
+        return _langevin(size, replicas, settings)
     raise ValueError(f"agent must be one of {list(AGENTS)}, got {name!r}")
 
 
@@ -221,4 +245,46 @@ def _bbqn(
             target_noise=target_noise,
         ),
         begin_dive=explore.resample,
+    )
+
+
+def _epinet(size: int, replicas: int, settings: Settings) -> Agent:
+    from bbq_extending.epinet_mlp import EpinetMLP
+    from bbq_extending.index_sampling import INDEX, IndexLoss, IndexSampling
+
+    class ScaledEpinet(EpinetMLP):
+        """Its input scaled as that of the other agents is."""
+
+        def forward(self, x: Tensor, index: Tensor) -> Tensor:
+            return super().forward(x * size, index)
+
+    network = ScaledEpinet(
+        size**2,
+        2,
+        settings.hidden,
+        index_size=settings.index_size,
+        prior_scale=settings.prior_scale,
+        replicas=replicas,
+    )
+    actor = q_actor(network, ACTION, in_keys=("observation", INDEX), action_mask_key=None)
+    explore = IndexSampling(actor, settings.index_size)
+    return Agent(
+        explore=explore,
+        greedy=IndexSampling(actor, settings.index_size, explores=False),
+        loss=IndexLoss(actor, settings.index_size, gamma=settings.gamma),
+        begin_dive=explore.resample,
+    )
+
+
+def _langevin(size: int, replicas: int, settings: Settings) -> Agent:
+    from bbq_extending.langevin_adam import LangevinAdam
+
+    network = _scaled(size, FlatMLP(size**2, 2, settings.hidden, replicas=replicas))
+    actor = q_actor(network, ACTION, action_mask_key=None)
+    return Agent(
+        explore=Greedy(actor),  # on weights that are a sample
+        greedy=Greedy(actor),
+        loss=DropoutDQNLoss(actor, gamma=settings.gamma, double_dqn=True),
+        begin_dive=lambda: None,
+        make_optimizer=partial(LangevinAdam, inverse_temperature=settings.inverse_temperature),
     )

@@ -23,6 +23,8 @@ AGENT_NAMES = {
     "bbqn_mean_zero": "BBQN (MAP), zero means",
     "bbqn_independent_zero": "BBQN (MC), zero means",
     "bbqn_shared_zero": "BBQN (same noise), zero means",
+    "epinet": "epinet",
+    "langevin": "Adam LMCDQN",
 }
 """What the agents of the table are called in the figure."""
 

@@ -12,7 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.objectives import BBQNLoss
-from bbq_torchrl.trainers import ReplicaAdam, derive_seed, keep_freed_memory
+from bbq_torchrl.trainers import derive_seed, keep_freed_memory
 
 if TYPE_CHECKING:
     from tensordict import NestedKey
@@ -150,7 +150,7 @@ def train(
     torch.manual_seed(derive_seed(seed, name.removesuffix("_zero"), size))
     env = DeepSeaEnv(size, (replicas, 1), mapping_seed=range(seed, seed + replicas))
     agent = make_agent(name, size, replicas, settings)
-    optimizer = ReplicaAdam(agent.loss.parameters(), replicas, lr=settings.lr)
+    optimizer = agent.make_optimizer(agent.loss.parameters(), replicas, lr=settings.lr)
     freeze = HardUpdate(agent.loss, value_network_update_interval=0)
     memory = DiveMemory(settings.capacity)
     treasures = torch.zeros(replicas, dtype=torch.int64)

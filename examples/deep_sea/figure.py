@@ -29,6 +29,8 @@ LOOKS = {
     "bbqn_mean": ("#0072B2", "o"),
     "bbqn_independent": ("#56B4E9", "D"),
     "bbqn_shared": ("#D55E00", "P"),
+    "epinet": ("#CC79A7", "X"),
+    "langevin": ("#999999", "*"),
 }
 """Color and marker; those of zero means look like their twins, but hollow and dashed."""
 
@@ -108,7 +110,7 @@ def _draw_agents(axes: Axes, lines: Sequence[Line], agents: Sequence[str]) -> No
                     fontsize=7,
                     color=color,
                 )
-    bottom, top = 1.0, unsolved_at * 1.3 ** len(agents)
+    bottom, top = 1.0, unsolved_at * 1.3 ** max(map(len, PANELS.values()))
     axes.axhspan(unsolved_at / 1.15, top, color="0.93", zorder=0)
     axes.text(sizes[0] - 0.9, unsolved_at, "not\nsolved", fontsize=8, va="bottom", color="0.3")
     chance = [n for n in range(sizes[0], sizes[-1] + 1) if 2**n < unsolved_at / 1.15]
