@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Comparison
 
-__all__ = ["GRID_NOTE", "Grid", "deviations", "find_grid", "grid_text"]
+__all__ = ["GRID_NOTE", "Grid", "advantages", "deviations", "find_grid", "grid_text"]
 
 QUANTITIES = {
     "final_success": "final success",
@@ -31,9 +31,10 @@ QUANTITIES = {
 
 GRID_NOTE = """\
 Means over seeds with their 95 % Student t interval. Training success counts what exploring costs;
-evaluation, a mean over the training, counts what was learned. Each explorer is compared with the
-first of its learner by pairs: replicas that saw the same spiked dialogues, goals and noise of the
-simulator. p: of a t test of the differences, by Holm's method for all explorers of the learner.
+evaluation, a mean over the training, counts what was learned. By pairs, replicas that saw the same
+spiked dialogues, goals and noise of the simulator: a learner's explorers and its first one, and the
+first learner and the others by the same explorer. p: of a t test of the differences, by Holm's
+method for all explorers of the learner, or all learners of the explorer.
 """
 
 Grid = Mapping[str, Mapping[str, "Group"]]
@@ -89,6 +90,17 @@ def deviations(row: Mapping[str, Group], quantity: str) -> list[Comparison]:
     return compare(row, [(other, first) for other in others], quantity)
 
 
+def advantages(column: Mapping[str, Group], quantity: str) -> list[Comparison]:
+    """Returns the first learner of an explorer minus the others."""
+    first, *others = column
+    return compare(column, [(first, other) for other in others], quantity)
+
+
+def _column(grid: Grid, explorer: str) -> dict[str, Group]:
+    """Returns an explorer's groups by learner."""
+    return {learner: row[explorer] for learner, row in grid.items() if explorer in row}
+
+
 def grid_text(groups: Sequence[Group]) -> str:
     """Returns the grid and its comparisons as Markdown.
 
@@ -106,14 +118,19 @@ def grid_text(groups: Sequence[Group]) -> str:
             for learner, row in grid.items()
         ]
         parts += [f"## {title.capitalize()}", table(("learner", *explorers), rows)]
-        compared = [
-            (learner, f"{item.one} minus {item.other}", *item.cells())
-            for learner, row in grid.items()
-            for item in deviations(row, quantity)
-        ]
-        if compared:
-            head = ("learner", "by pairs", "difference", "p", "better?")
-            parts.append(table(head, compared, numbers=3))
+        columns = {name: _column(grid, name) for name in explorers}
+        for head, found in (
+            ("learner", {name: deviations(row, quantity) for name, row in grid.items()}),
+            ("explorer", {name: advantages(column, quantity) for name, column in columns.items()}),
+        ):
+            compared = [
+                (name, f"{item.one} minus {item.other}", *item.cells())
+                for name, items in found.items()
+                for item in items
+            ]
+            if compared:
+                names = (head, "by pairs", "difference", "p", "better?")
+                parts.append(table(names, compared, numbers=3))
     return "\n\n".join([*parts, GRID_NOTE.strip()]) + "\n"
 
 

@@ -52,6 +52,17 @@ def test_explorers_are_compared_with_the_learners_first_by_holm(groups):
     assert greedy.difference.value == pytest.approx(sum(LESS) / 5 - sum(OWN) / 5)
 
 
+def test_learners_are_compared_by_the_same_explorer(runs, capsys):
+    assert main([str(runs), "--grid"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    crossed = [line for line in lines if line.startswith("| greedy | ")]
+    # Both have the same rates here: no difference, of final and of training success.
+    assert len(crossed) == 2
+    for line in crossed:
+        assert line.startswith("| greedy | BBQN-MAP minus DQN, agent.dropout=0.0 | +0.000 [")
+    assert not any(line.startswith("| thompson |") for line in lines)  # one learner has it
+
+
 def test_the_command_writes_the_grid(runs, tmp_path, capsys):
     assert main([str(runs), "--grid", "--out", str(tmp_path / "out")]) == 0
     text = (tmp_path / "out" / "grid.md").read_text()
