@@ -10,6 +10,7 @@ from statistics import fmean
 from bbq_torchrl.evaluation import pairs, report, table1
 from bbq_torchrl.evaluation.csv_tables import write_replicas
 from bbq_torchrl.evaluation.figures import draw_comparison
+from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.learning import rounds_to_reach
 from bbq_torchrl.evaluation.statistics import summarize
@@ -90,6 +91,13 @@ def _table1() -> str:
         if table1.find_cells(kept, env):
             text += f"\n\n![{title}: learning curves](figures/table1_{env}.png)"
     return f"{text}\n\n{_commands(kept)}"
+
+
+@block("results.explorers")
+def _explorers() -> str:
+    """Returns the grid of learner x explorer, without its heading."""
+    text = grid_text(groups("explorers")).partition("\n\n")[2].strip()
+    return text.replace("## ", "### ")
 
 
 def _experiment(name: str) -> str:
