@@ -48,7 +48,7 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
     settings = [group.runs[0].setting for group in groups]
     changed = [[_changed(own, other) for other in settings] for own in settings]
     reference = min(range(len(groups)), key=lambda number: max(map(len, changed[number])))
-    keys: dict[str, dict[Any, Group]] = {}
+    keys: dict[str, list[tuple[Any, Group]]] = {}
     for group, setting, names in zip(groups, settings, changed[reference], strict=True):
         if len(names) > 1:
             raise ValueError(
@@ -57,15 +57,16 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
                 f"{', '.join(names)}"
             )
         for name in names:
-            own = settings[reference].get(name)
-            keys.setdefault(name, {own: groups[reference]})[setting.get(name)] = group
+            own = settings[reference].get(name), groups[reference]
+            keys.setdefault(name, [own]).append((setting.get(name), group))
     return Ablations(
         groups[reference],
         {
             name.removesuffix(".name"): {
-                _shown(value): row[value] for value in sorted(row, key=_place)
+                "null" if value is None else str(value): group
+                for value, group in sorted(values, key=_place)
             }
-            for name, row in keys.items()
+            for name, values in keys.items()
         },
     )
 
@@ -74,13 +75,11 @@ def _changed(own: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     return telling(key for key in {**own, **other} if own.get(key) != other.get(key))
 
 
-def _place(value: Any) -> tuple[bool, float]:
+def _place(entry: tuple[Any, Group]) -> tuple[bool, float]:
+    """Sorts numbers behind what is none; that stays in its order."""
+    value, _ = entry
     is_number = isinstance(value, int | float)
     return is_number, value if is_number else 0.0
-
-
-def _shown(value: Any) -> str:
-    return "null" if value is None else str(value)
 
 
 def ablations_text(groups: Sequence[Group]) -> str:

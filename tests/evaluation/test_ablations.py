@@ -27,6 +27,7 @@ def runs(tmp_path):
     make_run(tmp_path / "3", LESS, changes={"spike.dialogues": 20})
     make_run(tmp_path / "4", SAME, changes={"spike.drop_above": 0.5})
     make_run(tmp_path / "5", SAME, explore="greedy", changes={"explore.per": None})
+    make_run(tmp_path / "6", SAME, changes={"agent.hidden": [64]})
     return tmp_path
 
 
@@ -43,6 +44,7 @@ def test_the_reference_is_what_all_others_differ_from_in_one_key(runs):
         "spike.dialogues": ["20", "100"],
         "spike.drop_above": ["null", "0.5"],
         "explore": ["thompson", "greedy"],
+        "agent.hidden": ["null", "[64]"],
     }
     assert all(reference in row.values() for row in keys.values())
 
@@ -62,7 +64,7 @@ def test_the_command_writes_tables_by_pairs_and_panels(runs, tmp_path, capsys):
     assert pictures[0].startswith(b"\x89PNG")
     assert b"svg" in pictures[1][:400]
     rows = list(csv.DictReader((out / "replicas.csv").read_text().splitlines()))
-    assert len(rows) == 6 * 5
+    assert len(rows) == 7 * 5
 
 
 @pytest.mark.parametrize(
