@@ -38,7 +38,7 @@ class Ablations(NamedTuple):
 
 
 def find_ablations(groups: Sequence[Group]) -> Ablations:
-    """Finds the reference, which of two groups is the first one.
+    """Finds the reference; where several groups could be it, it is the first.
 
     Raises:
         ValueError: there is no group that every other one differs from in one key, or no other.

@@ -236,7 +236,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--grid", action="store_true", help="learner x explorer: each learner by each exploration"
     )
     form.add_argument(
-        "--ablations", action="store_true", help="a run, and runs that each change one key of it"
+        "--ablations",
+        action="store_true",
+        help="runs that each change one key of a reference; of one key alone, give that first",
     )
     given = parser.parse_args(arguments)
     try:

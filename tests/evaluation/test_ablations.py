@@ -67,6 +67,13 @@ def test_the_command_writes_tables_by_pairs_and_panels(runs, tmp_path, capsys):
     assert len(rows) == 7 * 5
 
 
+def test_of_one_key_alone_the_reference_is_the_first_given(runs, capsys):
+    assert main([str(runs / name) for name in "102"] + ["--ablations"]) == 0
+    assert cells(capsys.readouterr().out, "| 0.1 (reference) |")[1] == "5"
+    assert main([str(runs / name) for name in "012"] + ["--ablations"]) == 0
+    assert cells(capsys.readouterr().out, "| 0.3 (reference) |")[1] == "5"
+
+
 @pytest.mark.parametrize(
     ("changes", "names"),
     [
