@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bbq_torchrl.evaluation.figures import Point
 from bbq_torchrl.evaluation.pairs import compare
 from bbq_torchrl.evaluation.runs import telling
 from bbq_torchrl.evaluation.statistics import summarize
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.groups import Group
 
-__all__ = ["ABLATIONS_NOTE", "Ablations", "ablation_panels", "ablations_text", "find_ablations"]
+__all__ = ["ABLATIONS_NOTE", "Ablations", "ablations_text", "find_ablations"]
 
 ABLATIONS_NOTE = """\
 Means over seeds with their 95 % Student t interval; the reference stands in every table. Others are
@@ -114,14 +113,3 @@ def ablations_text(groups: Sequence[Group]) -> str:
         head = (key, "seeds", "final success", *difference, "cumulative", *difference)
         parts += [f"## {key}", table(head, rows, numbers=len(head) - 1)]
     return "\n\n".join([*parts, ABLATIONS_NOTE.strip()]) + "\n"
-
-
-def ablation_panels(ablations: Ablations) -> dict[str, list[Point]]:
-    """Returns what is drawn: key -> a point for each value."""
-    return {
-        key: [
-            Point(value, group.final, group.cumulative, is_marked=group is ablations.reference)
-            for value, group in row.items()
-        ]
-        for key, row in ablations.keys.items()
-    }

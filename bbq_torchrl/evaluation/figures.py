@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["Curves", "Point", "draw_comparison", "draw_points", "draw_run", "moving_average"]
+    from bbq_torchrl.evaluation.ablations import Ablations
+
+__all__ = ["Curves", "draw_ablations", "draw_comparison", "draw_run", "moving_average"]
 
 WINDOW = 10
 """Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
@@ -42,22 +44,6 @@ class Curves:
     final: Any
     evaluated: Any = None
     reward: Any = None
-
-
-class Point(NamedTuple):
-    """A value of a key, and what its seeds came to.
-
-    Attributes:
-        label: the value.
-        final: success of the final evaluation, shape [seeds].
-        cumulative: share of all training dialogues that succeeded, shape [seeds].
-        is_marked: whether it is the value that the others are compared with.
-    """
-
-    label: str
-    final: Sequence[float]
-    cumulative: Sequence[float]
-    is_marked: bool
 
 
 def moving_average(values: Any, window: int = WINDOW) -> Any:
@@ -172,14 +158,14 @@ def draw_comparison(
     _save(figure, list(drawn.values()), file)
 
 
-def draw_points(file: Path, panels: Mapping[str, Sequence[Point]], *, title: str) -> None:
+def draw_ablations(file: Path, ablations: Ablations) -> None:
     """Draws a panel for each key: every seed of every value, their mean and its 95 % t interval.
 
     Args:
         file: a PNG or SVG file.
-        panels: key to its values, at least one.
-        title: the heading.
+        ablations: the reference, and what changes one key of it.
     """
+    reference, panels = ablations
     columns = min(2, len(panels))
     figure, grid = _axes(rows=-(-len(panels) // columns), columns=columns)
     axes = list(np.atleast_1d(grid).flat)
@@ -187,23 +173,23 @@ def draw_points(file: Path, panels: Mapping[str, Sequence[Point]], *, title: str
     for (name, label), place, color, marker in zip(
         quantities.items(), (-0.1, 0.1), COLORS, "os", strict=False
     ):
-        for panel, points in zip(axes, panels.values(), strict=False):
-            for number, point in enumerate(points):
-                seeds = getattr(point, name)
+        for panel, row in zip(axes, panels.values(), strict=False):
+            for number, group in enumerate(row.values()):
+                seeds = getattr(group, name)
                 panel.plot([number + place] * len(seeds), seeds, ".", color=color, alpha=0.35)
                 found = estimate(seeds, method="t")
                 half = 0.0 if found.method == "none" else found.high - found.value
                 style = {"fmt": marker, "color": color, "capsize": 3, "ms": 5}
                 shown = label if number == 0 and panel is axes[0] else None
                 panel.errorbar(number + place, found.value, half, label=shown, **style)
-    for panel, (key, points) in zip(axes, panels.items(), strict=False):
-        names = [f"{point.label}*" if point.is_marked else point.label for point in points]
+    for panel, (key, row) in zip(axes, panels.items(), strict=False):
+        names = [f"{value}*" if group is reference else value for value, group in row.items()]
         places = range(len(names))
         panel.set(xlabel=key, xticks=places, xticklabels=names, ylim=(0, 1))
         panel.set_xlim(-0.5, len(names) - 0.5)
     for panel in axes[len(panels) :]:
         panel.remove()
-    figure.suptitle(f"{title} (*: the reference)")
+    figure.suptitle(f"Ablations of {reference.runs[0].agent} (*: the reference)")
     _save(figure, axes[: len(panels)], file)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Comparison
 
-__all__ = ["GRID_NOTE", "Grid", "advantages", "deviations", "find_grid", "grid_text"]
+__all__ = ["GRID_NOTE", "Grid", "deviations", "find_grid", "grid_text"]
 
 QUANTITIES = {
     "final_success": "final success",
@@ -32,8 +32,8 @@ QUANTITIES = {
 GRID_NOTE = """\
 Means over seeds with their 95 % Student t interval. Training success counts what exploring costs;
 evaluation, a mean over the training, counts what was learned. By pairs, replicas that saw the same
-spiked dialogues, goals and noise of the simulator: a learner's explorers and its first one, and the
-first learner and the others by the same explorer. p: of a t test of the differences, by Holm's
+spiked dialogues, goals and noise of the simulator: a learner's explorers and its first one, and an
+explorer's learners and its first one. p: of a t test of the differences, by Holm's
 method for all explorers of the learner, or all learners of the explorer.
 """
 
@@ -85,20 +85,9 @@ def _keys(group: Group) -> dict[str, Any]:
 
 
 def deviations(row: Mapping[str, Group], quantity: str) -> list[Comparison]:
-    """Returns a learner's explorers minus its first, by ``final_success`` or the like."""
+    """Returns a learner's explorers, or an explorer's learners, minus the first of them."""
     first, *others = row
     return compare(row, [(other, first) for other in others], quantity)
-
-
-def advantages(column: Mapping[str, Group], quantity: str) -> list[Comparison]:
-    """Returns the first learner of an explorer minus the others."""
-    first, *others = column
-    return compare(column, [(first, other) for other in others], quantity)
-
-
-def _column(grid: Grid, explorer: str) -> dict[str, Group]:
-    """Returns an explorer's groups by learner."""
-    return {learner: row[explorer] for learner, row in grid.items() if explorer in row}
 
 
 def grid_text(groups: Sequence[Group]) -> str:
@@ -109,6 +98,10 @@ def grid_text(groups: Sequence[Group]) -> str:
     """
     grid = find_grid(groups)
     explorers = list(dict.fromkeys(explorer for row in grid.values() for explorer in row))
+    columns = {
+        name: {learner: row[name] for learner, row in grid.items() if name in row}
+        for name in explorers
+    }
     parts = ["# Learner x explorer"]
     for quantity, title in QUANTITIES.items():
         if quantity == "evaluation_area" and any(group.evaluation is None for group in groups):
@@ -118,15 +111,11 @@ def grid_text(groups: Sequence[Group]) -> str:
             for learner, row in grid.items()
         ]
         parts += [f"## {title.capitalize()}", table(("learner", *explorers), rows)]
-        columns = {name: _column(grid, name) for name in explorers}
-        for head, found in (
-            ("learner", {name: deviations(row, quantity) for name, row in grid.items()}),
-            ("explorer", {name: advantages(column, quantity) for name, column in columns.items()}),
-        ):
+        for head, rows_or_columns in (("learner", grid), ("explorer", columns)):
             compared = [
                 (name, f"{item.one} minus {item.other}", *item.cells())
-                for name, items in found.items()
-                for item in items
+                for name, compared_groups in rows_or_columns.items()
+                for item in deviations(compared_groups, quantity)
             ]
             if compared:
                 names = (head, "by pairs", "difference", "p", "better?")

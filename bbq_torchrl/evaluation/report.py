@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.evaluation.ablations import ablation_panels, ablations_text, find_ablations
+from bbq_torchrl.evaluation.ablations import ablations_text, find_ablations
 from bbq_torchrl.evaluation.csv_tables import write_replicas, write_tables
-from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_comparison, draw_points
+from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_ablations, draw_comparison
 from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.pairs import pairings
@@ -46,7 +46,6 @@ __all__ = [
     "cells_of_table1",
     "comparison_tables",
     "curves",
-    "draw_ablations",
     "draw_table1",
     "main",
     "references",
@@ -134,20 +133,15 @@ def write_ablations(groups: Sequence[Group], folder: Path) -> str:
 
     Returns the tables as Markdown.
     """
+    found = find_ablations(groups)
     text = ablations_text(groups)
     folder.mkdir(parents=True, exist_ok=True)
-    draw_ablations(groups, folder / "ablations.png")
-    draw_ablations(groups, folder / "ablations.svg")
+    for kind in ("png", "svg"):
+        draw_ablations(folder / f"ablations.{kind}", found)
     picture = "![A panel for each key](ablations.png)\n"
     (folder / "ablations.md").write_text(f"{text}\n{picture}", encoding="utf-8")
     write_replicas(groups, folder / "replicas.csv")
     return text
-
-
-def draw_ablations(groups: Sequence[Group], file: Path) -> None:
-    """Draws a panel for each key."""
-    found = find_ablations(groups)
-    draw_points(file, ablation_panels(found), title=f"Ablations of {found.reference.runs[0].agent}")
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:

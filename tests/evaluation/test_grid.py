@@ -59,7 +59,7 @@ def test_learners_are_compared_by_the_same_explorer(runs, capsys):
     # Both have the same rates here: no difference, of final and of training success.
     assert len(crossed) == 2
     for line in crossed:
-        assert line.startswith("| greedy | BBQN-MAP minus DQN, agent.dropout=0.0 | +0.000 [")
+        assert line.startswith("| greedy | DQN, agent.dropout=0.0 minus BBQN-MAP | +0.000 [")
     assert not any(line.startswith("| thompson |") for line in lines)  # one learner has it
 
 
