@@ -12,13 +12,10 @@ from bbq_torchrl.evaluation.results import (
 )
 from bbq_torchrl.evaluation.statistics import (
     Estimate,
-    Summary,
     binomial_standard_error,
     estimate,
+    estimate_iqm,
     interquartile_mean,
-    paired_differences,
-    probability_of_improvement,
-    summarize,
 )
 
 __all__ = [
@@ -26,16 +23,13 @@ __all__ = [
     "Metrics",
     "ReplicaResult",
     "RunResult",
-    "Summary",
     "TrainingEvaluation",
     "areas",
     "binomial_standard_error",
     "estimate",
+    "estimate_iqm",
     "interquartile_mean",
-    "paired_differences",
-    "probability_of_improvement",
     "read_metrics",
     "read_result",
     "rounds_to_reach",
-    "summarize",
 ]

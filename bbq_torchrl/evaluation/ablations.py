@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bbq_torchrl.evaluation.pairs import compare
 from bbq_torchrl.evaluation.runs import telling
-from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.evaluation.statistics import estimate
 from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
@@ -102,9 +102,9 @@ def ablations_text(groups: Sequence[Group]) -> str:
             (
                 f"{value} (reference)" if value == own else value,
                 len(group.final),
-                summarize(group.final).t,
+                estimate(group.final),
                 *differences.get((value, "final_success"), none),
-                summarize(group.cumulative).t,
+                estimate(group.cumulative),
                 *differences.get((value, "training_success"), none),
             )
             for value, group in row.items()

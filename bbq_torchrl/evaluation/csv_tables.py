@@ -7,8 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.learning import learning, rounds_to_reach
-from bbq_torchrl.evaluation.statistics import Summary, summarize
-from bbq_torchrl.evaluation.tables import Improvement, improvements
+from bbq_torchrl.evaluation.statistics import Estimate, estimate, estimate_iqm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +22,6 @@ __all__ = ["write_replicas", "write_tables"]
 def write_tables(groups: Sequence[Group], compared: Sequence[Pairing], folder: Path) -> None:
     """Writes a CSV file of each table of a report, and ``replicas.csv``."""
     _write(folder / "report.csv", [_row(group) for group in groups])
-    _write(folder / "improvements.csv", [_improvement(item) for item in improvements(groups)])
     _write(folder / "pairs.csv", [_pair_row(item) for item in compared])
     _write(folder / "learning.csv", _learning_rows(groups))
     write_replicas(groups, folder / "replicas.csv")
@@ -67,35 +65,20 @@ def _row(group: Group) -> dict[str, Any]:
         "seeds": len(group.final),
         "rounds": group.first.rounds,
     }
-    for name, values in (("final_success", group.final), ("training_success", group.cumulative)):
-        row |= _summary(name, summarize(values))
+    row |= _ends("final_success", estimate(group.final))
+    row |= _ends("final_success_iqm", estimate_iqm(group.final))
+    row |= _ends("training_success", estimate(group.cumulative))
     return row | {"reward": group.reward, "turns": group.turns}
 
 
-def _summary(name: str, summary: Summary) -> dict[str, float]:
-    return {
-        f"{name}_mean": summary.t.value,
-        f"{name}_bootstrap_low": summary.bootstrap.low,
-        f"{name}_bootstrap_high": summary.bootstrap.high,
-        f"{name}_t_low": summary.t.low,
-        f"{name}_t_high": summary.t.high,
-        f"{name}_iqm": summary.iqm.value,
-        f"{name}_iqm_low": summary.iqm.low,
-        f"{name}_iqm_high": summary.iqm.high,
-    }
-
-
-def _improvement(item: Improvement) -> dict[str, Any]:
-    row: dict[str, Any] = {"better": item.better.label, "worse": item.worse.label}
-    for name, value in (("final_success", item.final), ("training_success", item.cumulative)):
-        row |= {name: value.value, f"{name}_low": value.low, f"{name}_high": value.high}
-    return row
+def _ends(name: str, found: Estimate) -> dict[str, float]:
+    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
 
 
 def _pair_row(item: Pairing) -> dict[str, Any]:
     row: dict[str, Any] = {"one": item.one.label, "other": item.other.label, "pairs": item.pairs}
     for name, difference in item.differences.items():
-        row |= _summary(name, difference)
+        row |= _ends(name, difference)
     return row | {"remark": item.remark}
 
 
@@ -109,7 +92,7 @@ def _learning_rows(groups: Sequence[Group]) -> list[dict[str, Any]]:
                 "success_in": curve.success_in,
                 "seeds": len(group.final),
                 "rounds": group.first.rounds,
-                **_summary("area", curve.area),
+                **_ends("area", curve.area),
             }
             for item in curve.reach:
                 low, high = item.interval

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.statistics import MIN_BOOTSTRAP, estimate
+from bbq_torchrl.evaluation.statistics import estimate
 from bbq_torchrl.run_folder import write_bytes
 
 if TYPE_CHECKING:
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.ablations import Ablations
 
 __all__ = ["Curves", "draw_ablations", "draw_comparison", "draw_run", "moving_average"]
+
+MIN_BAND = 5
+"""Seeds from which on a band is drawn: of fewer it would hide the curves."""
 
 WINDOW = 10
 """Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
@@ -118,7 +121,7 @@ def draw_comparison(
 ) -> None:
     """Draws groups of seeds: every seed's curve, their mean, and its 95 % band.
 
-    The band is the bootstrap interval of the mean over seeds (five or more), round by round. Groups
+    The band is the t interval of the mean over seeds (five or more), round by round. Groups
     beyond the seventh are dashed.
 
     Args:
@@ -177,11 +180,12 @@ def draw_ablations(file: Path, ablations: Ablations) -> None:
             for number, group in enumerate(row.values()):
                 seeds = getattr(group, name)
                 panel.plot([number + place] * len(seeds), seeds, ".", color=color, alpha=0.35)
-                found = estimate(seeds, method="t")
-                half = 0.0 if found.method == "none" else found.high - found.value
+                found = estimate(seeds)
                 style = {"fmt": marker, "color": color, "capsize": 3, "ms": 5}
                 shown = label if number == 0 and panel is axes[0] else None
-                panel.errorbar(number + place, found.value, half, label=shown, **style)
+                panel.errorbar(
+                    number + place, found.value, found.high - found.value, label=shown, **style
+                )
     for panel, (key, row) in zip(axes, panels.items(), strict=False):
         names = [f"{value}*" if group is reference else value for value, group in row.items()]
         places = range(len(names))
@@ -233,7 +237,7 @@ def _draw_seeds(axes: Any, rounds: Any, values: Any, color: str, *, line: str) -
 
 def _draw_band(axes: Any, rounds: Any, values: Any, color: str) -> None:
     """Draws the interval of the mean of values [rounds, seeds], where there are enough seeds."""
-    if values.shape[1] >= MIN_BOOTSTRAP:
+    if values.shape[1] >= MIN_BAND:
         found = [estimate(row) for row in values]
         low, high = [item.low for item in found], [item.high for item in found]
         axes.fill_between(rounds, low, high, color=color, alpha=0.15, lw=0)

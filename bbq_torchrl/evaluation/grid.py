@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.evaluation.learning import areas
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
-from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.evaluation.statistics import estimate
 from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
@@ -130,4 +130,4 @@ def _cell(group: Group | None, quantity: str) -> str:
         values = areas(group.evaluation)
     else:
         values = group.final if quantity == "final_success" else group.cumulative
-    return f"{summarize(values).t} ({len(values)} seeds)"
+    return f"{estimate(values)} ({len(values)} seeds)"

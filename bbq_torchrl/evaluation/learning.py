@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import integrate, stats
 
-from bbq_torchrl.evaluation.statistics import CONFIDENCE, Summary, summarize
+from bbq_torchrl.evaluation.statistics import CONFIDENCE, Estimate, estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,16 +86,16 @@ class Learning:
     """
 
     success_in: str
-    area: Summary
+    area: Estimate
     reach: tuple[Reach, ...]
 
 
 def learning(group: Group) -> list[Learning]:
     """Sums up the curve of training and, if there is one, that of evaluation while training."""
     # The area under the training curve has a name of its own: it is the cumulative success.
-    found = [Learning("training", summarize(group.cumulative), reach(group.success))]
+    found = [Learning("training", estimate(group.cumulative), reach(group.success))]
     if (curve := group.evaluation) is not None:
-        found.append(Learning("evaluation", summarize(areas(curve)), reach(curve, window=1)))
+        found.append(Learning("evaluation", estimate(areas(curve)), reach(curve, window=1)))
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from bbq_torchrl.evaluation.learning import areas
 from bbq_torchrl.evaluation.runs import telling
-from bbq_torchrl.evaluation.statistics import Summary, paired_differences, summarize, t_test
+from bbq_torchrl.evaluation.statistics import estimate, t_test
 from bbq_torchrl.study.statistics import holm
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Pairing:
     one: Group
     other: Group
     pairs: int = 0
-    differences: Mapping[str, Summary] = field(default_factory=dict)
+    differences: Mapping[str, Estimate] = field(default_factory=dict)
     p_values: Mapping[str, float] = field(default_factory=dict)
     remark: str = ""
 
@@ -90,14 +90,13 @@ def pair(one: Group, other: Group) -> Pairing:
     """Compares two groups by pairs."""
     if different := _different_dialogues(one, other):
         return Pairing(one, other, remark=", ".join(different))
-    pairs = len({*one.members} & {*other.members})
+    shared = sorted({*one.members} & {*other.members})
+    pairs = len(shared)
     if pairs == 0:
         return Pairing(one, other, remark=NO_PARTNER)
+    places = [(one.members.index(member), other.members.index(member)) for member in shared]
     differences = {
-        name: paired_differences(
-            dict(zip(one.members, minuend, strict=True)),
-            dict(zip(other.members, subtrahend, strict=True)),
-        )
+        name: [minuend[mine] - subtrahend[theirs] for mine, theirs in places]
         for name, (minuend, subtrahend) in _compared(one, other).items()
     }
     alone = [
@@ -109,7 +108,7 @@ def pair(one: Group, other: Group) -> Pairing:
         one,
         other,
         pairs,
-        {name: summarize(values) for name, values in differences.items()},
+        {name: estimate(values) for name, values in differences.items()},
         {name: t_test(values) for name, values in differences.items()},
         " and ".join(alone),
     )
@@ -180,7 +179,7 @@ def compare(
     compared = [item if item is not None and item.pairs > 1 else None for item in found]
     adjusted = holm([1.0 if item is None else item.p_values[quantity] for item in compared])
     return [
-        Comparison(*names, None if item is None else item.differences[quantity].t, p_value)
+        Comparison(*names, None if item is None else item.differences[quantity], p_value)
         for names, item, p_value in zip(declared, compared, adjusted, strict=True)
     ]
 

@@ -32,7 +32,6 @@ from bbq_torchrl.evaluation.tables import (
     LEARNING_NOTE,
     NOTE,
     PAIRS_NOTE,
-    improvement_table,
     learning_table,
     pairs_table,
     success_table,
@@ -167,9 +166,9 @@ def write_report(groups: Sequence[Group], folder: Path) -> str:
 
     Returns the tables as Markdown.
 
-    The files: ``report.csv`` (success), ``improvements.csv``, ``pairs.csv``, ``learning.csv``, and
-    ``replicas.csv`` with a row for each replica. A figure shows at most seven groups:
-    ``curves.png``, then ``curves_2.png`` and so on.
+    The files: ``report.csv`` (success), ``pairs.csv``, ``learning.csv``, and ``replicas.csv`` with
+    a row for each replica. A figure shows at most seven groups: ``curves.png``, then
+    ``curves_2.png`` and so on.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures = []
@@ -194,7 +193,6 @@ def comparison_tables(groups: Sequence[Group]) -> list[tuple[str, str]]:
     """Returns the tables of a comparison as Markdown, each with the note that explains it."""
     tables = [
         (success_table(groups), NOTE),
-        (improvement_table(groups), ""),
         (pairs_table(pairings(groups)), PAIRS_NOTE),
         (learning_table(groups), LEARNING_NOTE),
     ]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.evaluation.learning import reach
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
-from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
 from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
@@ -145,18 +145,17 @@ def table1(groups: Sequence[Group], env: str) -> str:
             rows.append((name, 0, "–", NOT_RUN, "–", theirs[0], "–", theirs[1], *never))
             continue
         group = cells[name]
-        final, cumulative = summarize(group.final), summarize(group.cumulative)
         rows.append(
             (
                 name,
                 len(group.final),
                 group.first.rounds,
-                final.t,
-                final.iqm,
+                estimate(group.final),
+                estimate_iqm(group.final),
                 theirs[0],
                 f"{group.reward:.2f}",
                 theirs[1],
-                cumulative.t,
+                estimate(group.cumulative),
                 *(item.shown(item.median) for item in reach(group.success, LEVELS)),
             )
         )

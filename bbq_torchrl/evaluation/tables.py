@@ -1,13 +1,12 @@
-"""Markdown tables of groups: success, improvement, differences by pairs, learning."""
+"""Markdown tables of groups: success, differences by pairs, learning."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, Reach, learning
-from bbq_torchrl.evaluation.statistics import Estimate, probability_of_improvement, summarize
+from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
 from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
@@ -18,24 +17,20 @@ if TYPE_CHECKING:
 
 __all__ = [
     "NOTE",
-    "Improvement",
-    "improvement_table",
-    "improvements",
     "learning_table",
     "pairs_table",
     "success_table",
 ]
 
 NOTE = """\
-The unit is the training seed, never the dialogue. Means over seeds with their 95 % bootstrap
-interval in brackets (BCa; none below five seeds), and beside it the 95 % Student t interval: of few
-seeds the bootstrap interval is too narrow, the t interval is not. IQM: interquartile mean over
-seeds. Cumulative training success: share of all training dialogues that succeeded.
+The unit is the training seed, never the dialogue. Means over seeds with their 95 % Student t
+interval. IQM: interquartile mean over seeds with its 95 % bootstrap interval (none below five
+seeds). Cumulative training success: share of all training dialogues that succeeded.
 """
 
 PAIRS_NOTE = """\
 Differences by pairs: replicas of the same seed, which saw the same spiked dialogues, goals and
-noise of the simulator, one minus the other; the intervals are those of the mean difference.
+noise of the simulator, one minus the other, the mean with its 95 % Student t interval.
 """
 
 LEARNING_NOTE = f"""\
@@ -47,37 +42,6 @@ under the curve is its mean height: in training the cumulative success.
 """
 
 
-@dataclass(frozen=True)
-class Improvement:
-    """How often a seed of one group does better than one of another.
-
-    Attributes:
-        better: the one group.
-        worse: the other.
-        final: by success of the final evaluation.
-        cumulative: by share of successful training dialogues.
-    """
-
-    better: Group
-    worse: Group
-    final: Estimate
-    cumulative: Estimate
-
-
-def improvements(groups: Sequence[Group]) -> list[Improvement]:
-    """Compares each group with each that comes after it."""
-    return [
-        Improvement(
-            one,
-            other,
-            probability_of_improvement(one.final, other.final),
-            probability_of_improvement(one.cumulative, other.cumulative),
-        )
-        for number, one in enumerate(groups)
-        for other in groups[number + 1 :]
-    ]
-
-
 def success_table(groups: Iterable[Group]) -> str:
     """Returns a Markdown table, a row for each group."""
     head = (
@@ -86,49 +50,27 @@ def success_table(groups: Iterable[Group]) -> str:
         "seeds",
         "rounds",
         "final success",
-        "t interval",
         "IQM",
         "cumulative training success",
-        "t interval",
         "reward",
         "turns",
     )
     rows = []
     for group in groups:
-        final, training = summarize(group.final), summarize(group.cumulative)
         rows.append(
             (
                 group.label,
                 group.first.explore,
                 len(group.final),
                 group.first.rounds,
-                final.bootstrap,
-                final.t.interval(),
-                final.iqm,
-                training.bootstrap,
-                training.t.interval(),
+                estimate(group.final),
+                estimate_iqm(group.final),
+                estimate(group.cumulative),
                 f"{group.reward:.2f}",
                 f"{group.turns:.2f}",
             )
         )
     return table(head, rows, numbers=len(head) - 2)
-
-
-def improvement_table(groups: Sequence[Group]) -> str:
-    """Returns a Markdown table, a row for each pair of groups; empty for a single group."""
-    rows = [
-        (item.better.label, item.worse.label, item.final, item.cumulative)
-        for item in improvements(groups)
-    ]
-    if not rows:
-        return ""
-    head = (
-        "P(a seed of ...",
-        "... beats one of ...)",
-        "by final success",
-        "by cumulative training success",
-    )
-    return table(head, rows, numbers=2)
 
 
 def pairs_table(compared: Sequence[Pairing]) -> str:
@@ -142,18 +84,10 @@ def pairs_table(compared: Sequence[Pairing]) -> str:
     rows = []
     for item in compared:
         if item.pairs:
-            row: list[object] = [item.label, item.pairs]
-            for name in shown:
-                difference = item.differences.get(name)
-                row += (
-                    ["–", "–"]
-                    if difference is None
-                    else [f"{difference.bootstrap:+.3f}", difference.t.interval("+.3f")]
-                )
-            rows.append(row)
-    head = ["by pairs", "pairs"]
-    for name in shown:
-        head += [columns[name], "t interval"]
+            found = item.differences
+            differences = (f"{found[name]:+.3f}" if name in found else "–" for name in shown)
+            rows.append((item.label, item.pairs, *differences))
+    head = ("by pairs", "pairs", *(columns[name] for name in shown))
     parts = [table(head, rows, numbers=len(head) - 1)] if rows else []
     parts += [
         f"{item.label}: without {item.remark}." for item in compared if item.pairs and item.remark
@@ -175,19 +109,18 @@ def _not_paired(compared: Iterable[Pairing]) -> list[str]:
 
 def learning_table(groups: Sequence[Group]) -> str:
     """Returns a Markdown table, a row for each learning curve of each group."""
-    head = ("agent", "success in", "area under the curve", "t interval")
+    head = ("agent", "success in", "area under the curve")
     rows = [
         (
             group.label,
             curve.success_in,
-            curve.area.bootstrap,
-            curve.area.t.interval(),
+            curve.area,
             *(_reach(item, group.round_dialogues) for item in curve.reach),
         )
         for group in groups
         for curve in learning(group)
     ]
-    return table((*head, *(f"to {level}" for level in LEVELS)), rows, numbers=2 + len(LEVELS))
+    return table((*head, *(f"to {level}" for level in LEVELS)), rows, numbers=1 + len(LEVELS))
 
 
 def _reach(reach: Reach, dialogues: int) -> str:

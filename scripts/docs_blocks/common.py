@@ -56,7 +56,7 @@ def pivot(corner: str, cells: Mapping[tuple[str, str], object]) -> str:
 def paired(one: Sequence[float], other: Sequence[float]) -> str:
     """Returns the mean of ``one`` minus ``other``, pair by pair, with its t interval."""
     differences = [a - b for a, b in zip(one, other, strict=True)]
-    return f"{estimate(differences, method='t'):+.3f}"
+    return f"{estimate(differences):+.3f}"
 
 
 def command(folder: Path) -> str:

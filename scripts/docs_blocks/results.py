@@ -13,7 +13,7 @@ from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.learning import rounds_to_reach
-from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.evaluation.statistics import estimate
 from scripts.docs_blocks import common
 from scripts.docs_blocks.common import block, command, read_csv, table
 from scripts.docs_blocks.tables import measured
@@ -160,8 +160,8 @@ def compared(folders: dict[str, tuple[str, str]], *head: str) -> str:
     for title, names in folders.items():
         (one,), (other,) = map(groups, names)
         found = pairs.pair(one, other).differences
-        differences = (f"{found[quantity].t:+.3f}" for quantity in VERBS)
-        rows.append((title, summarize(one.final).t, summarize(other.final).t, *differences))
+        differences = (f"{found[quantity]:+.3f}" for quantity in VERBS)
+        rows.append((title, estimate(one.final), estimate(other.final), *differences))
     return table((*head, "difference", "of all training"), rows, numbers=4)
 
 

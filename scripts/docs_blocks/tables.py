@@ -9,7 +9,7 @@ from statistics import fmean, median
 from typing import Any
 
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.evaluation.statistics import summarize
+from bbq_torchrl.evaluation.statistics import estimate
 from bbq_torchrl.shipped import PREFIX, SHIPPED, shipped_agents
 from scripts.docs_blocks.common import (
     block,
@@ -127,7 +127,7 @@ def _trained() -> str:
         of_rung = rates.setdefault(entry["rung"], {})
         of_rung[Path(entry["policy"]).name] = entry["result"]["success_rate_per_replica"]
     rows = [
-        (rung, summarize(own).t, summarize(other).t, paired(own, other))
+        (rung, estimate(own), estimate(other), paired(own, other))
         for rung, of in rates.items()
         for own, other in [(of["bbqn_measured"], of["bbqn_reference"])]
     ]

@@ -106,7 +106,7 @@ def test_table_has_means_over_seeds_and_the_comparison(kept: Path) -> None:
     bbqn = next(line for line in text.splitlines() if line.startswith("| BBQN-MAP"))
     assert "0.750 [" in bbqn
     assert "0.375 [" in bbqn
-    assert "| BBQN-MAP | DQN | 1.000 [1.000, 1.000] | 1.000 [1.000, 1.000] |" in text
+    assert "| BBQN-MAP minus DQN | 5 | +0.250 [" in text
     assert "python train.py agent=dqn" in text
 
 
