@@ -6,30 +6,21 @@ import csv
 import math
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.evaluation.learning import learning, rounds_to_reach
-from bbq_torchrl.evaluation.statistics import Estimate, estimate, estimate_iqm
+from bbq_torchrl.evaluation.learning import Reach, rounds_to_reach
+from bbq_torchrl.evaluation.statistics import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from bbq_torchrl.evaluation.groups import Group
-    from bbq_torchrl.evaluation.pairs import Pairing
 
-__all__ = ["write_replicas", "write_tables"]
-
-
-def write_tables(groups: Sequence[Group], compared: Sequence[Pairing], folder: Path) -> None:
-    """Writes a CSV file of each table of a report, and ``replicas.csv``."""
-    _write(folder / "report.csv", [_row(group) for group in groups])
-    _write(folder / "pairs.csv", [_pair_row(item) for item in compared])
-    _write(folder / "learning.csv", _learning_rows(groups))
-    write_replicas(groups, folder / "replicas.csv")
+__all__ = ["write_csv", "write_replicas"]
 
 
 def write_replicas(groups: Sequence[Group], file: Path) -> None:
     """Writes a CSV file with a row for each replica."""
-    _write(file, [row for group in groups for row in _replica_rows(group)])
+    write_csv(file, [row for group in groups for row in _replica_rows(group)])
 
 
 def _replica_rows(group: Group) -> list[dict[str, Any]]:
@@ -54,70 +45,36 @@ def _replica_rows(group: Group) -> list[dict[str, Any]]:
     ]
 
 
-def _row(group: Group) -> dict[str, Any]:
-    """Returns what report.csv holds of a group."""
-    row: dict[str, Any] = {
-        "label": group.label,
-        "agent": group.first.agent,
-        "explore": group.first.explore,
-        "env": group.first.env,
-        "domain": group.first.domain,
-        "seeds": len(group.final),
-        "rounds": group.first.rounds,
-    }
-    row |= _ends("final_success", estimate(group.final))
-    row |= _ends("final_success_iqm", estimate_iqm(group.final))
-    row |= _ends("training_success", estimate(group.cumulative))
-    return row | {"reward": group.reward, "turns": group.turns}
+def write_csv(file: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Writes rows, column to cell each, as a CSV file; no file where there are no rows.
 
-
-def _ends(name: str, found: Estimate) -> dict[str, float]:
-    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
-
-
-def _pair_row(item: Pairing) -> dict[str, Any]:
-    row: dict[str, Any] = {"one": item.one.label, "other": item.other.label, "pairs": item.pairs}
-    for name, difference in item.differences.items():
-        row |= _ends(name, difference)
-    return row | {"remark": item.remark}
-
-
-def _learning_rows(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """Returns what learning.csv holds: a row for each learning curve; infinite is empty."""
-    rows = []
-    for group in groups:
-        for curve in learning(group):
-            row: dict[str, Any] = {
-                "label": group.label,
-                "success_in": curve.success_in,
-                "seeds": len(group.final),
-                "rounds": group.first.rounds,
-                **_ends("area", curve.area),
-            }
-            for item in curve.reach:
-                low, high = item.interval
-                row |= {
-                    f"reached_{item.level}": item.reached,
-                    f"rounds_{item.level}": item.median,
-                    f"rounds_{item.level}_low": low,
-                    f"rounds_{item.level}_high": high,
-                    f"dialogues_{item.level}": item.median * group.round_dialogues,
-                }
-            rows.append(row)
-    return rows
-
-
-def _write(file: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Writes a CSV file; what there is not is empty. No file where there are no rows."""
+    A cell with an interval becomes several columns: ``final_success``, ``final_success_low`` and so
+    on. What there is not, such as the interval of a single seed, is empty.
+    """
     if not rows:
         file.unlink(missing_ok=True)
         return
-    names = max(rows, key=len)  # rows without pairs lack columns of those with
+    lines = [_line(row) for row in rows]
+    names = dict.fromkeys(name for line in lines for name in line)
     with file.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, fieldnames=list(names), lineterminator="\n")
         writer.writeheader()
-        for row in rows:
-            writer.writerow({name: value for name, value in row.items() if not _is_none(value)})
+        writer.writerows(lines)
+
+
+def _line(row: Mapping[str, Any]) -> dict[str, Any]:
+    line: dict[str, Any] = {}
+    for column, cell in row.items():
+        name = column.lower().replace(" ", "_")
+        parts = {"": cell}
+        if isinstance(cell, Estimate):
+            parts = {"": cell.value, "_low": cell.low, "_high": cell.high}
+        elif isinstance(cell, Reach):
+            low, high = cell.interval
+            parts = {"": cell.median, "_low": low, "_high": high, "_reached": cell.reached}
+            parts["_dialogues"] = cell.median * cell.dialogues
+        line |= {name + part: "" if _is_none(value) else value for part, value in parts.items()}
+    return line
 
 
 def _is_none(value: object) -> bool:

@@ -5,25 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from statistics import median_low
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import integrate, stats
 
-from bbq_torchrl.evaluation.statistics import CONFIDENCE, Estimate, estimate
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bbq_torchrl.evaluation.groups import Group
+from bbq_torchrl.evaluation.statistics import CONFIDENCE
 
 __all__ = [
     "LEVELS",
     "WINDOW",
-    "Learning",
     "Reach",
     "areas",
-    "learning",
     "reach",
     "rounds_to_reach",
 ]
@@ -40,14 +33,14 @@ class Reach:
     """How long the seeds of a group took to a success rate.
 
     Attributes:
-        level: the success rate.
         rounds: of training until then, one value for each seed; infinite where it was not reached.
         trained: rounds of training in all.
+        dialogues: of a round.
     """
 
-    level: float
     rounds: tuple[float, ...]
     trained: int
+    dialogues: int
 
     @property
     def reached(self) -> int:
@@ -74,39 +67,21 @@ class Reach:
             return f"> {self.trained * unit:,}"
         return f"{rounds * unit:,.0f}"
 
-
-@dataclass(frozen=True)
-class Learning:
-    """The learning curves of a group, summed up.
-
-    Attributes:
-        success_in: ``training``, with exploration, or ``evaluation``, without.
-        area: under the curve, see :func:`areas`.
-        reach: for each level.
-    """
-
-    success_in: str
-    area: Estimate
-    reach: tuple[Reach, ...]
+    def __str__(self) -> str:
+        """``38 [34, 45] (1,900), 9 of 10``: rounds, interval, dialogues and seeds."""
+        if self.reached == 0:
+            return "not reached"
+        low, high = self.interval
+        interval = "" if math.isnan(low) else f" [{self.shown(low)}, {self.shown(high)}]"
+        text = f"{self.shown(self.median)}{interval} ({self.shown(self.median, self.dialogues)})"
+        seeds = len(self.rounds)
+        return text if self.reached == seeds else f"{text}, {self.reached} of {seeds}"
 
 
-def learning(group: Group) -> list[Learning]:
-    """Sums up the curve of training and, if there is one, that of evaluation while training."""
-    # The area under the training curve has a name of its own: it is the cumulative success.
-    found = [Learning("training", estimate(group.cumulative), reach(group.success))]
-    if (curve := group.evaluation) is not None:
-        found.append(Learning("evaluation", estimate(areas(curve)), reach(curve, window=1)))
-    return found
-
-
-def reach(
-    success: Any, levels: Sequence[float] = LEVELS, *, window: int = WINDOW
-) -> tuple[Reach, ...]:
-    """Returns for each level how long the seeds took; see :func:`rounds_to_reach`."""
-    return tuple(
-        Reach(level, tuple(rounds_to_reach(success, level, window).tolist()), len(success))
-        for level in levels
-    )
+def reach(success: Any, level: float, dialogues: int, window: int = WINDOW) -> Reach:
+    """Returns how long the seeds took to a level; see :func:`rounds_to_reach`."""
+    rounds = rounds_to_reach(success, level, window)
+    return Reach(tuple(rounds.tolist()), len(success), dialogues)
 
 
 def rounds_to_reach(success: Any, level: float, window: int = WINDOW) -> Any:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.evaluation.ablations import ablations_text, find_ablations
-from bbq_torchrl.evaluation.csv_tables import write_replicas, write_tables
+from bbq_torchrl.evaluation.csv_tables import write_csv, write_replicas
 from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_ablations, draw_comparison
 from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
@@ -32,9 +32,11 @@ from bbq_torchrl.evaluation.tables import (
     LEARNING_NOTE,
     NOTE,
     PAIRS_NOTE,
-    learning_table,
+    as_markdown,
+    learning_rows,
+    pair_rows,
     pairs_table,
-    success_table,
+    success_rows,
 )
 from bbq_torchrl.text import sentence
 
@@ -185,16 +187,19 @@ def write_report(groups: Sequence[Group], folder: Path) -> str:
     pictures = [f"![Training success by round]({figure.name})" for figure in figures]
     text = _markdown(groups)
     (folder / "report.md").write_text("\n".join([text, *pictures, ""]), encoding="utf-8")
-    write_tables(groups, pairings(groups), folder)
+    write_csv(folder / "report.csv", success_rows(groups))
+    write_csv(folder / "pairs.csv", pair_rows(pairings(groups)))
+    write_csv(folder / "learning.csv", learning_rows(groups))
+    write_replicas(groups, folder / "replicas.csv")
     return text
 
 
 def comparison_tables(groups: Sequence[Group]) -> list[tuple[str, str]]:
     """Returns the tables of a comparison as Markdown, each with the note that explains it."""
     tables = [
-        (success_table(groups), NOTE),
+        (as_markdown(success_rows(groups), words=2), NOTE),
         (pairs_table(pairings(groups)), PAIRS_NOTE),
-        (learning_table(groups), LEARNING_NOTE),
+        (as_markdown(learning_rows(groups), words=2), LEARNING_NOTE),
     ]
     return [(table, note.strip()) for table, note in tables if table]
 

@@ -156,10 +156,15 @@ def table1(groups: Sequence[Group], env: str) -> str:
                 f"{group.reward:.2f}",
                 theirs[1],
                 estimate(group.cumulative),
-                *(item.shown(item.median) for item in reach(group.success, LEVELS)),
+                *(_rounds(group, level) for level in LEVELS),
             )
         )
     return table(head, rows, numbers=len(head) - 1)
+
+
+def _rounds(group: Group, level: float) -> str:
+    found = reach(group.success, level, group.round_dialogues)
+    return found.shown(found.median)
 
 
 def comparisons_table(groups: Sequence[Group], env: str) -> str:

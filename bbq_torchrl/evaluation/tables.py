@@ -1,25 +1,26 @@
-"""Markdown tables of groups: success, differences by pairs, learning."""
+"""Rows of tables of groups: success, differences by pairs, learning; and how they are shown."""
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, Reach, learning
-from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
+from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, Reach, areas, reach
+from bbq_torchrl.evaluation.statistics import Estimate, estimate, estimate_iqm
 from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Pairing
 
 __all__ = [
     "NOTE",
-    "learning_table",
+    "as_markdown",
+    "learning_rows",
+    "pair_rows",
     "pairs_table",
-    "success_table",
+    "success_rows",
 ]
 
 NOTE = """\
@@ -41,94 +42,96 @@ with its 95 % interval from six seeds on; and how many seeds reached it, where n
 under the curve is its mean height: in training the cumulative success.
 """
 
+DIFFERENCES = {
+    "final_success": "final success",
+    "training_success": "cumulative training success",
+    "evaluation_area": "area under the evaluation curve",
+}
+"""Quantity of a pairing -> its column."""
 
-def success_table(groups: Iterable[Group]) -> str:
-    """Returns a Markdown table, a row for each group."""
-    head = (
-        "agent",
-        "explore",
-        "seeds",
-        "rounds",
-        "final success",
-        "IQM",
-        "cumulative training success",
-        "reward",
-        "turns",
-    )
-    rows = []
-    for group in groups:
-        rows.append(
-            (
-                group.label,
-                group.first.explore,
-                len(group.final),
-                group.first.rounds,
-                estimate(group.final),
-                estimate_iqm(group.final),
-                estimate(group.cumulative),
-                f"{group.reward:.2f}",
-                f"{group.turns:.2f}",
-            )
-        )
-    return table(head, rows, numbers=len(head) - 2)
+
+def as_markdown(rows: Sequence[Mapping[str, Any]], *, words: int, spec: str = ".3f") -> str:
+    """Returns rows, column to cell each, as a Markdown table.
+
+    Args:
+        rows: a column that one lacks has a dash there.
+        words: how many columns, the first ones, are not numbers.
+        spec: format of an :class:`~bbq_torchrl.evaluation.Estimate`.
+    """
+
+    def shown(cell: object) -> str:
+        if isinstance(cell, Estimate):
+            return format(cell, spec)
+        return f"{cell:.2f}" if isinstance(cell, float) else str(cell)
+
+    head = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [[shown(row.get(name, "–")) for name in head] for row in rows]
+    return table(head, cells, numbers=len(head) - words)
+
+
+def success_rows(groups: Iterable[Group]) -> list[dict[str, Any]]:
+    """Returns a row for each group."""
+    return [
+        {
+            "agent": group.label,
+            "explore": group.first.explore,
+            "seeds": len(group.final),
+            "rounds": group.first.rounds,
+            "final success": estimate(group.final),
+            "IQM": estimate_iqm(group.final),
+            "cumulative training success": estimate(group.cumulative),
+            "reward": group.reward,
+            "turns": group.turns,
+        }
+        for group in groups
+    ]
+
+
+def pair_rows(compared: Iterable[Pairing]) -> list[dict[str, Any]]:
+    """Returns a row for each two groups with pairs."""
+    return [
+        {"by pairs": item.label, "pairs": item.pairs}
+        | {DIFFERENCES[name]: difference for name, difference in item.differences.items()}
+        for item in compared
+        if item.pairs
+    ]
 
 
 def pairs_table(compared: Sequence[Pairing]) -> str:
-    """Returns a Markdown table, a row for each two groups with pairs, and remarks below it."""
-    columns = {
-        "final_success": "final success",
-        "training_success": "cumulative training success",
-        "evaluation_area": "area under the evaluation curve",
-    }
-    shown = [name for name in columns if any(name in item.differences for item in compared)]
-    rows = []
-    for item in compared:
-        if item.pairs:
-            found = item.differences
-            differences = (f"{found[name]:+.3f}" if name in found else "–" for name in shown)
-            rows.append((item.label, item.pairs, *differences))
-    head = ("by pairs", "pairs", *(columns[name] for name in shown))
-    parts = [table(head, rows, numbers=len(head) - 1)] if rows else []
+    """Returns the rows of pairs as Markdown, and remarks below them; empty without any."""
+    rows = pair_rows(compared)
+    parts = [as_markdown(rows, words=1, spec="+.3f")] if rows else []
     parts += [
         f"{item.label}: without {item.remark}." for item in compared if item.pairs and item.remark
     ]
-    return "\n\n".join([*parts, *_not_paired(compared)])
-
-
-def _not_paired(compared: Iterable[Pairing]) -> list[str]:
-    """Returns a sentence for each reason why groups are not compared by pairs."""
-    together: dict[str, list[str]] = {}
+    not_paired: dict[str, list[str]] = {}
     for item in compared:
         if not item.pairs:
-            together.setdefault(item.remark, []).append(f"{item.one.label} and {item.other.label}")
-    return [
+            names = f"{item.one.label} and {item.other.label}"
+            not_paired.setdefault(item.remark, []).append(names)
+    parts += [
         f"Not compared by pairs, since {reason}: {'; '.join(names)}."
-        for reason, names in together.items()
+        for reason, names in not_paired.items()
     ]
+    return "\n\n".join(parts)
 
 
-def learning_table(groups: Sequence[Group]) -> str:
-    """Returns a Markdown table, a row for each learning curve of each group."""
-    head = ("agent", "success in", "area under the curve")
-    rows = [
-        (
-            group.label,
-            curve.success_in,
-            curve.area,
-            *(_reach(item, group.round_dialogues) for item in curve.reach),
-        )
+def learning_rows(groups: Iterable[Group]) -> list[dict[str, Any]]:
+    """Returns a row for each learning curve of each group: training, and evaluation if any."""
+    return [
+        {"agent": group.label, "success in": name, "area under the curve": estimate(area), **levels}
         for group in groups
-        for curve in learning(group)
+        for name, area, levels in _curves(group)
     ]
-    return table((*head, *(f"to {level}" for level in LEVELS)), rows, numbers=1 + len(LEVELS))
 
 
-def _reach(reach: Reach, dialogues: int) -> str:
-    """Returns ``38 [34, 45] (1,900), 9 of 10``: rounds, interval, dialogues and seeds."""
-    if reach.reached == 0:
-        return "not reached"
-    low, high = reach.interval
-    interval = "" if math.isnan(low) else f" [{reach.shown(low)}, {reach.shown(high)}]"
-    text = f"{reach.shown(reach.median)}{interval} ({reach.shown(reach.median, dialogues)})"
-    seeds = len(reach.rounds)
-    return text if reach.reached == seeds else f"{text}, {reach.reached} of {seeds}"
+def _curves(group: Group) -> list[tuple[str, Sequence[float], dict[str, Reach]]]:
+    # The area under the training curve has a name of its own: it is the cumulative success.
+    curves = [("training", group.success, group.cumulative, WINDOW)]
+    if (curve := group.evaluation) is not None:
+        curves.append(("evaluation", curve, areas(curve), 1))
+    dialogues = group.round_dialogues
+    return [
+        (name, area, {f"to {level}": reach(success, level, dialogues, window) for level in LEVELS})
+        for name, success, area, window in curves
+    ]

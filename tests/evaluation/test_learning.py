@@ -15,9 +15,9 @@ from scipy import integrate, stats
 
 from bbq_torchrl.evaluation import areas, rounds_to_reach
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.learning import Reach, learning
+from bbq_torchrl.evaluation.learning import Reach
 from bbq_torchrl.evaluation.report import main
-from bbq_torchrl.evaluation.tables import learning_table
+from bbq_torchrl.evaluation.tables import as_markdown, learning_rows
 
 curves = arrays(float, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(0, 1))
 INF = math.inf
@@ -59,7 +59,7 @@ def test_rounds_without_an_evaluation_reach_nothing():
     ],
 )
 def test_the_median_is_when_half_of_the_seeds_had_reached_it(rounds, median, reached):
-    found = Reach(0.6, tuple(rounds), trained=50)
+    found = Reach(tuple(rounds), trained=50, dialogues=50)
     assert (found.median, found.reached) == (median, reached)
     # Kaplan and Meier's median: where at most half have not reached it.
     data = stats.CensoredData.right_censored(np.minimum(rounds, 50), np.isinf(rounds))
@@ -71,7 +71,7 @@ def test_the_median_is_when_half_of_the_seeds_had_reached_it(rounds, median, rea
 @pytest.mark.parametrize("seeds", [5, 6, 10, 17])
 def test_the_medians_interval_is_between_seeds_by_the_binomial_distribution(seeds):
     rounds = np.random.default_rng(seeds).permutation(seeds) + 1.0
-    low, high = Reach(0.6, tuple(rounds.tolist()), trained=50).interval
+    low, high = Reach(tuple(rounds.tolist()), trained=50, dialogues=50).interval
     if seeds < 6:
         assert math.isnan(low)
         assert math.isnan(high)
@@ -97,23 +97,27 @@ def test_area_is_weighed_by_the_rounds_between_evaluations():
     assert areas(curve) == pytest.approx([0.7])
 
 
+def reached(row):
+    return [cell.rounds for cell in row.values() if isinstance(cell, Reach)]
+
+
 def test_runs_without_evaluation_have_the_training_curve_alone(tmp_path):
     (group,) = read_groups([make_run(tmp_path / "run", [0.8, 1.0, 0.9], rounds=6)])
-    (training,) = learning(group)
-    assert training.success_in == "training"
-    assert training.area.value == pytest.approx(0.45)
-    assert [item.rounds for item in training.reach] == [(INF, 5, INF), *[(INF,) * 3] * 3]
+    (training,) = learning_rows([group])
+    assert training["success in"] == "training"
+    assert training["area under the curve"].value == pytest.approx(0.45)
+    assert reached(training) == [(INF, 5, INF), *[(INF,) * 3] * 3]
 
 
 def test_evaluation_while_training_has_a_row_of_its_own(tmp_path):
     folder = make_run(tmp_path / "run", [0.8, 0.9], rounds=6, eval_every=2)
     (group,) = read_groups([folder])
-    _, evaluation = learning(group)
+    _, evaluation = learning_rows([group])
     # Evaluated after rounds 2, 4 and 6: .4, .6, .8 and .5, .7, .9.
-    assert evaluation.success_in == "evaluation"
-    assert evaluation.area.value == pytest.approx(0.65)
-    assert [item.rounds for item in evaluation.reach] == [(4, 2), (4, 4), (6, 4), (6, 6)]
-    _, training, row = learning_table([group]).splitlines()[1:]
+    assert evaluation["success in"] == "evaluation"
+    assert evaluation["area under the curve"].value == pytest.approx(0.65)
+    assert reached(evaluation) == [(4, 2), (4, 4), (6, 4), (6, 6)]
+    _, training, row = as_markdown(learning_rows([group]), words=2).splitlines()[1:]
     assert training.startswith("| BBQN-MAP | training | 0.425 [")
     assert training.endswith("| not reached | not reached | not reached | not reached |")
     assert row.endswith("| 2 (100) | 4 (200) | 4 (200) | 6 (300) |")
@@ -141,7 +145,7 @@ def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(tmp_path, c
     assert "| +0.150 [" in rows[0]
     assert [row.endswith("| – |") for row in rows] == [False, True, True]
     with (tmp_path / "report" / "pairs.csv").open(newline="") as stream:
-        found = [line["evaluation_area"] for line in csv.DictReader(stream)]
+        found = [line["area_under_the_evaluation_curve"] for line in csv.DictReader(stream)]
     # Rounds 4 and 8 alone: .4 and .8, .5 and .9 against .3 and .7, twice.
     assert float(found[0]) == pytest.approx(0.15)
     assert found[1:] == ["", ""]
@@ -154,13 +158,11 @@ def test_learning_csv_holds_the_table_and_leaves_empty_what_was_not_reached(tmp_
     with (tmp_path / "report" / "learning.csv").open(newline="") as stream:
         training, evaluation = csv.DictReader(stream)
     assert (training["success_in"], evaluation["success_in"]) == ("training", "evaluation")
-    assert (training["seeds"], training["rounds"], training["reached_0.5"]) == ("6", "8", "5")
-    assert float(training["rounds_0.5"]) == 5
-    assert float(training["dialogues_0.5"]) == 250
-    assert float(training["rounds_0.5_low"]) == 5
-    assert training["rounds_0.5_high"] == ""
-    assert (training["reached_0.6"], training["rounds_0.6"]) == ("0", "")
-    assert training["dialogues_0.6"] == ""
-    assert (evaluation["reached_0.8"], float(evaluation["rounds_0.8"])) == ("6", 8)
+    assert training["to_0.5_reached"] == "5"
+    assert float(training["to_0.5"]) == float(training["to_0.5_low"]) == 5
+    assert float(training["to_0.5_dialogues"]) == 250
+    assert training["to_0.5_high"] == ""
+    assert [training[f"to_0.6{part}"] for part in ("", "_reached", "_dialogues")] == ["", "0", ""]
+    assert (evaluation["to_0.8_reached"], float(evaluation["to_0.8"])) == ("6", 8)
     text = (tmp_path / "report" / "report.md").read_text()
     assert "| 5 [5, > 8] (250), 5 of 6 | not reached |" in text
