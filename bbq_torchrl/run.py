@@ -7,7 +7,6 @@ import logging
 import os
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 
 from bbq_torchrl import interruption
@@ -16,11 +15,12 @@ from bbq_torchrl.cli.final import final_result
 from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.training import build_trainer
-from bbq_torchrl.evaluation.figures import Curves, draw_run
+from bbq_torchrl.evaluation.figures import draw_run
+from bbq_torchrl.evaluation.groups import group_runs
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import RunResult, read_result, write_json
-from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.evaluation.runs import Run
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 from bbq_torchrl.trainers import keep_freed_memory
 
@@ -166,30 +166,12 @@ def _quieten_torchrl() -> None:
 
 def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None) -> None:
     spike = config.spike
-    name = f"{agent_name(dataclasses.asdict(config))}, {config.explore.name}"
-    metrics = read_metrics(folder)
-    success = metrics["success_rate"]
-    evaluated = metrics.columns.get("eval_success_rate")
-    if evaluated is None or np.isnan(evaluated).all():
-        evaluated = None
-    final = np.array([item.success_rate for item in result.per_replica])
-    together: dict[str, list[int]] = {}
-    for replica, values in enumerate(replica_values(config)):
-        label = ", ".join([name, *(f"{key}={value:g}" for key, value in values.items())])
-        together.setdefault(label, []).append(replica)
+    run = Run(folder, dataclasses.asdict(config), result, read_metrics(folder))
+    named = {"explore": result.explore, "env": result.env, "domain": result.domain}
     draw_run(
         folder / CURVE,
-        [
-            Curves(
-                label,
-                success[:, same],
-                final[same],
-                None if evaluated is None else evaluated[:, same],
-            )
-            for label, same in together.items()
-        ],
-        title=f"Success: env={config.env.name}"
-        + ("" if domain is None else f", domain={domain.name}"),
+        group_runs([run]),
+        title="Success: " + ", ".join(f"{key}={name}" for key, name in named.items() if name),
         spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
         if spike.dialogues
         else None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +15,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.evaluation.ablations import Ablations
+    from bbq_torchrl.evaluation.groups import Group
 
-__all__ = ["Curves", "draw_ablations", "draw_comparison", "draw_run", "moving_average"]
+__all__ = ["draw_ablations", "draw_comparison", "draw_run", "moving_average"]
 
 MIN_BAND = 5
 """Seeds from which on a band is drawn: of fewer it would hide the curves."""
@@ -27,26 +27,6 @@ WINDOW = 10
 
 # Okabe and Ito's colors, told apart by color-blind readers too.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-
-
-@dataclass(frozen=True)
-class Curves:
-    """What is drawn of one group of seeds.
-
-    Attributes:
-        label: its name in the legend.
-        success: training success, shape [rounds, seeds].
-        final: success of the final evaluation, shape [seeds]; empty if there was none.
-        evaluated: success of the evaluations while training, shape [rounds, seeds], NaN in a round
-            without one; None if there were none.
-        reward: of the training dialogues, shape [rounds, seeds]; None if it is not drawn.
-    """
-
-    label: str
-    success: Any
-    final: Any
-    evaluated: Any = None
-    reward: Any = None
 
 
 def moving_average(values: Any, window: int = WINDOW) -> Any:
@@ -65,7 +45,7 @@ def moving_average(values: Any, window: int = WINDOW) -> Any:
 
 def draw_run(
     file: Path,
-    curves: Curves | Sequence[Curves],
+    groups: Sequence[Group],
     *,
     title: str,
     spiked: str | None = None,
@@ -79,31 +59,32 @@ def draw_run(
 
     Args:
         file: the file.
-        curves: the run's replicas; several where they have values of their own.
+        groups: the run's replicas; several where they have values of their own.
         title: the heading.
         spiked: what the buffer was spiked with, said at round 0; ``None`` for an empty buffer.
         extensions: round to slot: where the domain grew.
         references: success rates of privileged policies, by name.
     """
     figure, axes = _axes()
-    groups = [curves] if isinstance(curves, Curves) else list(curves)
-    rounds = np.arange(len(groups[0].success))
+    end = groups[0].first.rounds
     for group, color in zip(groups, _colors(len(groups)), strict=True):
-        if group.evaluated is None:
-            _draw_group(axes, group, color, band=False)
+        if group.evaluation is None:
+            _draw_training(axes, group, color)
         else:
-            _draw_evaluated(axes, group, color)
+            training = moving_average(group.success).mean(1)
+            label = f"training, with exploration (mean of {WINDOW} rounds)"
+            axes.plot(training, color=color, lw=1, alpha=0.4, label=label)
+            label = f"{group.label} ({_seeds(group)}, evaluated)"
+            _draw_evaluated(axes, group.evaluation, color, "o-", label=label)
         # Of one group the final evaluation stands out, of several it belongs to the group.
         final = COLORS[1] if len(groups) == 1 else color
-        if group.final.size:
-            mean = float(np.mean(group.final))
-            at = np.full(group.final.size, rounds[-1] + 1)
-            axes.plot(at, group.final, "o", ms=5, color=final)
-            axes.axhline(mean, color=final, lw=1, ls="--", label=f"final evaluation: {mean:.3f}")
+        mean = float(np.mean(group.final))
+        axes.plot([end] * len(group.final), group.final, "o", ms=5, color=final)
+        axes.axhline(mean, color=final, lw=1, ls="--", label=f"final evaluation: {mean:.3f}")
     if spiked is not None:
         axes.plot([0], [0], "^", color=COLORS[2], ms=8, clip_on=False, label=spiked, zorder=5)
     for start, slot in (extensions or {}).items():
-        if start <= rounds[-1]:
+        if start < end:
             axes.axvline(start, color="0.6", lw=0.8, ls=":")
             axes.text(start, 1.0, f" {slot}", rotation=90, va="top", ha="left", fontsize=7)
     _draw_references(axes, references or {})
@@ -113,7 +94,7 @@ def draw_run(
 
 def draw_comparison(
     file: Path,
-    groups: Sequence[Curves],
+    groups: Sequence[Group],
     *,
     title: str,
     references: Mapping[str, float] | None = None,
@@ -121,8 +102,8 @@ def draw_comparison(
 ) -> None:
     """Draws groups of seeds: every seed's curve, their mean, and its 95 % band.
 
-    The band is the t interval of the mean over seeds (five or more), round by round. Groups
-    beyond the seventh are dashed.
+    The band is the t interval of the mean over seeds (five or more), round by round. Groups beyond
+    the seventh are dashed.
 
     Args:
         file: a PNG or SVG file.
@@ -136,21 +117,19 @@ def draw_comparison(
     if not 1 <= len(groups) <= len(styles):
         raise ValueError(f"between 1 and {len(styles)} groups can be drawn, got {len(groups)}")
     names = {"success": "training success" if panels else "success rate"}
-    if panels and any(group.evaluated is not None for group in groups):
-        names["evaluated"] = "success in evaluation"
-    if panels and any(group.reward is not None for group in groups):
+    if panels and any(group.evaluation is not None for group in groups):
+        names["evaluation"] = "success in evaluation"
+    if panels and any(group.training_reward is not None for group in groups):
         names["reward"] = "training reward"
     figure, found = _axes(rows=len(names))
     drawn = dict(zip(names, np.atleast_1d(found), strict=True))
     for group, (color, line) in zip(groups, styles, strict=False):
-        _draw_group(drawn["success"], group, color, band=True, line=line)
-        if "evaluated" in drawn and group.evaluated is not None:
-            evaluated = np.asarray(group.evaluated, dtype=float)
-            (rounds,) = (~np.isnan(evaluated).any(1)).nonzero()
-            _draw_seeds(drawn["evaluated"], rounds + 1, evaluated[rounds], color, line=line)
-        if "reward" in drawn and group.reward is not None:
-            smooth = moving_average(group.reward)
-            _draw_seeds(drawn["reward"], np.arange(len(smooth)), smooth, color, line=line)
+        _draw_training(drawn["success"], group, color, line, band=True)
+        if "evaluation" in drawn and group.evaluation is not None:
+            _draw_evaluated(drawn["evaluation"], group.evaluation, color, line, band=True)
+        if "reward" in drawn and group.training_reward is not None:
+            reward = moving_average(group.training_reward)
+            _draw_seeds(drawn["reward"], np.arange(len(reward)), reward, color, line, band=True)
     for name, axes in drawn.items():
         axes.set(
             ylabel=names[name], xlim=(0, None), **({} if name == "reward" else {"ylim": (0, 1)})
@@ -214,49 +193,48 @@ def _axes(rows: int = 1, columns: int = 1) -> tuple[Any, Any]:
     return figure, figure.subplots(rows, columns, sharex=columns == 1)
 
 
-def _draw_group(axes: Any, group: Curves, color: str, *, band: bool, line: str = "-") -> None:
-    success = np.asarray(group.success, dtype=float)
-    rounds = np.arange(len(success))
-    smooth = moving_average(success)
-    seeds = success.shape[1]
+def _seeds(group: Group) -> str:
+    return "1 seed" if len(group.final) == 1 else f"{len(group.final)} seeds"
+
+
+def _draw_training(
+    axes: Any, group: Group, color: str, line: str = "-", *, band: bool = False
+) -> None:
+    success, smooth = group.success, moving_average(group.success)
     # A single run shows its raw rounds; several seeds would hide each other that way.
-    axes.plot(rounds, success if seeds == 1 else smooth, color=color, lw=0.7, alpha=0.35)
-    noun = "1 seed" if seeds == 1 else f"{seeds} seeds"
-    label = f"{group.label} ({noun}, mean of {WINDOW} rounds)"
-    axes.plot(rounds, smooth.mean(1), color=color, lw=2.2, ls=line, label=label)
-    if band:
-        _draw_band(axes, rounds, smooth, color)
+    thin = success if success.shape[1] == 1 else smooth
+    label = f"{group.label} ({_seeds(group)}, mean of {WINDOW} rounds)"
+    _draw_seeds(
+        axes, np.arange(len(success)), smooth, color, line, band=band, thin=thin, label=label
+    )
 
 
-def _draw_seeds(axes: Any, rounds: Any, values: Any, color: str, *, line: str) -> None:
-    """Draws values [rounds, seeds] as they are: each seed, the mean, and its band."""
-    axes.plot(rounds, values, color=color, lw=0.7, alpha=0.35)
-    axes.plot(rounds, values.mean(1), color=color, lw=2.2, ls=line)
-    _draw_band(axes, rounds, values, color)
+def _draw_evaluated(
+    axes: Any, rates: Any, color: Any, line: str, *, band: bool = False, label: str | None = None
+) -> None:
+    (rounds,) = np.isfinite(rates[:, 0]).nonzero()
+    # What is evaluated has learned from the round already: it stands at the round's end.
+    _draw_seeds(axes, rounds + 1, rates[rounds], color, line, band=band, label=label)
 
 
-def _draw_band(axes: Any, rounds: Any, values: Any, color: str) -> None:
-    """Draws the interval of the mean of values [rounds, seeds], where there are enough seeds."""
-    if values.shape[1] >= MIN_BAND:
+def _draw_seeds(
+    axes: Any,
+    rounds: Any,
+    values: Any,
+    color: str,
+    line: str,
+    *,
+    band: bool,
+    thin: Any = None,
+    label: str | None = None,
+) -> None:
+    """Draws values [rounds, seeds]: each seed (as ``thin`` has it), the mean, and its interval."""
+    axes.plot(rounds, values if thin is None else thin, color=color, lw=0.7, alpha=0.35)
+    axes.plot(rounds, values.mean(1), line, color=color, lw=2.2, ms=3, label=label)
+    if band and values.shape[1] >= MIN_BAND:
         found = [estimate(row) for row in values]
         low, high = [item.low for item in found], [item.high for item in found]
         axes.fill_between(rounds, low, high, color=color, alpha=0.15, lw=0)
-
-
-def _draw_evaluated(axes: Any, group: Curves, color: Any) -> None:
-    success = np.asarray(group.success, dtype=float)
-    training = moving_average(success).mean(1)
-    label = f"training, with exploration (mean of {WINDOW} rounds)"
-    axes.plot(np.arange(len(success)), training, color=color, lw=1, alpha=0.4, label=label)
-    rates = np.asarray(group.evaluated, dtype=float)
-    rounds = np.flatnonzero(~np.isnan(rates[:, 0]))
-    seeds = rates.shape[1]
-    # What is evaluated has learned from the round already: it stands at the round's end.
-    if seeds > 1:
-        axes.plot(rounds + 1, rates[rounds], color=color, lw=0.7, alpha=0.35)
-    noun = "1 seed" if seeds == 1 else f"{seeds} seeds"
-    label = f"{group.label} ({noun}, evaluated)"
-    axes.plot(rounds + 1, rates[rounds].mean(1), "o-", ms=3, color=color, lw=2.2, label=label)
 
 
 def _draw_references(axes: Any, references: Mapping[str, float]) -> None:

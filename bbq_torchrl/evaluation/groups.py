@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.evaluation.runs import Member, Run
 
-__all__ = ["Group", "read_groups"]
+__all__ = ["Group", "group_runs", "read_groups"]
 
 EVALUATION = "eval_success_rate"
 """Column of the metrics: success of an evaluation while training, empty in rounds without."""
@@ -107,15 +107,24 @@ class Group:
 
 
 def read_groups(folders: Sequence[Path]) -> list[Group]:
-    """Reads result folders. Returns a group for each setting, in the order in which they come.
+    """Reads result folders. Returns their runs as groups.
+
+    Raises:
+        ValueError: see :func:`read_run` and :func:`group_runs`.
+    """
+    return group_runs([read_run(folder) for folder in folders])
+
+
+def group_runs(runs: Sequence[Run]) -> list[Group]:
+    """Returns a group for each setting, in the order in which they come.
 
     Replicas of a run that have values of their own are of different settings.
 
     Raises:
-        ValueError: see :func:`read_run`; or two runs are of the same setting and seed.
+        ValueError: two runs are of the same setting and seed.
     """
     together: list[tuple[dict[str, Any], list[Run]]] = []
-    for run in (part for folder in folders for part in read_run(folder).by_values()):
+    for run in (part for whole in runs for part in whole.by_values()):
         setting = run.setting
         same = next((runs for known, runs in together if known == setting), None)
         if same is None:
@@ -128,22 +137,15 @@ def read_groups(folders: Sequence[Path]) -> list[Group]:
                     f"({run.result.seed}): seeds must differ to count as independent trainings"
                 )
         same.append(run)
-    names = [runs[0].agent for _, runs in together]
-    settings = [setting for setting, _ in together]
-    settings_of: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
-    for name, setting in zip(names, settings, strict=True):
-        settings_of[name].append(setting)
+    settings = [(runs[0].agent, setting) for setting, runs in together]
     return [
-        Group(_label(name, setting, settings_of[name], settings), tuple(runs))
-        for name, (setting, runs) in zip(names, together, strict=True)
+        Group(_label(name, setting, settings), tuple(runs))
+        for (name, setting), (_, runs) in zip(settings, together, strict=True)
     ]
 
 
 def _label(
-    name: str,
-    setting: Mapping[str, Any],
-    same_name: Sequence[Mapping[str, Any]],
-    settings: Sequence[Mapping[str, Any]],
+    name: str, setting: Mapping[str, Any], settings: Sequence[tuple[str, Mapping[str, Any]]]
 ) -> str:
     """Returns the name, and the keys in which the setting differs from others.
 
@@ -153,10 +155,11 @@ def _label(
     keys = [
         key
         for key, value in setting.items()
-        if any(other.get(key) != value for other in same_name)
-        or (
-            key.partition(".")[0] not in _OF_AN_AGENT
-            and any(other.get(key, value) != value for other in settings)
+        if any(
+            other.get(key) != value
+            if other_name == name
+            else key.partition(".")[0] not in _OF_AN_AGENT and other.get(key, value) != value
+            for other_name, other in settings
         )
     ]
     # The options first, by group.

@@ -8,25 +8,22 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.evaluation.ablations import ablations_text, find_ablations
 from bbq_torchrl.evaluation.csv_tables import write_csv, write_replicas
-from bbq_torchrl.evaluation.figures import COLORS, Curves, draw_ablations, draw_comparison
+from bbq_torchrl.evaluation.figures import COLORS, draw_ablations, draw_comparison
 from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.pairs import pairings
 from bbq_torchrl.evaluation.runs import find_results
 from bbq_torchrl.evaluation.table1 import (
     PAPER,
-    TABLE1_NOTE,
-    comparisons_table,
+    cells_of_table1,
     find_cells,
-    missing_cells,
-    table1,
+    table1_text,
 )
 from bbq_torchrl.evaluation.tables import (
     LEARNING_NOTE,
@@ -41,21 +38,16 @@ from bbq_torchrl.evaluation.tables import (
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 __all__ = [
-    "cells_of_table1",
     "comparison_tables",
-    "curves",
     "draw_table1",
     "main",
     "references",
+    "report_text",
     "setting_of",
-    "table1_text",
-    "write_ablations",
-    "write_grid",
     "write_report",
-    "write_table1",
 ]
 
 
@@ -68,81 +60,12 @@ def setting_of(groups: Sequence[Group]) -> str:
     return ", ".join(f"{name}={'|'.join(values)}" for name, values in common.items() if values)
 
 
-def curves(group: Group) -> Curves:
-    """Returns what is drawn of a group."""
-    return Curves(group.label, group.success, group.final, group.evaluation, group.training_reward)
-
-
-def write_table1(groups: Sequence[Group], folder: Path) -> str:
-    """Writes ``table1.md``, ``replicas.csv`` and the curves of each domain as PNG and SVG files.
-
-    Returns the tables as Markdown, which begin with what is missing.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures = []
-    for env in PAPER:
-        for file in (folder / f"table1_{env}.png", folder / f"table1_{env}.svg"):
-            if draw_table1(groups, env, file):
-                pictures.append(f"![Learning curves, env={env}]({file.name})\n")
-    text = table1_text(groups)
-    (folder / "table1.md").write_text("\n".join([text, *pictures[::2]]), encoding="utf-8")
-    write_replicas(cells_of_table1(groups), folder / "replicas.csv")
-    return text
-
-
-def cells_of_table1(groups: Sequence[Group]) -> list[Group]:
-    """Returns the groups that are cells of Table 1, in its order and by the paper's names."""
-    return [
-        replace(group, label=name)
-        for env in PAPER
-        for name, group in find_cells(groups, env).items()
-    ]
-
-
 def draw_table1(groups: Sequence[Group], env: str, file: Path) -> bool:
     """Draws the agents of Table 1 in one environment; returns whether there are any."""
-    cells = [group for group in cells_of_table1(groups) if group.first.env == env]
+    cells = find_cells(groups, env)
     if cells:
-        shown = [curves(group) for group in cells]
-        draw_comparison(file, shown, title=f"Table 1, env={env}", panels=True)
+        draw_comparison(file, [*cells.values()], title=f"Table 1, env={env}", panels=True)
     return bool(cells)
-
-
-def table1_text(groups: Sequence[Group]) -> str:
-    """Returns Table 1 and its declared comparisons as Markdown, first of all what is missing."""
-    missing = missing_cells(groups)
-    count = sum(map(len, PAPER.values()))
-    parts = [f"# Table 1: {count - len(missing)} of {count} cells"]
-    if missing:
-        parts.append(f"Not run: {'; '.join(missing)}.")
-    for env in PAPER:
-        parts += [f"## env={env}", table1(groups, env), comparisons_table(groups, env)]
-    return "\n\n".join([*parts, TABLE1_NOTE.strip()]) + "\n"
-
-
-def write_grid(groups: Sequence[Group], folder: Path) -> str:
-    """Writes ``grid.md`` and ``replicas.csv``. Returns the grid as Markdown."""
-    text = grid_text(groups)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "grid.md").write_text(text, encoding="utf-8")
-    write_replicas(groups, folder / "replicas.csv")
-    return text
-
-
-def write_ablations(groups: Sequence[Group], folder: Path) -> str:
-    """Writes ``ablations.md``, ``replicas.csv`` and the panels as PNG and SVG files.
-
-    Returns the tables as Markdown.
-    """
-    found = find_ablations(groups)
-    text = ablations_text(groups)
-    folder.mkdir(parents=True, exist_ok=True)
-    for kind in ("png", "svg"):
-        draw_ablations(folder / f"ablations.{kind}", found)
-    picture = "![A panel for each key](ablations.png)\n"
-    (folder / "ablations.md").write_text(f"{text}\n{picture}", encoding="utf-8")
-    write_replicas(groups, folder / "replicas.csv")
-    return text
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:
@@ -163,37 +86,6 @@ def references(groups: Sequence[Group]) -> dict[str, float]:
     return {name: math.fsum(one[name] for one in known) / len(known) for name in known[0]}
 
 
-def write_report(groups: Sequence[Group], folder: Path) -> str:
-    """Writes ``report.md``, a CSV file of each of its tables, and the learning curves.
-
-    Returns the tables as Markdown.
-
-    The files: ``report.csv`` (success), ``pairs.csv``, ``learning.csv``, and ``replicas.csv`` with
-    a row for each replica. A figure shows at most seven groups: ``curves.png``, then
-    ``curves_2.png`` and so on.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    figures = []
-    for number, start in enumerate(range(0, len(groups), len(COLORS)), 1):
-        figures.append(folder / ("curves.png" if number == 1 else f"curves_{number}.png"))
-        drawn = groups[start : start + len(COLORS)]
-        title = f"Training success: {setting_of(drawn)}"
-        draw_comparison(
-            figures[-1],
-            [curves(group) for group in drawn],
-            title=title,
-            references=references(drawn),
-        )
-    pictures = [f"![Training success by round]({figure.name})" for figure in figures]
-    text = _markdown(groups)
-    (folder / "report.md").write_text("\n".join([text, *pictures, ""]), encoding="utf-8")
-    write_csv(folder / "report.csv", success_rows(groups))
-    write_csv(folder / "pairs.csv", pair_rows(pairings(groups)))
-    write_csv(folder / "learning.csv", learning_rows(groups))
-    write_replicas(groups, folder / "replicas.csv")
-    return text
-
-
 def comparison_tables(groups: Sequence[Group]) -> list[tuple[str, str]]:
     """Returns the tables of a comparison as Markdown, each with the note that explains it."""
     tables = [
@@ -204,10 +96,66 @@ def comparison_tables(groups: Sequence[Group]) -> list[tuple[str, str]]:
     return [(table, note.strip()) for table, note in tables if table]
 
 
-def _markdown(groups: Sequence[Group]) -> str:
+def report_text(groups: Sequence[Group]) -> str:
+    """Returns the comparison of the groups as Markdown."""
     parts = [f"# {setting_of(groups)}"]
-    parts += [part for pair in comparison_tables(groups) for part in pair if part]
+    parts += [part for pair in comparison_tables(groups) for part in pair]
     return "\n\n".join(parts) + "\n"
+
+
+def _add_to_report(groups: Sequence[Group], folder: Path) -> dict[str, str]:
+    write_csv(folder / "report.csv", success_rows(groups))
+    write_csv(folder / "pairs.csv", pair_rows(pairings(groups)))
+    write_csv(folder / "learning.csv", learning_rows(groups))
+    figures = {}
+    for number, start in enumerate(range(0, len(groups), len(COLORS)), 1):
+        drawn = groups[start : start + len(COLORS)]
+        name = "curves.png" if number == 1 else f"curves_{number}.png"
+        title = f"Training success: {setting_of(drawn)}"
+        draw_comparison(folder / name, drawn, title=title, references=references(drawn))
+        figures[name] = "Training success by round"
+    return figures
+
+
+def _add_to_table1(groups: Sequence[Group], folder: Path) -> dict[str, str]:
+    found = [env for env in PAPER if draw_table1(groups, env, folder / f"table1_{env}.png")]
+    for env in found:
+        draw_table1(groups, env, folder / f"table1_{env}.svg")
+    return {f"table1_{env}.png": f"Learning curves, env={env}" for env in found}
+
+
+def _add_to_ablations(groups: Sequence[Group], folder: Path) -> dict[str, str]:
+    for kind in ("png", "svg"):
+        draw_ablations(folder / f"ablations.{kind}", find_ablations(groups))
+    return {"ablations.png": "A panel for each key"}
+
+
+FORMS: dict[str, tuple[Callable[..., str], Callable[..., dict[str, str]]]] = {
+    "report": (report_text, _add_to_report),
+    "table1": (table1_text, _add_to_table1),
+    "grid": (grid_text, lambda groups, folder: {}),
+    "ablations": (ablations_text, _add_to_ablations),
+}
+"""Name -> what makes the Markdown of the groups; and what writes the other files into a folder and
+returns the figures among them, file name -> title."""
+
+
+def write_report(form: str, groups: Sequence[Group], folder: Path) -> str:
+    """Writes a form of report: ``<form>.md``, its figures, ``replicas.csv`` with a row a replica.
+
+    The form ``report`` also has its tables as ``report.csv`` (success), ``pairs.csv`` and
+    ``learning.csv``; a figure of it shows at most seven groups: ``curves.png``, then
+    ``curves_2.png`` and so on. Those of ``table1`` and ``ablations`` are PNG and SVG files.
+
+    Returns the tables as Markdown.
+    """
+    to_text, add = FORMS[form]
+    text = to_text(groups)
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = [f"![{title}]({name})\n" for name, title in add(groups, folder).items()]
+    (folder / f"{form}.md").write_text("\n".join([text, *figures]), encoding="utf-8")
+    write_replicas(groups, folder / "replicas.csv")
+    return text
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -224,30 +172,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--out", type=Path, help="folder for report.md, its tables as CSV files, and curves.png"
     )
     form = parser.add_mutually_exclusive_group()
-    form.add_argument(
-        "--table1",
-        action="store_true",
-        help="the paper's Table 1: its numbers beside, declared pairs, and what is missing",
-    )
-    form.add_argument(
-        "--grid", action="store_true", help="learner x explorer: each learner by each exploration"
-    )
-    form.add_argument(
-        "--ablations",
-        action="store_true",
-        help="runs that each change one key of a reference; of one key alone, give that first",
-    )
+    for name, meaning in (
+        ("table1", "the paper's Table 1: its numbers beside, declared pairs, and what is missing"),
+        ("grid", "learner x explorer: each learner by each exploration"),
+        (
+            "ablations",
+            "runs that each change one key of a reference; of one key alone, give that first",
+        ),
+    ):
+        form.add_argument(
+            f"--{name}",
+            dest="form",
+            action="store_const",
+            const=name,
+            default="report",
+            help=meaning,
+        )
     given = parser.parse_args(arguments)
     try:
         groups = read_groups(find_results(given.folders))
-        to_text, write = _markdown, write_report
-        if given.table1:
-            to_text, write = table1_text, write_table1
-        elif given.grid:
-            to_text, write = grid_text, write_grid
-        elif given.ablations:
-            to_text, write = ablations_text, write_ablations
-        text = to_text(groups) if given.out is None else write(groups, given.out)
+        if given.form == "table1":
+            groups = cells_of_table1(groups)
+        if given.out is None:
+            text = FORMS[given.form][0](groups)
+        else:
+            text = write_report(given.form, groups, given.out)
     except (ValueError, OSError) as error:
         output.complain(f"error: {sentence(error)}")
         return 2

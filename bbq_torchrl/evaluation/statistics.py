@@ -126,7 +126,7 @@ def estimate_iqm(values: Sequence[float]) -> Estimate:
 
     Example:
         >>> print(estimate_iqm([0.7, 0.72, 0.74, 0.76, 0.78]))
-        0.740 [0.713, 0.767]
+        0.740 [0.707, 0.773]
     """
     data = _finite(values)
     value = float(interquartile_mean(data))

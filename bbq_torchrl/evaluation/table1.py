@@ -8,6 +8,7 @@ for all eight, whether they have been run or not.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.evaluation.learning import reach
@@ -23,13 +24,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PAPER",
-    "TABLE1_NOTE",
     "PaperCell",
+    "cells_of_table1",
     "comparisons",
     "comparisons_table",
     "find_cells",
     "missing_cells",
     "table1",
+    "table1_text",
 ]
 
 
@@ -87,7 +89,7 @@ The paper's numbers are of another corpus and other noise.
 
 
 def find_cells(groups: Sequence[Group], env: str) -> dict[str, Group]:
-    """Returns the groups of an environment by agent, in the order of the paper's table.
+    """Returns the groups of an environment by the paper's name, in the order of its table.
 
     Raises:
         ValueError: two settings of one agent.
@@ -103,7 +105,12 @@ def find_cells(groups: Sequence[Group], env: str) -> dict[str, Group]:
                 f"{cells[name].runs[0].folder} and {group.runs[0].folder}"
             )
         cells[name] = group
-    return {name: cells[name] for name in PAPER[env] if name in cells}
+    return {name: replace(cells[name], label=name) for name in PAPER[env] if name in cells}
+
+
+def cells_of_table1(groups: Sequence[Group]) -> list[Group]:
+    """Returns the groups that are cells of Table 1, in its order and by the paper's names."""
+    return [group for env in PAPER for group in find_cells(groups, env).values()]
 
 
 def missing_cells(groups: Sequence[Group]) -> list[str]:
@@ -178,3 +185,15 @@ def comparisons_table(groups: Sequence[Group], env: str) -> str:
     ]
     head = ("by pairs", "final success", "p", "ends higher?", "cumulative", "p", "learns faster?")
     return table(head, rows, numbers=len(head) - 1)
+
+
+def table1_text(groups: Sequence[Group]) -> str:
+    """Returns Table 1 and its declared comparisons as Markdown, first of all what is missing."""
+    missing = missing_cells(groups)
+    count = sum(map(len, PAPER.values()))
+    parts = [f"# Table 1: {count - len(missing)} of {count} cells"]
+    if missing:
+        parts.append(f"Not run: {'; '.join(missing)}.")
+    for env in PAPER:
+        parts += [f"## env={env}", table1(groups, env), comparisons_table(groups, env)]
+    return "\n\n".join([*parts, TABLE1_NOTE.strip()]) + "\n"

@@ -74,18 +74,19 @@ def draw_figures() -> None:
     of_table1 = groups("table1")
     for env in table1.PAPER:
         report.draw_table1(of_table1, env, common.FIGURES / f"table1_{env}.png")
-    write_replicas(report.cells_of_table1(of_table1), common.RESULTS / "table1.csv")
+    write_replicas(table1.cells_of_table1(of_table1), common.RESULTS / "table1.csv")
     for name, (title, *played_in) in EXPERIMENTS.items():
-        shown = [report.curves(group) for group in groups(name)]
         ceiling = {"clairvoyant": measured()[(*played_in, "clairvoyant")]["success_rate"]}
-        draw_comparison(common.FIGURES / f"{name}.png", shown, title=title, references=ceiling)
+        draw_comparison(
+            common.FIGURES / f"{name}.png", groups(name), title=title, references=ceiling
+        )
 
 
 @block("results.table1")
 def _table1() -> str:
     """Returns the report on Table 1, its figures, and the commands of what was run."""
     kept = groups("table1")
-    text = report.table1_text(kept).partition("\n\n")[2].strip()  # without its heading
+    text = table1.table1_text(kept).partition("\n\n")[2].strip()  # without its heading
     for env, title in DOMAINS.items():
         text = text.replace(f"## env={env}\n", f"### {title}\n")
         if table1.find_cells(kept, env):

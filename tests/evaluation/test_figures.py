@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from result_folders import run_result
 
-from bbq_torchrl.evaluation.figures import Curves, draw_comparison, draw_run, moving_average
+from bbq_torchrl.evaluation import Metrics
+from bbq_torchrl.evaluation.figures import draw_comparison, draw_run, moving_average
+from bbq_torchrl.evaluation.groups import Group
+from bbq_torchrl.evaluation.runs import Run
 
 
 @pytest.fixture
@@ -25,9 +29,10 @@ def drawn(monkeypatch):
     return figures
 
 
-def curves(seeds, rounds=30, label="DQN"):
-    success = np.random.default_rng(seeds).uniform(size=(rounds, seeds))
-    return Curves(label, success, np.linspace(0.4, 0.6, seeds))
+def group(seeds, rounds=30, label="DQN", **columns):
+    columns["success_rate"] = np.random.default_rng(seeds).uniform(size=(rounds, seeds))
+    result = run_result(np.linspace(0.4, 0.6, seeds).tolist(), rounds=rounds)
+    return Group(label, (Run(Path(), {}, result, Metrics(columns)),))
 
 
 def labels(figure):
@@ -44,7 +49,7 @@ def test_a_moving_average_is_over_the_last_rounds(window):
 def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(tmp_path, drawn):
     draw_run(
         tmp_path / "curve.png",
-        curves(3),
+        [group(3)],
         title="a run",
         spiked="spiked with 100 rule dialogues",
         extensions={10: "price", 20: "zip", 40: "state"},
@@ -66,30 +71,30 @@ def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(t
 
 
 def test_the_thick_line_is_the_moving_mean_over_replicas(tmp_path, drawn):
-    group = curves(3)
-    draw_run(tmp_path / "curve.png", group, title="a run")
+    run = group(3)
+    draw_run(tmp_path / "curve.png", [run], title="a run")
     thick = max(drawn[0].axes[0].get_lines(), key=lambda line: line.get_linewidth())
-    assert thick.get_ydata() == pytest.approx(moving_average(group.success).mean(1))
+    assert thick.get_ydata() == pytest.approx(moving_average(run.success).mean(1))
 
 
 @pytest.mark.parametrize("seeds", [1, 3])
 def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path, drawn, seeds):
-    group = curves(seeds)
     evaluated = np.full((30, seeds), np.nan)
     evaluated[4::5] = np.random.default_rng(1).uniform(size=(6, seeds))
-    draw_run(tmp_path / "curve.png", dataclasses.replace(group, evaluated=evaluated), title="a run")
+    run = group(seeds, eval_success_rate=evaluated)
+    draw_run(tmp_path / "curve.png", [run], title="a run")
 
     lines = drawn[0].axes[0].get_lines()
     training, *rest = lines
     main = max(lines, key=lambda line: line.get_linewidth())
-    assert training.get_ydata() == pytest.approx(moving_average(group.success).mean(1))
+    assert training.get_ydata() == pytest.approx(moving_average(run.success).mean(1))
     assert training.get_alpha() < 1
     assert training.get_linewidth() < main.get_linewidth() / 2
     # At the end of the rounds 4, 9, ...: what is evaluated has learned from them.
     assert main.get_xdata().tolist() == [5, 10, 15, 20, 25, 30]
     assert main.get_ydata() == pytest.approx(evaluated[4::5].mean(1))
-    # A line for each of several seeds, their mean, the final points, their mean.
-    assert len(rest) == (seeds if seeds > 1 else 0) + 1 + 2
+    # A line for each seed, their mean, the final points, their mean.
+    assert len(rest) == seeds + 1 + 2
     noun = "1 seed" if seeds == 1 else "3 seeds"
     assert labels(drawn[0])[:2] == [
         "training, with exploration (mean of 10 rounds)",
@@ -99,7 +104,7 @@ def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path,
 
 @pytest.mark.parametrize("count", [2, 9])
 def test_a_run_with_several_values_has_a_color_for_each(tmp_path, drawn, count):
-    groups = [Curves(f"std={n}", curves(2).success, np.array([0.5])) for n in range(count)]
+    groups = [group(2, label=f"std={n}") for n in range(count)]
     draw_run(tmp_path / "curve.png", groups, title="a run")
     (axes,) = drawn[0].axes
     # Of each group: two replicas, their mean, the final points, their mean.
@@ -111,16 +116,16 @@ def test_a_run_with_several_values_has_a_color_for_each(tmp_path, drawn, count):
 
 
 def test_a_run_of_one_replica_shows_its_raw_rounds(tmp_path, drawn):
-    group = Curves("DQN", curves(1).success, np.array([]))
-    draw_run(tmp_path / "curve.png", group, title="a run")
-    raw, mean = drawn[0].axes[0].get_lines()
-    assert raw.get_ydata() == pytest.approx(group.success[:, 0])
-    assert mean.get_ydata() == pytest.approx(moving_average(group.success)[:, 0])
+    run = group(1)
+    draw_run(tmp_path / "curve.png", [run], title="a run")
+    raw, mean, *_ = drawn[0].axes[0].get_lines()
+    assert raw.get_ydata() == pytest.approx(run.success[:, 0])
+    assert mean.get_ydata() == pytest.approx(moving_average(run.success)[:, 0])
 
 
 def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer(tmp_path, drawn):
     file = tmp_path / "figure.png"
-    draw_comparison(file, [curves(5, label="BBQN"), curves(4)], title="both")
+    draw_comparison(file, [group(5, label="BBQN"), group(4)], title="both")
     (axes,) = drawn[0].axes
     assert len(axes.get_lines()) == 5 + 1 + 4 + 1
     (band,) = axes.collections
@@ -139,5 +144,5 @@ def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer(tmp_path, dra
 @pytest.mark.parametrize("count", [0, 15])
 def test_more_groups_than_colors_are_refused(tmp_path, count):
     with pytest.raises(ValueError, match=f"between 1 and 14 groups can be drawn, got {count}"):
-        draw_comparison(tmp_path / "figure.png", [curves(1)] * count, title="too many")
+        draw_comparison(tmp_path / "figure.png", [group(1)] * count, title="too many")
     assert not list(tmp_path.iterdir())
