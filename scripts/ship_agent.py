@@ -9,35 +9,17 @@ with the run's configuration, command line and result. ``load_run("shipped:bbqn_
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bbq_torchrl import shipped
 from bbq_torchrl.cli.agent import make_agent, make_domain
 from bbq_torchrl.cli.resume import description, run_config, save_config
-from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, RESULT
 from bbq_torchrl.trainers import CheckpointFolder
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-
-class _Weights:
-    """A state dict as what a checkpoint saves."""
-
-    def __init__(self, state: dict[str, Tensor]) -> None:
-        self._state = state
-
-    def state_dict(self) -> dict[str, Tensor]:
-        return self._state
-
-    def load_state_dict(self, state_dict: dict[str, Tensor]) -> None:
-        self._state = state_dict
 
 
 def ship(run: Path, target: Path, replica: int = 0) -> None:
@@ -65,18 +47,17 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
         raise ValueError(f"{run} has no checkpoint")
     shapes = {name: value.shape for name, value in single.actor.state_dict().items()}
     state = {
-        name: (value if value.shape == shapes[name] else value[replica : replica + 1]).half()
+        name: value if value.shape == shapes[name] else value[replica : replica + 1]
         for name, value in whole.actor.state_dict().items()
     }
+    single.actor.half().load_state_dict(state)
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     save_config(own, target / CONFIG)
     shutil.copyfile(run / ".hydra" / "overrides.yaml", target / "overrides.yaml")
-    text = json.dumps(asdict(result.only([replica])), indent=1)
-    (target / RESULT).write_text(f"{text}\n", encoding="utf-8")
-    CheckpointFolder(target / CHECKPOINTS, actor=_Weights(state)).save(
-        result.rounds, description(own)
-    )
+    write_json(result.only([replica]), target / RESULT)
+    checkpoints = CheckpointFolder(target / CHECKPOINTS, actor=single.actor)
+    checkpoints.save(result.rounds, description(own))
 
 
 def main() -> None:
