@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -10,6 +11,9 @@ from bbq_torchrl.options import Config, EvaluateConfig, schemas
 from scripts import write_docs
 
 from .pages import ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 CONFIGURATION = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
 
@@ -25,16 +29,16 @@ def test_every_block_is_on_a_page() -> None:
     assert missing == []
 
 
-@pytest.mark.parametrize("group", schemas())
-def test_every_key_of_a_group_is_documented(group: str) -> None:
-    keys = {item.name for schema in schemas()[group].values() for item in fields(schema)} - {"name"}
-    assert [key for key in keys if f"`{group}.{key}`" not in CONFIGURATION] == []
-
-
-@pytest.mark.parametrize("schema", [Config, EvaluateConfig])
-def test_every_key_of_a_root_is_documented(schema: type) -> None:
-    keys = {item.name for item in fields(schema)} - set(schemas())
-    assert [key for key in keys if f"| `{key}` |" not in CONFIGURATION] == []
+@pytest.mark.parametrize(
+    ("prefix", "options"),
+    [
+        ("", [Config, EvaluateConfig]),
+        *((f"{group}.", found.values()) for group, found in schemas().items()),
+    ],
+)
+def test_every_key_is_documented(prefix: str, options: Iterable[type]) -> None:
+    keys = {item.name for option in options for item in fields(option)} - {"name", *schemas()}
+    assert [key for key in keys if f"| `{prefix}{key}` |" not in CONFIGURATION] == []
 
 
 def test_block_is_replaced_and_the_rest_is_kept() -> None:

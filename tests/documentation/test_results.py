@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import pytest
 import yaml
+from result_folders import make_run
 
 from bbq_torchrl.cli.store import compose
-from bbq_torchrl.evaluation import ReplicaResult, RunResult
 from bbq_torchrl.options import EvaluateConfig
 from scripts import keep_result, measure_policies
 from scripts.docs_blocks import BLOCKS, common, results
@@ -22,39 +21,14 @@ MACHINE = "/home/somebody/corpus"
 FOLDER = "learning_miulab"
 
 
-def _run(folder: Path, *, agent: str, rates: list[float]) -> Path:
+def _run(folder: Path, agent: str, rates: list[float]) -> Path:
     """Makes a finished run folder of two rounds."""
-    replicas = [
-        ReplicaResult(number, rate, 0.01, 10.0, 8.0, 100, rate / 2)
-        for number, rate in enumerate(rates)
-    ]
-    result = RunResult.of(
-        replicas,
-        agent=agent,
-        explore="thompson",
-        env="full",
-        domain="miulab",
-        policy="mean",
-        seed=0,
-        rounds=2,
-        wall_seconds=1.0,
-        versions={},
-    )
-    config = {
-        "agent": {"name": agent} | ({"target": "map"} if agent == "bbqn" else {}),
-        "explore": {"name": "thompson" if agent == "bbqn" else "epsilon_greedy"},
-        "domain": {"name": "miulab", "path": MACHINE},
-        "resume": MACHINE,
-        "seed": 0,
-    }
-    (folder / ".hydra").mkdir(parents=True)
-    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    explore = "thompson" if agent == "bbqn" else "epsilon_greedy"
+    corpus = {"domain.name": "miulab", "domain.path": MACHINE, "resume": MACHINE}
+    make_run(folder, rates, agent=agent, explore=explore, rounds=2, changes=corpus)
+    (folder / ".hydra").mkdir()
     overrides = [f"agent={agent}", "domain=miulab", f"domain.path={MACHINE}"]
     (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
-    (folder / "result.json").write_text(json.dumps(asdict(result)))
-    lines = ["round,replica,dialogues,success_rate"]
-    lines += [f"{r},{n},50,{rate / 2}" for r in range(2) for n, rate in enumerate(rates)]
-    (folder / "metrics.csv").write_text("\n".join(lines) + "\n")
     return folder
 
 
@@ -75,8 +49,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("bbqn", [0.7, 0.8, 0.75, 0.72, 0.78]),
         ("dqn", [0.5, 0.4, 0.6, 0.5, 0.5]),
     ):
-        run = _run(tmp_path / agent, agent=agent, rates=rates)
-        keep_result.keep(run, folder / FOLDER / agent)
+        keep_result.keep(_run(tmp_path / agent, agent, rates), folder / FOLDER / agent)
     return folder
 
 
@@ -87,7 +60,7 @@ def test_nothing_of_the_machine_is_kept(kept: Path) -> None:
 
 
 def test_unfinished_run_is_not_kept(tmp_path: Path) -> None:
-    run = _run(tmp_path / "run", agent="dqn", rates=[0.5])
+    run = _run(tmp_path / "run", "dqn", [0.5])
     (run / "result.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"result\.json"):
         keep_result.keep(run, tmp_path / "kept")
@@ -152,7 +125,7 @@ def test_table1_is_made_of_what_is_kept_of_it(kept: Path, tmp_path: Path) -> Non
     assert drawn == ["learning_miulab.png", "table1_full.png"]
     lines = (kept / "table1.csv").read_text().splitlines()
     assert len(lines) == 6
-    assert lines[1] == "miulab,full,DQN,0,0,2,,0.5,10.0,8.0,0.25,"
+    assert lines[1] == "movie,full,DQN,0,0,2,,0.5,10.0,8.0,0.25,"
 
 
 SETTINGS = sorted({*measure_policies.MEASUREMENTS.values()})

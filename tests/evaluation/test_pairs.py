@@ -73,19 +73,17 @@ def test_replicas_of_a_seed_are_paired_by_number_whatever_the_folders_order(tmp_
         ({"env.max_turn": 20}, "env.max_turn differs (40, 20)"),
         ({"domain.name": "miulab"}, "domain.name differs (movie, miulab)"),
         ({"spike.dialogues": 50}, "spike.dialogues differs (100, 50)"),
+        ({}, "protocol.rounds differs (3, 4)"),
     ],
 )
 def test_other_dialogues_are_not_paired_and_the_report_says_why(tmp_path, change, reason):
+    rounds = 3 if change else 4
     found = compared(
-        make_run(tmp_path / "a", GOOD), make_run(tmp_path / "b", BAD, changes=change, **DQN)
+        make_run(tmp_path / "a", GOOD),
+        make_run(tmp_path / "b", BAD, rounds=rounds, changes=change, **DQN),
     )
     assert (found.pairs, found.differences, found.remark) == (0, {}, reason)
     assert pairs_table([found]).startswith(f"Not compared by pairs, since {reason}: BBQN-MAP, ")
-
-
-def test_trainings_of_other_lengths_are_not_paired(tmp_path):
-    found = compared(make_run(tmp_path / "a", GOOD), make_run(tmp_path / "b", BAD, rounds=4, **DQN))
-    assert found.remark == "protocol.rounds differs (3, 4)"
 
 
 @pytest.mark.parametrize(

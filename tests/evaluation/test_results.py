@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from result_folders import make_run, metrics_text, run_result
 
-from bbq_torchrl.evaluation import RunResult, read_metrics, read_result
+from bbq_torchrl.evaluation import read_metrics, read_result
 from bbq_torchrl.evaluation.results import replica_result, training_evaluation, write_json
 
 
@@ -58,19 +58,14 @@ def test_what_evaluations_while_training_say_is_summed_up():
 
 
 def test_evaluations_while_training_are_read_as_they_were_written(tmp_path):
+    base = run_result([0.4, 0.2], scripted={"rule": 0.18})
     replicas = [
-        replica_result(
-            number,
-            *([1, 0], [30, -10], [9, 4]),
-            training_success=0.3,
-            while_training=training_evaluation([0.2, rate], best=rate, best_round=1 - number),
+        dataclasses.replace(
+            entry, while_training=training_evaluation([0.2, rate], best=rate, best_round=1 - number)
         )
-        for number, rate in enumerate((0.4, 0.2))
+        for number, (entry, rate) in enumerate(zip(base.per_replica, (0.4, 0.2), strict=True))
     ]
-    described = {name: getattr(run_result([0.5]), name) for name in ("agent", "explore", "env")}
-    described |= {name: getattr(run_result([0.5]), name) for name in ("domain", "policy", "seed")}
-    described |= {"rounds": 2, "wall_seconds": 1.0, "versions": {}, "scripted": {"rule": 0.18}}
-    result = RunResult.of(replicas, **described)
+    result = dataclasses.replace(base, per_replica=tuple(replicas)).only([0, 1])
     assert result.while_training.last == pytest.approx(0.3)
     assert result.while_training.best_round == 0.5
     assert result.only([1]).while_training == replicas[1].while_training
@@ -79,8 +74,8 @@ def test_evaluations_while_training_are_read_as_they_were_written(tmp_path):
 
     assert read_result(tmp_path) == result
     # One replica that has none, such as a file of an earlier version: no mean either.
-    older = [dataclasses.replace(replicas[0], while_training=None), replicas[1]]
-    assert RunResult.of(older, **described).while_training is None
+    older = (base.per_replica[0], replicas[1])
+    assert dataclasses.replace(base, per_replica=older).only([0, 1]).while_training is None
 
 
 def test_a_folder_without_a_result_is_no_finished_run(tmp_path):

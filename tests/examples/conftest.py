@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import re
+import runpy
 import sys
-from pathlib import Path
 
 import pytest
-from extended import PACKAGE
+from extended import EXAMPLES, PACKAGE
 
 from bbq_torchrl.cli import store
 from bbq_torchrl.options import registry
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "deep_sea"))
+sys.path.append(str(EXAMPLES / "deep_sea"))
+
+
+@pytest.fixture(scope="module")
+def example(request):
+    """The names of the script that a test module calls its ``SCRIPT``."""
+    return runpy.run_path(str(request.module.SCRIPT))
 
 
 @pytest.fixture(scope="module")

@@ -1,14 +1,12 @@
-"""Where the example package is, and a training that takes no time."""
+"""Where the examples are, and a training that takes no time."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-PACKAGE = ROOT / "examples" / "extending"
-
+EXAMPLES = ROOT / "examples"
+PACKAGE = EXAMPLES / "extending"
 
 SHRUNKEN = (
     "protocol.rounds=2",

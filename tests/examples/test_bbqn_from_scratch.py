@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import runpy
 import sys
-from pathlib import Path
 
 import pytest
 import torch
+from extended import EXAMPLES
 from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
@@ -18,13 +17,8 @@ from bbq_torchrl.cli.store import compose
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
-SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "bbqn_from_scratch.py"
+SCRIPT = EXAMPLES / "bbqn_from_scratch.py"
 FEATURES, ACTIONS, ROWS = 5, 4, 7
-
-
-@pytest.fixture(scope="module")
-def example():
-    return runpy.run_path(str(SCRIPT))
 
 
 @pytest.fixture

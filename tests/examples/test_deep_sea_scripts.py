@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-from pathlib import Path
 
 import figure
 import forked
@@ -15,9 +14,10 @@ from deep_sea_agents import AGENTS, Settings, default_settings, make_agent
 from deep_sea_env import DeepSeaEnv
 from deep_sea_results import AGENT_NAMES, Line, append, read, table
 from deep_sea_training import DiveMemory, reaches_treasure, train
+from extended import EXAMPLES
 from tensordict import TensorDict
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "deep_sea"
+EXAMPLE = EXAMPLES / "deep_sea"
 SMALL = Settings(hidden=(8,), heads=3, batch_size=4, capacity=20, updates_per_step=0.5)
 
 

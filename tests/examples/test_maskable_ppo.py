@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import runpy
 import sys
-from pathlib import Path
 
 import pytest
+from extended import EXAMPLES
 
-SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "maskable_ppo.py"
+SCRIPT = EXAMPLES / "maskable_ppo.py"
 
 
 @pytest.mark.slow

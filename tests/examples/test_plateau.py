@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import csv
-import runpy
 import sys
-from pathlib import Path
 
 import pytest
 import torch
+from extended import EXAMPLES
 
-SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "plateau.py"
-
-
-@pytest.fixture(scope="module")
-def example():
-    return runpy.run_path(str(SCRIPT))
+SCRIPT = EXAMPLES / "plateau.py"
 
 
 def test_the_values_are_those_of_the_last_actions_of_successes(example, tmp_path):

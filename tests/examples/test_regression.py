@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-from pathlib import Path
 
 import forked
-import pytest
+from extended import EXAMPLES
 
-ROOT = Path(__file__).resolve().parents[2]
-SCRIPT = ROOT / "examples" / "regression.py"
-
-
-@pytest.fixture(scope="module")
-def example():
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location("regression_example", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+SCRIPT = EXAMPLES / "regression.py"
 
 
 def test_the_short_form_runs_and_saves_a_figure(tmp_path):
@@ -32,8 +20,8 @@ def test_the_short_form_runs_and_saves_a_figure(tmp_path):
 
 
 def test_uncertainty_grows_where_there_are_no_data(example):
-    x, y = example.curve(200)
+    x, y = example["curve"](200)
 
-    net = example.train_bayesian(x, y, 300)
+    net = example["train_bayesian"](x, y, 300)
 
-    assert example.spread_ratio(net) > 1.5
+    assert example["spread_ratio"](net) > 1.5

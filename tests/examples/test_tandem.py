@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import csv
-import runpy
 import sys
-from pathlib import Path
 
-import pytest
+from extended import EXAMPLES
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import read_metrics
 
-SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "tandem.py"
+SCRIPT = EXAMPLES / "tandem.py"
 TINY = (
     "replicas=2",
     "agent.hidden=[16]",
@@ -25,11 +23,6 @@ TINY = (
     "protocol.batch_size=256",
     "spike.dialogues=20",
 )
-
-
-@pytest.fixture(scope="module")
-def example():
-    return runpy.run_path(str(SCRIPT))
 
 
 def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path):
