@@ -30,7 +30,6 @@ __all__ = [
     "compare",
     "pair",
     "pairings",
-    "shown_p_value",
     "verdict",
 ]
 
@@ -164,8 +163,8 @@ class Comparison(NamedTuple):
         """Returns difference, p-value and verdict as they stand in a table."""
         if self.difference is None:
             return "–", "–", NOT_RUN
-        decided = verdict(self.difference, self.p_value)
-        return f"{self.difference:+.3f}", shown_p_value(self.p_value), decided
+        p_value = f"{self.p_value:.3f}" if self.p_value >= 0.001 else "< .001"
+        return f"{self.difference:+.3f}", p_value, verdict(self.difference, self.p_value)
 
 
 def compare(
@@ -184,18 +183,11 @@ def compare(
     ]
 
 
-def verdict(difference: Estimate | None, p_value: float) -> str:
+def verdict(difference: Estimate, p_value: float) -> str:
     """Returns what a difference says of the claim that it is above 0.
 
-    ``yes``, ``no`` (it is below 0), ``not decided`` or ``not run``.
+    ``yes``, ``no`` (it is below 0) or ``not decided``.
     """
-    if difference is None:
-        return NOT_RUN
     if p_value >= ALPHA:
         return "not decided"
     return "yes" if difference.value > 0 else "no"
-
-
-def shown_p_value(p_value: float) -> str:
-    """Returns a p-value with three decimals, such as ``0.021`` or ``< .001``."""
-    return f"{p_value:.3f}" if p_value >= 0.001 else "< .001"

@@ -19,15 +19,9 @@ __all__ = ["evaluate", "evaluation_rollouts"]
 
 
 def evaluate(
-    env: EnvBase,
-    policy: Policy,
-    dialogues: int,
-    *,
-    seed: int = 0,
-    max_steps: int = 1000,
-    exploration: ExplorationType = ExplorationType.DETERMINISTIC,
+    env: EnvBase, policy: Policy, dialogues: int, *, seed: int = 0, max_steps: int = 1000
 ) -> EpisodeStats:
-    """Plays exactly so many dialogues, each to its end, and returns how they went.
+    """Plays exactly so many dialogues without exploration, each to its end: how did they go?
 
     Dialogues run side by side in lockstep, so that long ones count as much as short ones.
 
@@ -37,26 +31,17 @@ def evaluate(
         dialogues: for each replica.
         seed: of everything random in them.
         max_steps: the most turns of a dialogue; one that is longer is an error.
-        exploration: what the policy finds as ``exploration_type()``.
 
     Returns:
         success (bool), reward (float64) and turns (int64), each of shape [*replicas, dialogues].
     """
-    rollouts = evaluation_rollouts(
-        env, policy, dialogues, seed=seed, max_steps=max_steps, exploration=exploration
-    )
+    rollouts = evaluation_rollouts(env, policy, dialogues, seed=seed, max_steps=max_steps)
     played = [outcomes(rollout) for rollout in rollouts]
     return EpisodeStats(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))
 
 
 def evaluation_rollouts(
-    env: EnvBase,
-    policy: Policy,
-    dialogues: int,
-    *,
-    seed: int = 0,
-    max_steps: int = 1000,
-    exploration: ExplorationType = ExplorationType.DETERMINISTIC,
+    env: EnvBase, policy: Policy, dialogues: int, *, seed: int = 0, max_steps: int = 1000
 ) -> Iterator[TensorDictBase]:
     """Yields the dialogues that :func:`evaluate` counts, a batch at a time.
 
@@ -65,4 +50,5 @@ def evaluation_rollouts(
     """
     torch.manual_seed(derive_seed(seed, "torch", "evaluate"))
     env.set_seed(derive_seed(seed, "env", "evaluate"))
-    yield from play_dialogues(env, policy, dialogues, max_steps=max_steps, exploration=exploration)
+    greedy = ExplorationType.DETERMINISTIC
+    yield from play_dialogues(env, policy, dialogues, max_steps=max_steps, exploration=greedy)
