@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
-from bbq_torchrl.domains.validate import ACTION_KINDS, REQUIRED_ACTS, ActionKind, check_domain
+from bbq_torchrl.domains.validate import ACTION_KINDS, REQUIRED_ACTS, check_domain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,33 +25,33 @@ class Action:
     """One de-lexicalised action of the agent; the tracker fills the value in.
 
     Args:
-        kind: ``"act"`` for an act without a slot, else the act that carries the slot.
         act: the dialogue act that the user hears.
         slot: the slot requested, informed or offered; ``None`` for a slotless act.
 
+    Raises:
+        ValueError: if the act cannot carry a slot.
+
     Example:
-        >>> str(Action("request", "request", "moviename"))
+        >>> str(Action("request", "moviename"))
         'request(moviename)'
         >>> Action.parse("thanks")
-        Action(kind='act', act='thanks', slot=None)
+        Action(act='thanks', slot=None)
     """
 
-    kind: ActionKind
     act: str
     slot: str | None = None
 
     def __post_init__(self) -> None:
-        if self.kind not in ACTION_KINDS:
-            raise ValueError(f"an action's kind must be one of {ACTION_KINDS}, got {self.kind!r}")
-        if (self.kind == "act") != (self.slot is None):
+        if self.slot is not None and self.act not in ACTION_KINDS[1:]:
             raise ValueError(
-                f"an action of kind 'act' has no slot and every other kind has one, "
-                f"got kind {self.kind!r} with slot {self.slot!r}"
+                "only request, inform and multiple_choice carry a slot in an action, "
+                f"got {str(self)!r}"
             )
-        if self.kind != "act" and self.act != self.kind:
-            raise ValueError(
-                f"an action of kind {self.kind!r} must have the act {self.kind!r}, got {self.act!r}"
-            )
+
+    @property
+    def kind(self) -> str:
+        """``"act"`` for an act without a slot, else the act that carries the slot."""
+        return "act" if self.slot is None else self.act
 
     def __str__(self) -> str:
         return self.act if self.slot is None else f"{self.act}({self.slot})"
@@ -66,15 +66,7 @@ class Action:
         match = _ACTION_TEXT.fullmatch(text)
         if match is None:
             raise ValueError(f"an action is written 'act' or 'act(slot)', got {text!r}")
-        act, slot = match["act"], match["slot"]
-        if slot is None:
-            return cls("act", act)
-        for kind in ACTION_KINDS[1:]:
-            if act == kind:
-                return cls(kind, act, slot)
-        raise ValueError(
-            f"only request, inform and multiple_choice carry a slot in an action, got {text!r}"
-        )
+        return cls(match["act"], match["slot"])
 
 
 @dataclass(frozen=True)

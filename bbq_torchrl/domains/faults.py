@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bbq_torchrl.text import FaultsError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
-__all__ = ["DomainError", "Fault", "Located", "Location", "Place", "tell"]
+__all__ = ["DomainError", "Fault", "Located", "Location", "Place", "Source", "tell"]
 
 Place = tuple[str | int, ...]
 """A field of a domain and, where it has entries, which: ``("goals", 3)``, ``("policies", "rule")``.
@@ -44,6 +46,43 @@ class Location(NamedTuple):
 
 Located = tuple[Location, str]
 """A fault where a person finds it: its text, after the location."""
+
+
+@dataclass
+class Source:
+    """What could be read of one file of a domain, and what is wrong with its form.
+
+    Attributes:
+        name: of the file.
+        content: as the domain has it.
+        faults: of its form; whether it fits the domain is checked by ``Domain``.
+        lines: the line of each place that is known.
+    """
+
+    name: str
+    content: Any = ()
+    faults: list[Located] = field(default_factory=list)
+    lines: dict[Place, int] = field(default_factory=dict)
+
+    def fault(self, text: str, line: int | None = None) -> None:
+        """Notes what is wrong, with a line or with the file."""
+        self.faults.append((Location(self.name, "line", line), text))
+
+    def locate(self, place: Place) -> Location:
+        """Returns where a place of the domain, or the one that it is a part of, is in the file."""
+        while place and place not in self.lines:
+            place = place[:-1]
+        return Location(self.name, "line", self.lines.get(place))
+
+    def text(self, path: Path) -> str | None:
+        """Returns the file's text; ``None`` where it is none, which is noted."""
+        try:
+            # newline="" keeps line ends inside quoted CSV fields as they are.
+            with path.open(encoding="utf-8-sig", newline="") as file:
+                return file.read()
+        except UnicodeDecodeError as error:
+            self.fault(f"it must be UTF-8 text: {error}")
+            return None
 
 
 class DomainError(FaultsError):

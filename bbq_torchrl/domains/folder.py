@@ -71,19 +71,18 @@ def load_domain(path: str | Path) -> Domain:
         "goals": read_goals(folder / GOALS_FILE),
         "error_values": read_values(folder / VALUES_FILE),
     }
-    located = [(specification.locate(place), text) for place, text in specification.faults]
-    located += [fault for table in tables.values() for fault in table.faults]
+    located = [fault for source in (specification, *tables.values()) for fault in source.faults]
     content = {name: table.content for name, table in tables.items()}
     found: list[Fault] = []
-    if specification.is_readable:
+    if specification.content:
         try:
-            domain = Domain(**specification.fields, **content, folder=folder)
+            domain = Domain(**specification.content, **content, folder=folder)
         except DomainError as error:
             # That a table is empty which could not be read is no fault of its own.
             unread = {(name,) for name, table in tables.items() if table.faults}
             found += [fault for fault in error.found if fault.place not in unread]
         if not (tables["records"].faults or tables["error_values"].faults):
-            found += _unheard_of(specification.fields["slots"], **content)
+            found += _unheard_of(specification.content["slots"], **content)
     for place, text in found:
         source = tables.get(str(place[0]), specification)
         located.append((source.locate(place), text))

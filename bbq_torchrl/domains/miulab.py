@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import pickle
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -22,7 +21,7 @@ from bbq_torchrl.text import shown
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from bbq_torchrl.domains.faults import Located, Place
+    from bbq_torchrl.domains.faults import Fault, Located
 
 __all__ = ["REFERENCE_SLOT_ERROR_PROB", "load_miulab", "read_plain_pickle"]
 
@@ -33,6 +32,11 @@ dialogues on the default files: 18.31 % of 500,000 at 0.058, and 0.0119 less for
 
 _GOAL_KEYS = {"diaact", "inform_slots", "request_slots"}
 _UNKNOWN = "UNK"
+
+_Corpus = dict[str, dict[Any, Any]]
+"""Records, goals and lists of values, by the numbers and names that they have in the files."""
+
+_UNITS = {"records": "row", "goals": "goal", "error_values": "slot"}
 
 
 class _PlainUnpickler(pickle.Unpickler):
@@ -78,106 +82,83 @@ def load_miulab(
     folder = Path(path).expanduser()
     if missing := [name for name in (goals, kb, values) if not (folder / name).is_file()]:
         raise FileNotFoundError(f"the MiuLab folder {folder} lacks {missing}")
-    specification = read_specification(MOVIE_FOLDER / SPECIFICATION_FILE).fields
+    specification = read_specification(MOVIE_FOLDER / SPECIFICATION_FILE).content
     specification |= {
         "name": "miulab",
         "reference_slot_error_prob": REFERENCE_SLOT_ERROR_PROB,
     }
     ticket = specification["ticket_slot"]
     acts = specification["acts"]
-    corpus = _Corpus(
-        (kb, goals, values),
-        _records(folder / kb),
-        {
+    listed = _expect(folder / goals, read_plain_pickle(folder / goals))
+    whole: _Corpus = {
+        "records": _records(folder / kb),
+        "goals": {
             number: _goal(f"{folder / goals}: goal {number}", entry, acts, ticket)
-            for number, entry in enumerate(
-                _expect(folder / goals, read_plain_pickle(folder / goals))
-            )
+            for number, entry in enumerate(listed)
         },
-        _values(folder / values),
-    )
+        "error_values": _values(folder / values),
+    }
+    files = {"records": kb, "goals": goals, "error_values": values}
     faults: list[Located] = []
-    whole = corpus
+    usable = whole
     while True:
         try:
             return Domain(
                 **specification,
-                records=tuple(corpus.records.values()),
-                goals=tuple(corpus.goals.values()),
-                error_values=corpus.values,
-                skipped=(*corpus.missing_from(whole), *tell(faults)) if faults else (),
+                records=tuple(usable["records"].values()),
+                goals=tuple(usable["goals"].values()),
+                error_values=usable["error_values"],
+                skipped=(*_changes(files, whole, usable), *tell(faults)) if faults else (),
             )
         except DomainError as error:
-            faults += [(corpus.locate(place), text) for place, text in error.found]
-            usable = corpus.without([place for place, _ in error.found], specification["slots"])
-            if not skip_unusable or usable == corpus:
+            for (name, *which), text in error.found:
+                number = _key(usable, str(name), which) if name != "error_values" else None
+                faults.append((Location(files[str(name)], _UNITS[str(name)], number), text))
+            left = _without(usable, error.found, specification["slots"])
+            if not skip_unusable or left == usable:
                 raise DomainError(str(folder), faults) from error
-            corpus = usable
+            usable = left
 
 
-@dataclass(frozen=True)
-class _Corpus:
-    """What the files hold, by the numbers that they have there.
+def _key(corpus: _Corpus, name: str, which: Sequence[str | int]) -> Any:
+    """Returns what the file calls the entry that a place of the domain is in; ``None`` for none."""
+    if name == "error_values" or not which:
+        return which[0] if which else None
+    return list(corpus[name])[int(which[0])]
 
-    Attributes:
-        files: names of the knowledge base, the goals and the values.
-        records: row to record.
-        goals: number to goal.
-        values: slot to values.
+
+def _without(corpus: _Corpus, found: Iterable[Fault], slots: Sequence[str]) -> _Corpus:
+    """Returns the corpus without what the faults are about.
+
+    Of a record with unknown slots only these are left out, of a list only the values named.
     """
+    left = {name: dict(entries) for name, entries in corpus.items()}
+    for (field, *which), _ in found:
+        name = str(field)
+        key = _key(corpus, name, which)
+        if key is None:
+            continue
+        before, entry = corpus[name][key], left[name][key]
+        if name == "records":
+            known = {slot: text for slot, text in before.items() if slot in slots}
+            left[name][key] = known if len(known) < len(before) else None
+        elif name == "error_values" and len(which) > 1 and entry:
+            left[name][key] = tuple(text for text in entry if text != which[1])
+        else:
+            left[name][key] = None
+    return {
+        name: {key: entry for key, entry in entries.items() if entry}
+        for name, entries in left.items()
+    }
 
-    files: tuple[str, str, str]
-    records: dict[int, dict[str, str]]
-    goals: dict[int, Goal]
-    values: dict[str, tuple[str, ...]]
 
-    def locate(self, place: Place) -> Location:
-        """Returns where a place of the domain stands in the files."""
-        kb, goals, values = self.files
-        which = int(place[1]) if len(place) > 1 and place[0] != "error_values" else None
-        if place[0] == "records":
-            return Location(kb, "row", None if which is None else list(self.records)[which])
-        if place[0] == "goals":
-            return Location(goals, "goal", None if which is None else list(self.goals)[which])
-        return Location(values)
-
-    def without(self, places: Iterable[Place], slots: Sequence[str]) -> _Corpus:
-        """Returns the corpus without what is at the places.
-
-        Of a record with unknown slots only these are left out, so are unknown slots of the values.
-        """
-        records, goals, values = dict(self.records), dict(self.goals), dict(self.values)
-        numbers, rows = list(self.goals), list(self.records)
-        for field, *which in places:
-            if field == "goals" and which:
-                goals.pop(numbers[int(which[0])], None)
-            elif field == "records" and which:
-                row = rows[int(which[0])]
-                known = {slot: text for slot, text in self.records[row].items() if slot in slots}
-                records.pop(row, None)
-                if 0 < len(known) < len(self.records[row]):
-                    records[row] = known
-            elif field == "error_values" and which:
-                slot, value = str(which[0]), which[1:]
-                kept = [text for text in values.pop(slot, ()) if [text] != value]
-                if kept and value:
-                    values[slot] = tuple(kept)
-        in_order = {row: records[row] for row in rows if row in records}
-        in_place = {slot: values[slot] for slot in self.values if slot in values}
-        return _Corpus(self.files, in_order, goals, in_place)
-
-    def missing_from(self, whole: _Corpus) -> Iterator[str]:
-        """Says how many entries of a corpus are not left as they were."""
-        kb, goals, values = self.files
-        kinds: tuple[tuple[str, str, Mapping[Any, Any], Mapping[Any, Any]], ...] = (
-            (kb, "rows", whole.records, self.records),
-            (goals, "goals", whole.goals, self.goals),
-            (values, "slots", whole.values, self.values),
-        )
-        for file, kind, before, after in kinds:
-            unlike = sum(key not in after or after[key] != before[key] for key in before)
-            if unlike:
-                yield f"{file}: {unlike} of {len(before)} {kind} are left out or in part"
+def _changes(files: Mapping[str, str], whole: _Corpus, left: _Corpus) -> Iterator[str]:
+    """Says how many entries of each file are not left as they were."""
+    for name, before in whole.items():
+        unlike = sum(left[name].get(key) != entry for key, entry in before.items())
+        if unlike:
+            entries = f"{unlike} of {len(before)} {_UNITS[name]}s"
+            yield f"{files[name]}: {entries} are left out or in part"
 
 
 def read_plain_pickle(path: str | Path) -> Any:

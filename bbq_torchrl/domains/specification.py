@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from bbq_torchrl.domains.domain import Action, ScriptedPolicySpec
-from bbq_torchrl.domains.faults import Fault, Location
+from bbq_torchrl.domains.faults import Source
 from bbq_torchrl.domains.validate import ACTION_KINDS
 from bbq_torchrl.text import sentence, shown
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.faults import Place
 
-__all__ = ["SPECIFICATION_FILE", "Specification", "UniqueKeyLoader", "read_specification"]
+__all__ = ["SPECIFICATION_FILE", "UniqueKeyLoader", "read_specification"]
 
 SPECIFICATION_FILE = "domain.yaml"
 
@@ -44,33 +43,6 @@ _HARMLESS: dict[str, Any] = {
 """What stands in for a key that cannot be read, so that the rest of a domain can be checked."""
 
 
-@dataclass
-class Specification:
-    """What ``domain.yaml`` says.
-
-    Attributes:
-        fields: those of a :class:`~bbq_torchrl.domains.Domain`, all but ``records``, ``goals``
-            and ``error_values``; what could not be read is missing, or harmless where nothing
-            else depends on it.
-        faults: of the file's form. Whether the fields fit together is checked by ``Domain``.
-        lines: the line of each key.
-    """
-
-    fields: dict[str, Any] = field(default_factory=dict)
-    faults: list[Fault] = field(default_factory=list)
-    lines: dict[Place, int] = field(default_factory=dict)
-
-    def locate(self, place: Place) -> Location:
-        """Returns the line of a key, or of the one that it is a part of."""
-        line = self.lines.get(place[:2], self.lines.get(place[:1]))
-        return Location(SPECIFICATION_FILE, "line", line)
-
-    @property
-    def is_readable(self) -> bool:
-        """Whether a domain can be made of the fields."""
-        return set(_KEYS) <= set(self.fields)
-
-
 class UniqueKeyLoader(yaml.SafeLoader):
     """A safe loader that refuses a key given twice, where YAML would let the last one win."""
 
@@ -87,28 +59,33 @@ class UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=True)
 
 
-def read_specification(path: Path) -> Specification:
+def read_specification(path: Path) -> Source:
     """Returns what ``domain.yaml`` says, and what is wrong with its form.
 
     Args:
         path: the file.
 
+    Returns:
+        The fields of a :class:`~bbq_torchrl.domains.Domain`, all but ``records``, ``goals`` and
+        ``error_values``. What could not be read is harmless where nothing else depends on it;
+        without what a domain cannot be made without, there are no fields.
+
     Raises:
         FileNotFoundError: if there is no such file.
     """
-    found = Specification()
+    found = Source(SPECIFICATION_FILE, {})
+    text = found.text(path)
+    if text is None:
+        return found
     try:
-        text = path.read_text(encoding="utf-8-sig")
         content = yaml.load(text, Loader=UniqueKeyLoader)
         found.lines = _lines(yaml.compose(text, Loader=yaml.SafeLoader))
     except RecursionError:
-        found.faults.append(Fault((), "it is nested too deeply"))
+        found.fault("it is nested too deeply")
     except yaml.YAMLError as error:
-        found.faults.append(Fault((), f"it is not valid YAML: {_problem(error)}"))
-    except UnicodeDecodeError as error:
-        found.faults.append(Fault((), f"it must be UTF-8 text: {error}"))
+        found.fault(f"it is not valid YAML: {_problem(error)}")
     except ValueError as error:
-        found.faults.append(Fault((), str(error)))
+        found.fault(str(error))
     else:
         _Reader(found).read(content)
     return found
@@ -135,7 +112,7 @@ def _lines(node: yaml.Node | None, parent: Place = ()) -> dict[Place, int]:
 class _Reader:
     """Takes the fields out of a mapping, and notes what is wrong with each."""
 
-    def __init__(self, found: Specification) -> None:
+    def __init__(self, found: Source) -> None:
         self._found = found
         self._readers: dict[str, Callable[[str, Any], Any]] = {
             **dict.fromkeys(_NAME_LISTS, _names),
@@ -151,16 +128,14 @@ class _Reader:
         given = self._take((), _mapping, "the file", content)
         if given is None:
             return
-        fields, faults = self._found.fields, self._found.faults
-        allowed = f"allowed are {', '.join(_KEYS)}"
-        faults += [
-            Fault((key,), f"it has the unknown key {shown(key)}; {allowed}")
-            for key in given
-            if key not in _KEYS
-        ]
+        for key in given:
+            if key not in _KEYS:
+                allowed = ", ".join(_KEYS)
+                self._note((key,), f"it has the unknown key {shown(key)}; allowed are {allowed}")
         needed = [key for key in _KEYS if key != "opening_slot"]
         if missing := [key for key in needed if key not in given]:
-            faults.append(Fault((), f"it lacks the keys {', '.join(missing)}"))
+            self._note((), f"it lacks the keys {', '.join(missing)}")
+        fields, faults = {}, self._found.faults
         for key in _KEYS:
             if key in given or key not in needed:
                 before = len(faults)
@@ -169,6 +144,11 @@ class _Reader:
                     fields[key] = value
                 elif key in _HARMLESS:
                     fields[key] = _HARMLESS[key]
+        if len(fields) == len(_KEYS):
+            self._found.content = fields
+
+    def _note(self, place: Place, text: str) -> None:
+        self._found.faults.append((self._found.locate(place), text))
 
     def _take(
         self, place: Place, read: Callable[[str, Any], Any], key: str, content: object
@@ -177,7 +157,7 @@ class _Reader:
         try:
             return read(key, content)
         except ValueError as error:
-            self._found.faults.append(Fault(place, str(error)))
+            self._note(place, str(error))
             return None
 
     def _actions(self, key: str, content: object) -> tuple[Action, ...]:
@@ -189,8 +169,8 @@ class _Reader:
         }
         if None in names.values():
             return ()
-        acts = [Action("act", name) for name in names.pop("act")]
-        return (*acts, *(Action(kind, kind, slot) for kind in names for slot in names[kind]))
+        acts = [Action(name) for name in names.pop("act")]
+        return (*acts, *(Action(act, slot) for act in names for slot in names[act]))
 
     def _policies(self, key: str, content: object) -> dict[str, ScriptedPolicySpec]:
         """Returns those that can be read."""

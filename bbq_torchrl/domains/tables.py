@@ -6,11 +6,10 @@ import csv
 import io
 import json
 import re
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.domain import Goal
-from bbq_torchrl.domains.faults import Located, Location
+from bbq_torchrl.domains.faults import Location, Source
 from bbq_torchrl.domains.validate import repeated
 from bbq_torchrl.text import shown
 
@@ -23,7 +22,6 @@ __all__ = [
     "GOALS_FILE",
     "RECORDS_FILE",
     "VALUES_FILE",
-    "Table",
     "read_goals",
     "read_records",
     "read_values",
@@ -34,37 +32,10 @@ GOALS_FILE = "goals.jsonl"
 VALUES_FILE = "values.json"
 
 
-@dataclass
-class Table:
-    """What could be read of one file, and what is wrong with its form.
-
-    Attributes:
-        name: of the file.
-        content: as the domain has it.
-        faults: of its form; whether it fits the domain is checked by ``Domain``.
-        lines: the line of each place that is known.
-    """
-
-    name: str
-    content: Any = ()
-    faults: list[Located] = field(default_factory=list)
-    lines: dict[Place, int] = field(default_factory=dict)
-
-    def fault(self, text: str, line: int | None = None) -> None:
-        """Notes what is wrong, with a line or with the file."""
-        self.faults.append((Location(self.name, "line", line), text))
-
-    def locate(self, place: Place) -> Location:
-        """Returns where a place of the domain stands in the file."""
-        while place and place not in self.lines:
-            place = place[:-1]
-        return Location(self.name, "line", self.lines.get(place))
-
-
-def read_records(path: Path) -> Table:
+def read_records(path: Path) -> Source:
     """Reads a knowledge base: a header of slots, then a record a line."""
-    table = Table(path.name)
-    text = _text(path, table)
+    table = Source(path.name)
+    text = table.text(path)
     if text is None:
         return table
     if not text.strip():
@@ -94,10 +65,10 @@ def read_records(path: Path) -> Table:
     return table
 
 
-def read_goals(path: Path) -> Table:
+def read_goals(path: Path) -> Source:
     """Reads goals, one a line: ``{"constraints": {slot: value}, "requests": [slot]}``."""
-    table = Table(path.name)
-    text = _text(path, table)
+    table = Source(path.name)
+    text = table.text(path)
     goals: list[Goal] = []
     # Not splitlines: it also breaks at characters that JSON allows inside of a text.
     lines = text.removesuffix("\n").split("\n") if text else []
@@ -122,10 +93,10 @@ def _goal(content: Any) -> Goal:
     return Goal(constraints, _texts("requests", content["requests"]))
 
 
-def read_values(path: Path) -> Table:
+def read_values(path: Path) -> Source:
     """Reads what errors put in place: ``{slot: [values]}``."""
     table = _Values(path.name, {})
-    text = _text(path, table)
+    text = table.text(path)
     if text is None:
         return table
     try:
@@ -140,7 +111,7 @@ def read_values(path: Path) -> Table:
     except ValueError as error:
         table.fault(str(error))
         return table
-    table.text = text
+    table.written = text
     for slot, texts in values.items():
         try:
             table.content[slot] = _texts(slot, texts)
@@ -149,20 +120,20 @@ def read_values(path: Path) -> Table:
     return table
 
 
-class _Values(Table):
+class _Values(Source):
     """Values: JSON does not tell lines, so that they are looked for when they are asked for."""
 
-    text = ""
+    written = ""
 
     def locate(self, place: Place) -> Location:
         """Returns the line of a slot, or of the first of its values that is written so."""
         line, start = None, 0
         for written in place[1:]:
             colon = r"\s*:" if line is None else ""
-            match = re.compile(_written(str(written)) + colon).search(self.text, start)
+            match = re.compile(_written(str(written)) + colon).search(self.written, start)
             if match is None:
                 break
-            line, start = self.text.count("\n", 0, match.start()) + 1, match.end()
+            line, start = self.written.count("\n", 0, match.start()) + 1, match.end()
         return Location(self.name, "line", line)
 
 
@@ -170,17 +141,6 @@ def _written(text: str) -> str:
     """Returns a pattern for a text as JSON has it, its letters as they are or escaped."""
     ways = dict.fromkeys(json.dumps(text, ensure_ascii=ascii) for ascii in (False, True))
     return f"(?:{'|'.join(map(re.escape, ways))})"
-
-
-def _text(path: Path, table: Table) -> str | None:
-    """Returns a file's text; ``None`` where it is none, which is noted."""
-    try:
-        # newline="" keeps line ends inside quoted CSV fields as they are.
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return file.read()
-    except UnicodeDecodeError as error:
-        table.fault(f"it must be UTF-8 text: {error}")
-        return None
 
 
 def _json(text: str) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.faults import DomainError, Fault
 from bbq_torchrl.domains.values import DONT_CARE, RESERVED_TEXT, fold
@@ -19,7 +19,6 @@ __all__ = [
     "ACTION_KINDS",
     "MAX_TURN_WIDTH",
     "REQUIRED_ACTS",
-    "ActionKind",
     "check_domain",
     "repeated",
 ]
@@ -37,8 +36,7 @@ REQUIRED_ACTS = (
 )
 """The acts whose meaning the user simulator knows; a domain may add others."""
 
-ActionKind = Literal["act", "request", "inform", "multiple_choice"]
-ACTION_KINDS: tuple[ActionKind, ...] = get_args(ActionKind)
+ACTION_KINDS = ("act", "request", "inform", "multiple_choice")
 """In the order of the actions: those without a slot, then those that carry one."""
 
 MAX_TURN_WIDTH = 1_000
