@@ -92,14 +92,7 @@ class SimulatedUser:
         # A booking repeats what the agent holds: the user sees no more of it.
         state = state.replace(held=agent.informs, user_informs=state["meant_informs"])
         reply = simulator.user.reply(state, agent, torch.tensor(False), draws)
-        self._state = state.replace(
-            agenda=reply.agenda,
-            pending=reply.pending,
-            history=reply.history,
-            constraints_met=reply.constraints_met,
-            user_act=reply.act,
-            meant_informs=reply.informs,
-        )
+        self._state = state.replace(**reply)
 
     def _turn(self, said: Act) -> AgentTurn:
         """Returns an agent's act as the tracker completes it; an offer of values is a question."""
@@ -127,7 +120,6 @@ class SimulatedUser:
             is_confirm_answer=torch.tensor(said.act == "confirm_answer"),
             is_end=torch.tensor(said.act in ("thanks", "closing")),
             offered=None,
-            offers=lambda rank: rank,
         )
 
 

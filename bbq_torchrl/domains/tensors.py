@@ -35,9 +35,8 @@ class DomainTensors:
         complete: id of the complete slot.
         opening: bool ``[S]``, informed in every first turn if the goal constrains them.
         action_act: long ``[N]``, the act of each action.
-        action_request: long ``[N]``, the slot that the action requests, or -1.
-        action_inform: long ``[N]``, the slot that the action informs, or -1.
-        action_offer: long ``[N]``, the slot that the action offers a choice of, or -1.
+        action_slot: long ``[N]``, the slot that each requests, informs or offers, or -1.
+        has_choices: whether one of them is a multiple choice.
         records: long ``[rows, S]``, value ids, 0 where the record has none.
         goal_constraints: long ``[G, S]``, value ids, 0 where the goal has none.
         goal_requests: bool ``[G, S]``, the ticket slot included.
@@ -46,8 +45,6 @@ class DomainTensors:
         error_values: long ``[S, E]``, what an error can put in place, padded with 0.
         error_count: long ``[S]``, how many of ``error_values`` count.
         vocabulary: per slot, id to text; id 0 is the empty text.
-        essential_slots: bool ``[S]``, active from the first round on.
-        extension_slots: the slots that domain extension adds, in order.
     """
 
     n_acts: int
@@ -60,9 +57,8 @@ class DomainTensors:
     complete: int
     opening: torch.Tensor
     action_act: torch.Tensor
-    action_request: torch.Tensor
-    action_inform: torch.Tensor
-    action_offer: torch.Tensor
+    action_slot: torch.Tensor
+    has_choices: bool
     records: torch.Tensor
     goal_constraints: torch.Tensor
     goal_requests: torch.Tensor
@@ -71,8 +67,6 @@ class DomainTensors:
     error_values: torch.Tensor
     error_count: torch.Tensor
     vocabulary: tuple[tuple[str, ...], ...]
-    essential_slots: torch.Tensor
-    extension_slots: tuple[int, ...]
 
     def to(self, device: torch.device | str) -> DomainTensors:
         """Returns the same domain with every tensor on ``device``."""
@@ -123,10 +117,6 @@ def tensorize(domain: Domain) -> DomainTensors:
     vocabulary = build_vocabulary(domain)
     ids = value_ids(vocabulary)
 
-    def slots_of(kind: str) -> torch.Tensor:
-        names = (action.slot if action.kind == kind else None for action in domain.actions)
-        return torch.tensor([-1 if name is None else slot[name] for name in names])
-
     def mask(names: Iterable[str]) -> torch.Tensor:
         chosen = set(names)
         return torch.tensor([name in chosen for name in domain.slots])
@@ -155,9 +145,8 @@ def tensorize(domain: Domain) -> DomainTensors:
         complete=slot[domain.complete_slot],
         opening=mask(domain.opening_slots),
         action_act=torch.tensor([act[action.act] for action in domain.actions]),
-        action_request=slots_of("request"),
-        action_inform=slots_of("inform"),
-        action_offer=slots_of("multiple_choice"),
+        action_slot=torch.tensor([slot.get(action.slot or "", -1) for action in domain.actions]),
+        has_choices=any(action.kind == "multiple_choice" for action in domain.actions),
         records=encode(domain.records),
         goal_constraints=encode([goal.constraints for goal in domain.goals]),
         goal_requests=torch.stack(
@@ -168,6 +157,4 @@ def tensorize(domain: Domain) -> DomainTensors:
         error_values=error_values,
         error_count=error_count,
         vocabulary=vocabulary,
-        essential_slots=mask(domain.essential),
-        extension_slots=tuple(slot[name] for name in domain.extension_order),
     )

@@ -10,7 +10,6 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs.turns import TurnProgram
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 
 if TYPE_CHECKING:
@@ -67,8 +66,8 @@ class DialogueEnv(EnvBase):
             the errors above.
 
     Raises:
-        ValueError: if a setting is out of range, the schedule adds a slot that the domain lacks
-            or never one that the agent has actions for, or the device is absent.
+        ValueError: if a setting is out of range, the schedule never adds a slot that the agent has
+            actions for, or the device is absent.
 
     Example:
         >>> from bbq_torchrl.domains import movie_domain
@@ -108,18 +107,19 @@ class DialogueEnv(EnvBase):
             schedule.never_active(domain)
         if channel is None:
             channel = ErrorModel(tensors, slot_error_prob, slot_error_mode, intent_error_prob)
-        self.simulator = Simulator(
-            tensors,
-            errors=channel,
-            rewards=Rewards(success_reward, failure_reward, turn_reward),
-            max_turn=max_turn,
-        ).to(self.device)
+        rewards = Rewards(success_reward, failure_reward, turn_reward)
+        self._compiles_turns = compile_turns
+        self._use(Simulator(tensors, errors=channel, rewards=rewards, max_turn=max_turn))
         self._dialogues: TensorDict | None = None
-        self._turn = TurnProgram(compile=compile_turns)
         self._generator = torch.Generator(self.device)
         self._set_seed(seed)
         self._make_specs()
         self.set_round(0)
+
+    def _use(self, simulator: Simulator) -> None:
+        self.simulator = simulator.to(self.device)
+        is_compiled = self._compiles_turns
+        self._play = _CompiledPlay(self.simulator) if is_compiled else self.simulator.play
 
     # -- what there is ---------------------------------------------------------------------------
 
@@ -226,8 +226,8 @@ class DialogueEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         draws = self.simulator.draw_turn(self.batch_size, self._generator)
-        self._dialogues, observation = self._turn(
-            self.simulator, self.dialogues, tensordict["action"], draws, self._active
+        self._dialogues, observation = self._play(
+            self.dialogues, tensordict["action"], draws, self._active
         )
         emitted = self._emit(self._dialogues, observation)
         emitted["reward"] = self._dialogues["reward"][..., None]
@@ -267,7 +267,7 @@ class DialogueEnv(EnvBase):
             )
             super().to(device)
             self._generator = torch.Generator(self.device).manual_seed(int(seed))
-            self.simulator = self.simulator.to(self.device)
+            self._use(self.simulator)
             if self._dialogues is not None:
                 self._dialogues = self._dialogues.to(self.device)
             self.set_round(self._round)
@@ -306,6 +306,24 @@ class DialogueEnv(EnvBase):
         self._dialogues = saved
         self._generator.set_state(state["generator"].cpu())
         self.set_round(state["round"])
+
+
+class _CompiledPlay:
+    """A simulator's turn, compiled; a copy and another process compile it anew.
+
+    It gives the same numbers, but for what a compiler may do to floating-point ones (the features,
+    which are ratios of small integers).
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self._simulator = simulator
+        self._play = torch.compile(simulator.play, fullgraph=True, dynamic=False)
+
+    def __call__(self, *state_and_action: Any) -> tuple[TensorDict, torch.Tensor]:
+        return self._play(*state_and_action)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _CompiledPlay, (self._simulator,)
 
 
 def _present(device: torch.device | str) -> torch.device:

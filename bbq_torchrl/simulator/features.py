@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -47,6 +46,11 @@ class FeatureLayout:
 
     Args:
         domain: the domain's tensors.
+
+    Attributes:
+        groups: the runs of features of one kind.
+        size: how many features there are.
+        names: the features by name, ``"group:member"``.
 
     Example:
         >>> from bbq_torchrl.domains import movie_domain, tensorize
@@ -96,6 +100,9 @@ class FeatureLayout:
             self._slices[group.name] = slice(start, start + len(group.members))
             start += len(group.members)
         self.size = start
+        self.names = tuple(
+            f"{group.name}:{member}" for group in self.groups for member in group.members
+        )
 
     def __getitem__(self, name: str) -> slice:
         """Returns where the group's features are."""
@@ -105,18 +112,6 @@ class FeatureLayout:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._slices)
-
-    def __len__(self) -> int:
-        return len(self._slices)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """The features by name, ``"group:member"``."""
-        return tuple(f"{group.name}:{member}" for group in self.groups for member in group.members)
-
-    @cached_property
-    def _columns(self) -> dict[str, int]:
-        return {name: index for index, name in enumerate(self.names)}
 
     def active(self, slots: torch.Tensor) -> torch.Tensor:
         """Returns which features can differ from 0, bool ``[F]``: all but those of inactive slots.
@@ -137,11 +132,12 @@ class FeatureLayout:
         Raises:
             KeyError: if there is no such feature.
         """
-        within = self[group]
-        if f"{group}:{member}" not in self._columns:
-            members = (name.partition(":")[2] for name in self.names[within])
-            raise KeyError(f"{member!r} is no feature of {group!r}, which has {', '.join(members)}")
-        return self._columns[f"{group}:{member}"]
+        within, name = self[group], f"{group}:{member}"
+        names = self.names[within]
+        if name not in names:
+            members = ", ".join(known.partition(":")[2] for known in names)
+            raise KeyError(f"{member!r} is no feature of {group!r}, which has {members}")
+        return within.start + names.index(name)
 
 
 class Features:

@@ -44,27 +44,19 @@ class KnowledgeBase(Movable):
     records`` bits.
 
     Args:
-        domain: the domain's tensors; ``records`` ``[rows, S]`` must have at least one row.
+        domain: the domain's tensors.
 
     Raises:
-        ValueError: if the domain has no record, or no slot that could constrain them.
+        ValueError: if the domain has no slot that could constrain its records.
     """
 
     def __init__(self, domain: DomainTensors) -> None:
-        if domain.records.shape[0] == 0:
-            raise ValueError("the knowledge base must have at least one record, got none")
         device = domain.records.device
         # Built from many small pieces, which an accelerator would be slow at.
         domain = domain.to("cpu")
         records = domain.records
-        self.n_records = records.shape[0]
-        listed = sorted(
-            {
-                slot
-                for slot in (*domain.action_inform.tolist(), *domain.action_offer.tolist())
-                if slot not in (-1, domain.ticket, domain.complete)
-            }
-        )
+        told = domain.action_slot[domain.action_act != domain.act["request"]].unique().tolist()
+        listed = [slot for slot in told if slot not in (-1, domain.ticket, domain.complete)]
         # A slot that only ever holds nothing or "I do not care" allows every record.
         decides = domain.constrains & (domain.n_values > FIRST_VALUE)
         decides[listed] = domain.constrains[listed]
@@ -142,7 +134,7 @@ class KnowledgeBase(Movable):
 
         Returns:
             Long ``[*B, C]``: how many matching records have each value that some record has of
-            the slot, in the order of their ids (:meth:`value` says which); and long ``[*B]``: how
+            the slot, in the order of their ids (:meth:`counted_values`); and long ``[*B]``: how
             many match, those without the slot included.
         """
         order = self.order_of_slot.take(slot)
@@ -152,14 +144,13 @@ class KnowledgeBase(Movable):
         below = running.gather(-1, rows(self.bounds, order))
         return below.diff(dim=-1), running[..., -1]
 
-    def value(self, slot: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
-        """Returns the value ids, long ``[*B]``, that places of :meth:`counts_by_value` stand for.
+    def counted_values(self, slot: torch.Tensor) -> torch.Tensor:
+        """Returns the value ids, long ``[*B, C]``, that :meth:`counts_by_value` counts.
 
         Args:
-            slot: long ``[*B]``, as in :meth:`counts_by_value`.
-            index: long ``[*B]``, places in its counts.
+            slot: long ``[*B]``, as there.
         """
-        return self.counted.take(self.order_of_slot.take(slot) * self.max_counts + index)
+        return rows(self.counted, self.order_of_slot.take(slot))
 
     def fill(self, held: torch.Tensor, slot: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Finds the value that a slot mostly has among the records that match every held value.
@@ -180,25 +171,15 @@ class KnowledgeBase(Movable):
             strict=True,
         )
         values, has_match = [], []
-        for block in blocks:
-            counts, total = self.counts_by_value(*block)
-            values.append(self.most_frequent(counts, block[1]))
+        for block, slots in blocks:
+            counts, total = self.counts_by_value(block, slots)
+            # argmax gives the first of equal counts, and values are in the order of their ids.
+            best = counts.argmax(-1, keepdim=True)
+            is_found = counts.gather(-1, best).squeeze(-1) > 0
+            place = self.order_of_slot.take(slots) * self.max_counts + best.squeeze(-1)
+            values.append(torch.where(is_found, self.counted.take(place), NO_MATCH))
             has_match.append(total > 0)
         return torch.cat(values).view(slot.shape), torch.cat(has_match).view(slot.shape)
-
-    def most_frequent(self, counts: torch.Tensor, slot: torch.Tensor) -> torch.Tensor:
-        """Returns the id of the value with the highest count, long ``[*B]``.
-
-        Ties go to the lowest id; "no match" where all counts are 0.
-
-        Args:
-            counts: long ``[*B, C]``, what :meth:`counts_by_value` returned.
-            slot: long ``[*B]``, whose values they are.
-        """
-        # argmax gives the first of equal counts, and values are in the order of their ids.
-        best = counts.argmax(-1, keepdim=True)
-        is_found = counts.gather(-1, best).squeeze(-1) > 0
-        return torch.where(is_found, self.value(slot, best.squeeze(-1)), NO_MATCH)
 
 
 def _allowed_records(domain: DomainTensors, slots: Sequence[int]) -> torch.Tensor:

@@ -10,7 +10,6 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains.values import NO_MATCH, NONE
 from bbq_torchrl.simulator.channel import Utterance
-from bbq_torchrl.simulator.draws import uniform_draws
 from bbq_torchrl.simulator.error_model import ErrorModel
 from bbq_torchrl.simulator.features import Features
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator.channel import Channel
     from bbq_torchrl.simulator.features import FeatureLayout
     from bbq_torchrl.simulator.tracker import AgentTurn
-    from bbq_torchrl.simulator.user import Reply
 
 __all__ = ["Simulator"]
 
@@ -97,7 +95,6 @@ class Simulator:
             raise ValueError(f"max_turn must be at least {_ACTS_PER_TURN}, got {max_turn}")
         self.rewards = Rewards() if rewards is None else rewards
         self.max_turn = max_turn
-        self._has_choices = bool((domain.action_offer >= 0).any())
         self._build(domain, KnowledgeBase(domain), ErrorModel(domain) if errors is None else errors)
 
     def _build(self, domain: DomainTensors, knowledge_base: KnowledgeBase, errors: Channel) -> None:
@@ -105,11 +102,9 @@ class Simulator:
         self.knowledge_base = knowledge_base
         self.errors = errors
         self.user = User(domain)
-        self.tracker = Tracker(domain, knowledge_base, has_choices=self._has_choices)
+        self.tracker = Tracker(domain, knowledge_base)
         self.features = Features(domain, knowledge_base)
         self._is_ticket = torch.arange(domain.n_slots, device=self.device) == domain.ticket
-        slot = torch.stack([domain.action_request, domain.action_inform, domain.action_offer])
-        self._action_slot = slot.amax(0)
 
     def to(self, device: torch.device | str) -> Simulator:
         """Returns the same simulator with every tensor on ``device``."""
@@ -138,7 +133,8 @@ class Simulator:
         Args:
             active: bool ``[S]``.
         """
-        return (self._action_slot < 0) | active[self._action_slot.clamp(min=0)]
+        slot = self.domain.action_slot
+        return (slot < 0) | active[slot.clamp(min=0)]
 
     def draw_reset(
         self, batch_shape: Sequence[int], generator: torch.Generator | None = None
@@ -149,11 +145,10 @@ class Simulator:
             A TensorDict ``[*B]`` of float32 in [0, 1): ``goal`` ``[*B]``, ``constraint`` and
             ``request`` ``[*B, S]``; and what the channel needs, if it can mishear the opening.
         """
-        heard_by: tuple[tuple[str, ...], tuple[str, ...]] = (), ()
-        if self.errors.mishears_all:
-            heard_by = self.errors.slot_draws, self.errors.draws
-        per_slot, per_dialogue = ("constraint", "request", *heard_by[0]), ("goal", *heard_by[1])
-        return uniform_draws(self.domain, batch_shape, per_slot, per_dialogue, generator)
+        errors, heard_by = self.errors, self.errors.mishears_all
+        per_slot = ("constraint", "request", *(errors.slot_draws if heard_by else ()))
+        per_dialogue = ("goal", *(errors.draws if heard_by else ()))
+        return self._draw(per_slot, per_dialogue, batch_shape, generator)
 
     def draw_turn(
         self, batch_shape: Sequence[int], generator: torch.Generator | None = None
@@ -166,7 +161,28 @@ class Simulator:
             ``error_slot`` and ``error_value`` ``[*B, S]``, ``intent`` and ``intent_act`` ``[*B]``.
         """
         per_slot, per_dialogue = ("agenda", *self.errors.slot_draws), (*self.errors.draws, "offer")
-        return uniform_draws(self.domain, batch_shape, per_slot, per_dialogue, generator)
+        return self._draw(per_slot, per_dialogue, batch_shape, generator)
+
+    def _draw(
+        self,
+        per_slot: Sequence[str],
+        per_dialogue: Sequence[str],
+        batch_shape: Sequence[int],
+        generator: torch.Generator | None,
+    ) -> TensorDict:
+        """Draws uniform numbers in one call and names the parts, ``[*B, S]`` and ``[*B]``."""
+        n_slots = self.domain.n_slots
+        width = len(per_slot) * n_slots
+        uniform = torch.rand(
+            *batch_shape, width + len(per_dialogue), generator=generator, device=self.device
+        )
+        by_slot = uniform[..., :width].unflatten(-1, (len(per_slot), n_slots)).unbind(-2)
+        scalars = uniform[..., width:].unbind(-1)
+        return TensorDict(
+            dict(zip((*per_slot, *per_dialogue), (*by_slot, *scalars), strict=True)),
+            batch_size=torch.Size(batch_shape),
+            device=self.device,
+        )
 
     def reset(self, draws: TensorDictBase, active: torch.Tensor) -> TensorDict:
         """Starts dialogues. Returns the state after the users' first turn.
@@ -176,24 +192,18 @@ class Simulator:
             active: bool ``[S]``; goals are restricted to these slots.
         """
         first = self.user.first_turn(draws, active)
-        no_value = torch.zeros_like(first.constraints)
-        no_slot = torch.zeros_like(first.requests)
-        no_number = torch.zeros_like(first.constraints[..., 0])
-        no = torch.zeros_like(first.requests[..., 0])
-        act = no_number + self.domain.act["request"]
-        said = Utterance(act, first.informs, first.pending)
+        act, informs = first["user_act"], first["meant_informs"]
+        no_value = torch.zeros_like(informs)
+        no_slot = torch.zeros_like(first["requests"])
+        no_number = torch.zeros_like(act)
+        no = torch.zeros_like(act, dtype=torch.bool)
+        said = Utterance(act, informs, first["pending"])
         heard = self.errors.transmit(said, None, act, no, draws, active)
         return TensorDict(
             {
-                "goal_id": self.user.goal_of(draws),
-                "constraints": first.constraints,
-                "requests": first.requests,
-                "agenda": first.agenda,
-                "pending": first.pending,
+                **first,
                 "history": no_value,
                 "constraints_met": no,
-                "user_act": act,
-                "meant_informs": first.informs,
                 "heard_act": heard.act,
                 "user_informs": heard.informs,
                 "heard_requests": heard.requests,
@@ -238,7 +248,7 @@ class Simulator:
         success = torch.where(
             was_done, state["success"], self._is_success(state, agent, reply) & ~is_over
         )
-        said = Utterance(reply.act, reply.informs, reply.pending)
+        said = Utterance(reply["user_act"], reply["meant_informs"], reply["pending"])
         heard = self.errors.transmit(said, agent, state["heard_act"], is_done, draws, active)
         reward = self.rewards.of(was_done, is_done, success)
         repeats = state["repeats"]
@@ -263,12 +273,7 @@ class Simulator:
                 "goal_id": state["goal_id"],
                 "constraints": state["constraints"],
                 "requests": state["requests"],
-                "agenda": reply.agenda,
-                "pending": reply.pending,
-                "history": reply.history,
-                "constraints_met": reply.constraints_met,
-                "user_act": reply.act,
-                "meant_informs": reply.informs,
+                **reply,
                 "heard_act": heard.act,
                 "user_informs": heard.informs,
                 "heard_requests": asked,
@@ -287,6 +292,17 @@ class Simulator:
             device=self.device,
         )
 
+    def play(
+        self,
+        state: TensorDictBase,
+        action: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> tuple[TensorDict, torch.Tensor]:
+        """Plays one turn, as :meth:`turn`. Returns the next state and what the agent sees of it."""
+        after = self.turn(state, action, draws, active)
+        return after, self.observe(after, active)
+
     def observe(self, state: TensorDictBase, active: torch.Tensor) -> torch.Tensor:
         """Returns the features of the states, float32 ``[*B, F]``.
 
@@ -296,10 +312,12 @@ class Simulator:
         """
         return self.features(state, active)
 
-    def _is_success(self, state: TensorDictBase, agent: AgentTurn, reply: Reply) -> torch.Tensor:
+    def _is_success(
+        self, state: TensorDictBase, agent: AgentTurn, reply: dict[str, torch.Tensor]
+    ) -> torch.Tensor:
         """Returns whether the agent ends the dialogues in success, bool ``[*B]``."""
-        constraints, history = state["constraints"], reply.history
-        is_left = (reply.pending | reply.agenda) & ~self._is_ticket
+        constraints, history = state["constraints"], reply["history"]
+        is_left = (reply["pending"] | reply["agenda"]) & ~self._is_ticket
         is_false = (constraints != NONE) & (history != NONE) & (history != constraints)
         spoils = is_left | is_false | (history == NO_MATCH)
         return agent.is_end & state["constraints_met"] & ~spoils.any(-1)

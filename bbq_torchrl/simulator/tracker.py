@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
@@ -13,8 +12,6 @@ from bbq_torchrl.simulator.choices import index_below, one_of
 from bbq_torchrl.simulator.lookup import rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.channel import Utterance
     from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
@@ -40,9 +37,8 @@ class AgentTurn:
         is_multiple_choice: bool ``[*B]``, it offers the values of its slot.
         is_confirm_answer: bool ``[*B]``, it asks the user to go on.
         is_end: bool ``[*B]``, it ends the dialogue.
-        offered: bool ``[*B, C]``, the values that a multiple choice offers, in the order of their
-            ids; ``None`` in a domain without such actions.
-        offers: the value ids, long ``[*B]``, that indices ``[*B]`` into ``offered`` stand for.
+        offered: long ``[*B, C]``, the values that a multiple choice offers, in the order of their
+            ids, 0 between them; ``None`` in a domain without such actions.
     """
 
     act: torch.Tensor
@@ -58,7 +54,6 @@ class AgentTurn:
     is_confirm_answer: torch.Tensor
     is_end: torch.Tensor
     offered: torch.Tensor | None
-    offers: Callable[[torch.Tensor], torch.Tensor]
 
     def choose(self, uniform: torch.Tensor) -> torch.Tensor:
         """Chooses one of the values offered. Returns value ids, long ``[*B]``.
@@ -67,16 +62,13 @@ class AgentTurn:
 
         Args:
             uniform: float32 ``[*B]`` in [0, 1).
-
-        Raises:
-            ValueError: if the domain has no multiple choice.
         """
-        if self.offered is None:
-            raise ValueError("the domain has no action of kind 'multiple_choice'")
-        count = self.offered.sum(-1)
-        rank = self.offered.cumsum(-1) - 1
-        is_chosen = self.offered & (rank == index_below(uniform, count)[..., None])
-        chosen = self.offers(is_chosen.to(torch.uint8).argmax(-1))
+        assert self.offered is not None
+        is_offered = self.offered != NONE
+        count = is_offered.sum(-1)
+        is_chosen = is_offered.cumsum(-1) > index_below(uniform, count)[..., None]
+        place = is_chosen.to(torch.uint8).argmax(-1, keepdim=True)
+        chosen = self.offered.gather(-1, place).squeeze(-1)
         return torch.where(count > 0, chosen, DONT_CARE)
 
 
@@ -86,34 +78,29 @@ class Tracker:
     Args:
         domain: the domain's tensors.
         knowledge_base: the domain's records.
-        has_choices: whether the domain has actions of kind ``multiple_choice``.
     """
 
-    def __init__(
-        self, domain: DomainTensors, knowledge_base: KnowledgeBase, *, has_choices: bool
-    ) -> None:
+    def __init__(self, domain: DomainTensors, knowledge_base: KnowledgeBase) -> None:
         self._knowledge_base = knowledge_base
-        self._has_choices = has_choices
-        self._act = domain.action_act
-        request, inform, choice = domain.action_request, domain.action_inform, domain.action_offer
-        slot = torch.maximum(torch.maximum(request, inform), choice)
-        self._slot = slot.clamp(min=0)
-        self._is_slot = one_of(slot, domain.n_slots)
+        self._has_choices = domain.has_choices
+        self._act, self._acts = domain.action_act, domain.act
+        self._slot = domain.action_slot.clamp(min=0)
+        self._is_slot = one_of(domain.action_slot, domain.n_slots)
         self._complete = domain.complete
-        self._acts = domain.act
         slots = torch.arange(domain.n_slots, device=domain.records.device)
         self._is_ticket = slots == domain.ticket
-        is_booking = inform == domain.complete
-        ends = (self._act == domain.act["thanks"]) | (self._act == domain.act["closing"])
+        is_act = {name: self._act == number for name, number in domain.act.items()}
+        is_inform = is_act["inform"]
+        is_booking = is_inform & (domain.action_slot == domain.complete)
         self._kinds = torch.stack(
             [
-                request >= 0,
-                (inform >= 0) & ~is_booking,
+                is_act["request"],
+                is_inform & ~is_booking,
                 is_booking,
-                choice >= 0,
-                self._act == domain.act["confirm_answer"],
-                ends,
-                is_booking | (inform == domain.ticket),
+                is_act["multiple_choice"],
+                is_act["confirm_answer"],
+                is_act["thanks"] | is_act["closing"],
+                is_booking | (is_inform & (domain.action_slot == domain.ticket)),
             ]
         )
 
@@ -129,15 +116,13 @@ class Tracker:
         request, inform, booking, choice, confirm, end, special = kinds.view(
             self._kinds.shape[0], *action.shape
         ).unbind()
+        filled, has_match = self._knowledge_base.fill(held, slot)
         offered = None
         if self._has_choices:
-            counts, total = self._knowledge_base.counts_by_value(held, slot)
-            offered = counts > 0
-            filled, has_match = self._knowledge_base.most_frequent(counts, slot), total > 0
+            counts, _ = self._knowledge_base.counts_by_value(held, slot)
+            offered = torch.where(counts > 0, self._knowledge_base.counted_values(slot), NONE)
             special = special | choice
-            has_match = torch.where(choice, offered.any(-1), has_match)
-        else:
-            filled, has_match = self._knowledge_base.fill(held, slot)
+            has_match = torch.where(choice, (counts > 0).any(-1), has_match)
         value = torch.where(special, torch.where(has_match, AVAILABLE, NO_MATCH), filled)
         repeated = torch.where(booking[..., None], held, NONE)
         says = is_slot & ~request[..., None]
@@ -155,7 +140,6 @@ class Tracker:
             is_confirm_answer=confirm,
             is_end=end,
             offered=offered,
-            offers=partial(self._knowledge_base.value, slot),
         )
 
     @staticmethod

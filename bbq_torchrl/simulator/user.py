@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
@@ -17,53 +16,15 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["FirstTurn", "Reply", "User"]
-
-
-@dataclass(frozen=True)
-class FirstTurn:
-    """A user at the start of a dialogue.
-
-    Args:
-        constraints: long ``[*B, S]``, the goal's value of each slot, 0 where it has none.
-        requests: bool ``[*B, S]``, the slots the goal requests, the ticket included.
-        agenda: bool ``[*B, S]``, what is not yet spoken of.
-        pending: bool ``[*B, S]``, what is requested and not yet answered.
-        informs: long ``[*B, S]``, the values informed in the first turn.
-    """
-
-    constraints: torch.Tensor
-    requests: torch.Tensor
-    agenda: torch.Tensor
-    pending: torch.Tensor
-    informs: torch.Tensor
-
-
-@dataclass(frozen=True)
-class Reply:
-    """A user's reply.
-
-    Args:
-        act: long ``[*B]``, the act the user means.
-        informs: long ``[*B, S]``, the values the user means to inform.
-        agenda: bool ``[*B, S]``, what is not yet spoken of.
-        pending: bool ``[*B, S]``, what is requested and not yet answered.
-        history: long ``[*B, S]``, the latest value either side has informed.
-        constraints_met: bool ``[*B]``, the verdict on the latest offer.
-    """
-
-    act: torch.Tensor
-    informs: torch.Tensor
-    agenda: torch.Tensor
-    pending: torch.Tensor
-    history: torch.Tensor
-    constraints_met: torch.Tensor
+__all__ = ["User"]
 
 
 class User:
     """The agenda-based user of Li et al. (2016), for any number of dialogues at once.
 
-    It holds nothing but the domain's tables; who the users are is in the state that it is given.
+    It holds nothing but the domain's tables; who the users are is in the state that it is given. It
+    returns entries of the state of :class:`~bbq_torchrl.simulator.Simulator`, which has their
+    meanings.
 
     Args:
         domain: the domain's tensors.
@@ -75,32 +36,32 @@ class User:
         slots = torch.arange(domain.n_slots, device=domain.records.device)
         self._is_ticket = slots == domain.ticket
 
-    def first_turn(self, draws: TensorDictBase, active: torch.Tensor) -> FirstTurn:
-        """Returns the users' first turn: a request, with what opens the dialogue informed.
+    def first_turn(self, draws: TensorDictBase, active: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Returns who the users are and their first turn, entries of the state.
+
+        The first turn is a request, with what opens the dialogue informed.
 
         Args:
             draws: uniform ``goal`` ``[*B]``, ``constraint`` and ``request`` ``[*B, S]``.
             active: bool ``[S]``; the goals are restricted to these slots (and the ticket).
         """
         domain = self._domain
-        goal = self.goal_of(draws)
+        goal = index_below(draws["goal"], domain.goal_constraints.shape[0])
         constraints = rows(domain.goal_constraints, goal) * active
         requests = (rows(domain.goal_requests, goal) & active) | self._is_ticket
         is_constraint = constraints != NONE
         is_said = (domain.opening & is_constraint) | pick_slot(is_constraint, draws["constraint"])
         other_requests = requests & ~self._is_ticket
         has_other = other_requests.any(-1, keepdim=True)
-        return FirstTurn(
-            constraints=constraints,
-            requests=requests,
-            agenda=(is_constraint & ~is_said) | requests,
-            pending=pick_slot(other_requests, draws["request"]) | (self._is_ticket & ~has_other),
-            informs=constraints * is_said,
-        )
-
-    def goal_of(self, draws: TensorDictBase) -> torch.Tensor:
-        """Returns the goals drawn, long ``[*B]``."""
-        return index_below(draws["goal"], self._domain.goal_constraints.shape[0])
+        return {
+            "goal_id": goal,
+            "constraints": constraints,
+            "requests": requests,
+            "agenda": (is_constraint & ~is_said) | requests,
+            "pending": pick_slot(other_requests, draws["request"]) | (self._is_ticket & ~has_other),
+            "user_act": torch.full_like(goal, self._act["request"]),
+            "meant_informs": constraints * is_said,
+        }
 
     def reply(
         self,
@@ -108,8 +69,8 @@ class User:
         agent: AgentTurn,
         is_over: torch.Tensor,
         draws: TensorDictBase,
-    ) -> Reply:
-        """Returns the users' reply to the agent's act.
+    ) -> dict[str, torch.Tensor]:
+        """Returns the users' reply to the agent's act: the entries of the state that it changes.
 
         Args:
             state: the state before the agent's act.
@@ -197,4 +158,11 @@ class User:
         act = torch.where(is_asking, ids["request"], act)
         act = torch.where(books & ~is_met, ids["deny"], act)
         act = torch.where(agent.is_end | is_over, ids["closing"], act)
-        return Reply(act, informs, agenda, pending, history, constraints_met)
+        return {
+            "agenda": agenda,
+            "pending": pending,
+            "history": history,
+            "constraints_met": constraints_met,
+            "user_act": act,
+            "meant_informs": informs,
+        }

@@ -85,22 +85,15 @@ def test_actions_read_back_as_they_were(domain: Domain):
     assert tensors.n_actions == len(domain.actions)
     for index, action in enumerate(domain.actions):
         assert domain.acts[tensors.action_act[index]] == action.act
-        for kind, table in [
-            ("request", tensors.action_request),
-            ("inform", tensors.action_inform),
-            ("multiple_choice", tensors.action_offer),
-        ]:
-            expected = domain.slots.index(action.slot) if action.kind == kind else -1
-            assert int(table[index]) == expected
+        slot = int(tensors.action_slot[index])
+        assert (None if slot < 0 else domain.slots[slot]) == action.slot
+    assert tensors.has_choices == (domain.name == "restaurant")
 
 
-def test_special_and_active_slots_are_ids_of_the_domains_slots(domain: Domain):
+def test_special_and_free_slots_are_ids_of_the_domains_slots(domain: Domain):
     tensors = tensorize(domain)
     assert domain.slots[tensors.ticket] == domain.ticket_slot
     assert domain.slots[tensors.complete] == domain.complete_slot
-    assert [domain.slots[i] for i in tensors.extension_slots] == list(domain.extension_order)
-    names = [s for s, chosen in zip(domain.slots, tensors.essential_slots, strict=True) if chosen]
-    assert set(names) == set(domain.essential)
     free = [s for s, binds in zip(domain.slots, tensors.constrains, strict=True) if not binds]
     assert set(free) == set(domain.free_slots)
     assert [*tensors.act] == list(domain.acts)
@@ -139,15 +132,6 @@ def test_a_domain_without_error_values_has_counts_of_zero(restaurant: Domain):
     tensors = tensorize(replace(restaurant, error_values={}))
     assert tensors.error_count.sum() == 0
     assert tensors.error_values.shape == (len(restaurant.slots), 1)
-
-
-def test_ids_are_long_and_flags_are_bool(domain: Domain):
-    tensors = tensorize(domain)
-    flags = {"goal_requests", "constrains", "essential_slots", "opening"}
-    for field in fields(tensors):
-        value = getattr(tensors, field.name)
-        if isinstance(value, torch.Tensor):
-            assert value.dtype == (torch.bool if field.name in flags else torch.long), field.name
 
 
 def test_moving_to_a_device_moves_every_tensor_and_nothing_else(restaurant: Domain):

@@ -11,12 +11,12 @@ from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
 from bbq_torchrl.simulator import ErrorModel, Simulator
 
 
-def make_env(domain, mode="mixed", **options):
+def make_env(domain, **options):
     return DialogueEnv(
         domain,
         batch_size=(2, 5),
         slot_error_prob=0.3,
-        slot_error_mode=mode,
+        slot_error_mode="mixed",
         intent_error_prob=0.2,
         schedule=ExtensionSchedule(start=1, every=1),
         seed=3,
@@ -42,20 +42,13 @@ def assert_same(one, other):
             assert torch.equal(before[key], after[key]), key
 
 
-@pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed"])
-def test_a_turn_never_waits_for_the_device(movie, mode):
-    env = make_env(movie, mode)
-    state = env.reset()
-    state["action"] = env.rand_action()["action"]
-    with NeverWaits():
-        env._step(state)
-
-
-def test_a_reset_never_waits_for_the_device(movie):
+def test_neither_a_turn_nor_a_reset_waits_for_the_device(movie):
     env = make_env(movie)
     state = env.reset()
+    state["action"] = env.rand_action()["action"]
     state["_reset"] = torch.rand(2, 5, 1) < 0.5
     with NeverWaits():
+        env._step(state)
         env._reset(state)
         env._reset()
 

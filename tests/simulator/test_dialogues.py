@@ -43,11 +43,3 @@ def test_a_dialogue_has_as_many_turns_as_acts_for_both_and_one_too_many(movie):
     assert Simulator(tensorize(movie), max_turn=10).max_agent_turns == 6
     with pytest.raises(ValueError, match="max_turn must be at least 2, got 1"):
         Simulator(tensorize(movie), max_turn=1)
-
-
-def test_only_domains_with_multiple_choices_have_values_to_choose_from(movie):
-    domain = tensorize(movie)
-    tracker = Simulator(domain).tracker
-    agent = tracker.complete(torch.zeros(domain.n_slots, dtype=torch.long), torch.tensor(0))
-    with pytest.raises(ValueError, match="no action of kind 'multiple_choice'"):
-        agent.choose(torch.tensor(0.5))
