@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
-
-from .policies import careful, follow
 
 if TYPE_CHECKING:
     from random import Random
 
     from .dialogue import Dialogue, World
+
+Policy = Callable[["Dialogue"], str]
 
 STRAYS = (1.0, 0.3, 0.1, 0.0)
 """How often the agents stray from their script; the first kind is random altogether."""
@@ -44,7 +45,7 @@ class StrayingAgent:
 
     def act(self, dialogue: Dialogue) -> str:
         """Returns the name of a legal action."""
-        if self._strays():
+        if self.random.random() < self.stray:
             return self.random.choice(self.odd if self.random.random() < ODD else self.legal)
         action = "thanks" if self.has_asked_again else self.policy(dialogue)
         if action == "thanks" and not dialogue.user.faults():
@@ -57,5 +58,29 @@ class StrayingAgent:
             return "closing"
         return action if action in self.legal else self.random.choice(self.legal)
 
-    def _strays(self) -> bool:
-        return self.random.random() < self.stray
+
+def follow(script: Sequence[str]) -> Policy:
+    """Returns an agent that says its script whatever the user says."""
+    return lambda dialogue: script[min(dialogue.turn_count // 2, len(script) - 1)]
+
+
+def careful(asked: Sequence[str]) -> Policy:
+    """Returns an agent that asks for what is unfilled, answers requests, offers, and thanks."""
+
+    def act(dialogue: Dialogue) -> str:
+        tracker = dialogue.tracker
+        if tracker.agent_act is None or tracker.agent_act == "request":
+            requested = [asked.index(slot) for slot in tracker.agent_requests if slot in asked]
+            already = max(requested, default=-1)
+            for slot in asked[already + 1 :]:
+                if slot not in tracker.held:
+                    return f"request({slot})"
+        if dialogue.world.domain.complete_slot in tracker.agent_informs:
+            return "thanks"
+        for slot in dialogue.world.slots:
+            is_open = slot in tracker.user_requests and slot != dialogue.world.domain.ticket_slot
+            if is_open and f"inform({slot})" in dialogue.world.action_names:
+                return f"inform({slot})"
+        return f"inform({dialogue.world.domain.complete_slot})"
+
+    return act

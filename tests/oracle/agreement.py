@@ -135,7 +135,6 @@ class Comparison:
         active = setting.active(domain)
         self.world = World(
             domain,
-            value_order=dict(zip(domain.slots, tensors.vocabulary, strict=True)),
             active=active,
             slot_error_prob=setting.slot_error_prob,
             slot_error_mode=setting.slot_error_mode,
@@ -198,35 +197,16 @@ class Comparison:
         expected["features"] = [dialogues[number].features() for number in going]
         assert got.keys() == expected.keys()
         for key, values in expected.items():
-            wanted = torch.tensor(values, dtype=got[key].dtype)
-            if not torch.equal(wanted, got[key]):
-                self.explain(key, wanted, got[key], going, dialogues)
-
-    def explain(
-        self,
-        key: str,
-        wanted: torch.Tensor,
-        got: torch.Tensor,
-        going: list[int],
-        dialogues: list[Dialogue],
-    ) -> None:
-        """Raises an AssertionError that shows the first dialogue that differs."""
-        assert wanted.shape == got.shape, f"{key} has shape {got.shape}, not {wanted.shape}"
-        differs = (wanted != got).flatten(1).any(1) if wanted.dim() > 1 else wanted != got
-        row = int(differs.nonzero()[0])
-        dialogue = dialogues[going[row]]
-        where = (wanted[row] != got[row]).nonzero().flatten().tolist()
-        names = self.codec.slots
-        at = [names[place] for place in where] if wanted.shape[1:] == (len(names),) else where
-        raise AssertionError(
-            f"{key} differs in {int(differs.sum())} of {len(going)} dialogues; in the first at "
-            f"{at}: the oracle has {wanted[row].tolist()}, the simulator {got[row].tolist()}\n"
-            f"goal: {dialogue.user.constraints}, wants {dialogue.user.requests}\n"
-            f"agent: {self.said[going[row]]}\n"
-            f"user: {dialogue.user.act} {dialogue.user.informs}, pending {dialogue.user.pending}, "
-            f"agenda {dialogue.user.agenda}, history {dialogue.user.history}\n"
-            f"held: {dialogue.tracker.held}"
-        )
+            wanted, found = torch.tensor(values, dtype=got[key].dtype), got[key]
+            assert wanted.shape == found.shape, key
+            differs = (wanted != found).reshape(len(going), -1).any(1).nonzero().flatten().tolist()
+            if differs:
+                row, dialogue = differs[0], dialogues[going[differs[0]]]
+                raise AssertionError(
+                    f"{key}: the oracle has {wanted[row].tolist()}, the simulator "
+                    f"{found[row].tolist()}\nagent: {self.said[going[row]]}\n"
+                    f"user: {vars(dialogue.user)}\ntracker: {vars(dialogue.tracker)}"
+                )
 
 
 def rows_of(draws: TensorDict, numbers: list[int]) -> list[dict[str, Any]]:

@@ -14,7 +14,7 @@ from .user import User
 from .values import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable
 
     from bbq_torchrl.domains.domain import Action, Domain
 
@@ -41,7 +41,6 @@ class World:
         self,
         domain: Domain,
         *,
-        value_order: Mapping[str, Sequence[str]] | None = None,
         active: Iterable[str] | None = None,
         slot_error_prob: float = 0.0,
         slot_error_mode: str = "value",
@@ -55,8 +54,7 @@ class World:
         self.active = set(self.slots if active is None else active)
         self.max_turn = max_turn
         self.fired: Counter[str] = Counter()
-        order = value_order_of(domain) if value_order is None else value_order
-        self.shelf = Shelf(domain.records, domain.free_slots, order)
+        self.shelf = Shelf(domain.records, domain.free_slots, value_order_of(domain))
         self.noise = Noise(
             slots=self.slots,
             acts=self.acts,
