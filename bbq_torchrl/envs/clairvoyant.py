@@ -12,7 +12,7 @@ from bbq_torchrl.domains.values import DONT_CARE, NONE
 from bbq_torchrl.simulator.bits import pack, popcount
 
 if TYPE_CHECKING:
-    from tensordict import NestedKey, TensorDictBase
+    from tensordict import TensorDictBase
     from torchrl.envs import EnvBase
 
 __all__ = ["ClairvoyantPolicy"]
@@ -41,8 +41,6 @@ class ClairvoyantPolicy(TensorDictModuleBase):
     Args:
         env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms; the policy plays
             in no other one.
-        mask_key: bool ``[*batch, N]``, the legal actions.
-        action_key: where the action is written, int64 ``[*batch]``.
 
     Example:
         >>> from bbq_torchrl.domains import movie_domain
@@ -53,16 +51,9 @@ class ClairvoyantPolicy(TensorDictModuleBase):
         True
     """
 
-    def __init__(
-        self,
-        env: EnvBase,
-        *,
-        mask_key: NestedKey = "action_mask",
-        action_key: NestedKey = "action",
-    ) -> None:
+    def __init__(self, env: EnvBase) -> None:
         super().__init__()
-        self.mask_key, self.action_key = mask_key, action_key
-        self.in_keys, self.out_keys = [mask_key], [action_key]
+        self.in_keys, self.out_keys = ["action_mask"], ["action"]
         domain, tensors = env.domain, env.simulator.domain
         names = domain.action_names
         self._request = _actions_of_slots(names, "request", domain.slots).to(env.device)
@@ -82,7 +73,7 @@ class ClairvoyantPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that comes next."""
         state = self._dialogues()
-        is_legal = tensordict.get(self.mask_key)
+        is_legal = tensordict.get("action_mask")
         may_request, may_inform = _legal(is_legal, self._request), _legal(is_legal, self._inform)
         constraints, held, agenda = state["constraints"], state["held"], state["agenda"]
         is_constraint = constraints != NONE
@@ -105,7 +96,7 @@ class ClairvoyantPolicy(TensorDictModuleBase):
         action = torch.where(is_unsaid, self._go_on, action)
         action = torch.where(wrong.any(-1), self._first(wrong), action)
         action = torch.where(all_at_once.any(-1), self._first(all_at_once), action)
-        return tensordict.set(self.action_key, action)
+        return tensordict.set("action", action)
 
     def _first(self, slots: torch.Tensor) -> torch.Tensor:
         """Returns the request of the first of the slots, long ``[*B]``; of any where none is."""

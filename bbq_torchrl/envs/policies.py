@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.simulator import FeatureLayout
 
 __all__ = ["PRIVILEGED_POLICY", "RANDOM_POLICY", "scripted_policy"]
 
@@ -56,25 +55,5 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
     if specification.kind == "script":
         policy = SequencePolicy([domain.action_index(step) for step in specification.steps])
     else:
-        policy = _careful(domain, env.layout, specification.steps)
+        policy = CarefulPolicy(env, specification.steps)
     return policy.to(env.device)
-
-
-def _careful(domain: Domain, layout: FeatureLayout, slots: tuple[str, ...]) -> CarefulPolicy:
-    """Returns the careful policy that requests the given slots."""
-    answers = [
-        slot
-        for slot in domain.slots
-        if slot not in domain.special_slots and f"inform({slot})" in domain.action_names
-    ]
-    return CarefulPolicy(
-        request_actions=[domain.action_index(f"request({slot})") for slot in slots],
-        requested_columns=[layout.column("agent_requested", slot) for slot in slots],
-        filled_columns=[layout.column("filled", slot) for slot in slots],
-        answer_actions=[domain.action_index(f"inform({slot})") for slot in answers],
-        asked_columns=[layout.column("user_requested", slot) for slot in answers],
-        answered_column=layout.column("agent_act", "inform"),
-        complete_action=domain.action_index(f"inform({domain.complete_slot})"),
-        complete_column=layout.column("agent_informed", domain.complete_slot),
-        end_action=domain.action_index("thanks"),
-    )

@@ -8,9 +8,10 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from tensordict import NestedKey, TensorDictBase
+    from torchrl.envs import EnvBase
 
 __all__ = ["CarefulPolicy", "SequencePolicy", "UniformPolicy"]
 
@@ -57,100 +58,54 @@ class SequencePolicy(TensorDictModuleBase):
 
 
 class CarefulPolicy(TensorDictModuleBase):
-    """Fills in a form, answers what it is asked, completes and ends; all from flags it observes.
+    """Asks for what is unfilled, answers what it is asked, offers a booking and ends.
 
-    It goes through its requests in order and leaves out those whose field is filled. After the last
-    of them it answers the first open question, one a turn, until there is none; then it plays
-    ``complete_action``, then ``end_action``. Illegal requests and answers are left out.
+    All from flags that it observes. It goes through its requests in order and leaves out those
+    whose slot is filled. After the last of them it answers the first open question, one a turn,
+    until there is none; then it offers the booking, then it ends. Illegal requests and answers are
+    left out.
 
     Args:
-        request_actions: the requests in order, ``K`` actions.
-        requested_columns: for each of them the feature that flags it as the agent's last act.
-        filled_columns: for each of them the feature that flags its field as filled.
-        answer_actions: the answers in order of preference, ``J`` actions.
-        asked_columns: for each of them the feature that flags its question as open.
-        answered_column: the feature that flags that the agent's last act was an answer.
-        complete_action: what to play when nothing is left to request or to answer.
-        complete_column: the feature that flags that the agent's last act was ``complete_action``.
-        end_action: what to play after that.
-        observation_key: float ``[*batch, F]``, a flag is set where it is above 0.
-        mask_key: bool ``[*batch, N]``, the legal actions; ``None`` where all are.
-        action_key: where the action is written, int64 ``[*batch]``.
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms, whose domain's
+            actions it plays.
+        slots: the slots that it requests, in order.
 
     Raises:
-        ValueError: if a list of columns is not as long as its list of actions.
+        ValueError: if the domain has no action that it takes.
     """
 
-    request_actions: torch.Tensor
-    requested_columns: torch.Tensor
-    filled_columns: torch.Tensor
-    answer_actions: torch.Tensor
-    asked_columns: torch.Tensor
-
-    def __init__(
-        self,
-        *,
-        request_actions: Sequence[int],
-        requested_columns: Sequence[int],
-        filled_columns: Sequence[int],
-        answer_actions: Sequence[int],
-        asked_columns: Sequence[int],
-        answered_column: int,
-        complete_action: int,
-        complete_column: int,
-        end_action: int,
-        observation_key: NestedKey = "observation",
-        mask_key: NestedKey | None = "action_mask",
-        action_key: NestedKey = "action",
-    ) -> None:
+    def __init__(self, env: EnvBase, slots: Sequence[str]) -> None:
         super().__init__()
-        columns = {
-            "requested_columns": (requested_columns, request_actions),
-            "filled_columns": (filled_columns, request_actions),
-            "asked_columns": (asked_columns, answer_actions),
-        }
-        for name, (given, actions) in columns.items():
-            if len(given) != len(actions):
-                raise ValueError(
-                    f"{name} must have one column for each of the {len(actions)} actions, "
-                    f"got {len(given)}"
-                )
-        lists = {
-            "request_actions": request_actions,
-            "requested_columns": requested_columns,
-            "filled_columns": filled_columns,
-            "answer_actions": answer_actions,
-            "asked_columns": asked_columns,
-        }
-        for name, values in lists.items():
-            self.register_buffer(name, torch.tensor(values, dtype=torch.int64))
-        self.answered_column, self.complete_column = answered_column, complete_column
-        self.complete_action, self.end_action = complete_action, end_action
-        self.observation_key, self.mask_key = observation_key, mask_key
-        self.action_key = action_key
-        self.in_keys = [observation_key] if mask_key is None else [observation_key, mask_key]
-        self.out_keys = [action_key]
+        self.in_keys, self.out_keys = ["observation", "action_mask"], ["action"]
+        domain, layout = env.domain, env.layout
+        answers = [
+            slot
+            for slot in domain.slots
+            if slot not in domain.special_slots and f"inform({slot})" in domain.action_names
+        ]
+        offer = f"inform({domain.complete_slot})"
+        plan = [*(f"request({slot})" for slot in slots), *(f"inform({slot})" for slot in answers)]
+        self._plan = _indices(domain.action_index(name) for name in (*plan, offer))
+        self._requested = _indices(layout.column("agent_requested", slot) for slot in slots)
+        self._filled = _indices(layout.column("filled", slot) for slot in slots)
+        self._asked = _indices(layout.column("user_requested", slot) for slot in answers)
+        self._answered = layout.column("agent_act", "inform")
+        self._offered = layout.column("agent_informed", domain.complete_slot)
+        self._end = domain.action_index("thanks")
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that comes next."""
-        flags = tensordict.get(self.observation_key) > 0
-        positions = torch.arange(self.request_actions.shape[0], device=flags.device)
-        was_requested = flags[..., self.requested_columns]
-        position = torch.where(was_requested, positions, -1).amax(-1, keepdim=True)
-        has_answered = flags[..., self.answered_column, None]
-        may_request = ~flags[..., self.filled_columns] & (positions > position) & ~has_answered
-        may_answer = flags[..., self.asked_columns]
-        if self.mask_key is not None:
-            is_legal = tensordict.get(self.mask_key)
-            may_request = may_request & is_legal[..., self.request_actions]
-            may_answer = may_answer & is_legal[..., self.answer_actions]
-        has_offered = flags[..., self.complete_column]
-        action = torch.where(has_offered, self.end_action, self.complete_action)
-        action = torch.where(
-            may_answer.any(-1) & ~has_offered, _first(self.answer_actions, may_answer), action
-        )
-        action = torch.where(may_request.any(-1), _first(self.request_actions, may_request), action)
-        return tensordict.set(self.action_key, action)
+        flags, is_legal = tensordict.get("observation") > 0, tensordict.get("action_mask")
+        positions = torch.arange(len(self._filled), device=flags.device)
+        position = torch.where(flags[..., self._requested], positions, -1).amax(-1, keepdim=True)
+        has_answered = flags[..., self._answered, None]
+        may_request = ~flags[..., self._filled] & (positions > position) & ~has_answered
+        may_offer = torch.ones_like(has_answered)
+        is_open = torch.cat([may_request, flags[..., self._asked], may_offer], -1)
+        is_open = is_open & is_legal[..., self._plan]
+        action = self._plan[is_open.to(torch.uint8).argmax(-1)]
+        action = torch.where(flags[..., self._offered], self._end, action)
+        return tensordict.set("action", action)
 
 
 class UniformPolicy(TensorDictModuleBase):
@@ -181,8 +136,5 @@ class UniformPolicy(TensorDictModuleBase):
         return tensordict.set(self.action_key, torch.where(mask, uniform, -1.0).argmax(-1))
 
 
-def _first(actions: torch.Tensor, is_possible: torch.Tensor) -> torch.Tensor:
-    """Returns the first possible action, int64 ``[*batch]``."""
-    if actions.shape[0] == 0:
-        return torch.zeros(is_possible.shape[:-1], dtype=torch.int64, device=is_possible.device)
-    return actions[is_possible.to(torch.uint8).argmax(-1)]
+def _indices(numbers: Iterable[int]) -> torch.nn.Buffer:
+    return torch.nn.Buffer(torch.tensor(list(numbers), dtype=torch.int64))

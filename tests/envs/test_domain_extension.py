@@ -22,6 +22,7 @@ def test_a_slot_comes_every_ten_rounds_after_forty(movie):
     schedule = ExtensionSchedule()
     essential = set(movie.essential)
     assert set(schedule.active(movie, 0)) == set(schedule.active(movie, 39)) == essential
+    assert schedule.additions(movie) == dict(zip(PAPER, movie.extension_order, strict=True))
     for position, round_number in enumerate(PAPER):
         added = set(movie.extension_order[: position + 1])
         assert set(schedule.active(movie, round_number)) == essential | added
@@ -29,18 +30,11 @@ def test_a_slot_comes_every_ten_rounds_after_forty(movie):
     assert set(schedule.active(movie, 10_000)) == essential | set(movie.extension_order)
 
 
-def test_slots_can_be_chosen(movie):
-    schedule = ExtensionSchedule(slots=("zip", "price"), start=2, every=3)
-    added = [set(schedule.active(movie, r)) - set(movie.essential) for r in range(7)]
-    assert added == [set(), set(), {"zip"}, {"zip"}, {"zip"}, {"zip", "price"}, {"zip", "price"}]
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"start": -1}, "start must be a round, 0 or later, got -1"),
         ({"every": 0}, "every must be at least 1 round, got 0"),
-        ({"slots": ("zip", "zip")}, "slots must be different from each other"),
     ],
 )
 def test_a_schedule_that_makes_no_sense_is_refused(settings, message):
@@ -48,9 +42,7 @@ def test_a_schedule_that_makes_no_sense_is_refused(settings, message):
         ExtensionSchedule(**settings)
 
 
-def test_unknown_slots_and_rounds_are_refused(movie):
-    with pytest.raises(ValueError, match="adds cuisine, but domain 'movie' has only actor, "):
-        DialogueEnv(movie, schedule=ExtensionSchedule(slots=("cuisine",)))
+def test_a_round_below_0_is_refused(movie):
     for schedule in (None, ExtensionSchedule()):
         with pytest.raises(ValueError, match="round must be 0 or later, got -1"):
             DialogueEnv(movie, schedule=schedule).set_round(-1)
@@ -120,7 +112,6 @@ def test_a_slot_with_actions_that_no_round_would_activate_is_refused(restaurant)
     domain = replace(restaurant, extension_order=("price_range", "phone"))
     with pytest.raises(ValueError, match=r"never activate restaurant, .* in essential or in exten"):
         DialogueEnv(domain, batch_size=(2,), schedule=ExtensionSchedule())
-    DialogueEnv(domain, batch_size=(2,), schedule=ExtensionSchedule(slots=("phone",)))
     DialogueEnv(domain, batch_size=(2,))
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
+from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
 
 
@@ -55,15 +57,6 @@ def test_the_careful_policy_asks_what_is_unfilled_answers_offers_and_ends(movie)
     assert len({len(line) for line in dialogues}) > 3
 
 
-def test_the_careful_policy_leaves_illegal_requests_out(movie):
-    env = DialogueEnv(
-        movie, batch_size=(50,), seed=0, slot_error_prob=0.0, schedule=ExtensionSchedule()
-    )
-    for line in played(env, scripted_policy("careful", env)):
-        slots = {step.partition("(")[2].rstrip(")") for step in line} - {""}
-        assert slots <= set(movie.essential)
-
-
 def test_every_domain_brings_its_own_policies(restaurant):
     env = DialogueEnv(restaurant, batch_size=(200,), seed=0, slot_error_prob=0.0)
     rates = {}
@@ -96,56 +89,42 @@ def test_an_unknown_policy_is_refused(movie):
         scripted_policy("clever", env)
 
 
-FORM = {
-    # observation: requested 0 1, filled 2 3, asked 4, answered 5, completed 6
-    "request_actions": [10, 11],
-    "requested_columns": [0, 1],
-    "filled_columns": [2, 3],
-    "answer_actions": [12],
-    "asked_columns": [4],
-    "answered_column": 5,
-    "complete_action": 13,
-    "complete_column": 6,
-    "end_action": 14,
-}
-
-
 @pytest.mark.parametrize(
     ("flags", "action"),
     [
-        ((), 10),
-        ((2,), 11),
-        ((0,), 11),
-        ((1,), 13),
-        ((2, 3), 13),
-        ((2, 3, 4), 12),
-        ((4,), 10),
-        ((5,), 13),
-        ((5, 4), 12),
-        ((5, 6, 4), 14),
+        ("", "request(city)"),
+        ("filled:city", "request(date)"),
+        ("agent_requested:city", "request(date)"),
+        ("agent_requested:date", "inform(taskcomplete)"),
+        ("filled:city filled:date", "inform(taskcomplete)"),
+        ("filled:city filled:date user_requested:theater", "inform(theater)"),
+        ("filled:city filled:date user_requested:zip", "inform(taskcomplete)"),  # zip is masked
+        ("user_requested:theater", "request(city)"),
+        ("agent_act:inform", "inform(taskcomplete)"),
+        ("agent_act:inform user_requested:theater", "inform(theater)"),
+        ("agent_act:inform agent_informed:taskcomplete user_requested:theater", "thanks"),
     ],
 )
-def test_the_form_is_filled_in_order(flags, action):
-    observation = torch.tensor([[float(column in flags) for column in range(7)]])
-    td = TensorDict(observation=observation, batch_size=[1])
-    assert CarefulPolicy(**FORM, mask_key=None)(td)["action"].tolist() == [action]
+def test_the_form_is_filled_in_order(movie, flags, action):
+    env = DialogueEnv(movie)
+    observation = torch.tensor([[float(name in flags.split()) for name in env.layout.names]])
+    legal = torch.tensor([["zip" not in name for name in movie.action_names]])
+    td = TensorDict(observation=observation, action_mask=legal, batch_size=[1])
+    policy = CarefulPolicy(env, ["city", "date", "zip"] if "zip" in flags else ["city", "date"])
+    assert movie.action_names[policy(td)["action"]] == action
 
 
-def test_an_illegal_answer_is_left_out():
-    td = TensorDict(
-        observation=torch.tensor([[0.0, 0, 1, 1, 1, 0, 0]]),
-        action_mask=torch.arange(15)[None] != 12,
-        batch_size=[1],
+def test_a_policy_without_answers_offers_at_once(movie):
+    mute = replace(
+        movie,
+        actions=tuple(
+            action
+            for action in movie.actions
+            if action.kind != "inform" or action.slot in movie.special_slots
+        ),
+        policies={},
     )
-    assert CarefulPolicy(**FORM)(td)["action"].tolist() == [13]
-
-
-def test_a_policy_without_answers_offers_at_once():
-    form = FORM | {"answer_actions": [], "asked_columns": []}
-    td = TensorDict(observation=torch.tensor([[0.0, 0, 1, 1, 1, 0, 0]]), batch_size=[1])
-    assert CarefulPolicy(**form, mask_key=None)(td)["action"].tolist() == [13]
-
-
-def test_columns_that_do_not_fit_their_actions_are_refused():
-    with pytest.raises(ValueError, match="filled_columns must have one column for each of the 2"):
-        CarefulPolicy(**FORM | {"filled_columns": [2]})
+    env = DialogueEnv(mute, batch_size=(3,), seed=0)
+    rollout = env.rollout(3, CarefulPolicy(env, ["price"]), break_when_any_done=False)
+    names = [mute.action_names[action] for action in rollout["action"][0]]
+    assert names == ["request(price)", "inform(taskcomplete)", "thanks"]

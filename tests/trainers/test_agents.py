@@ -39,7 +39,7 @@ AGENTS = {
 def make_trainer(domain: Domain, agent: str, folder: Path, rounds: int = 3) -> RoundTrainer:
     torch.manual_seed(0)
     replicas = 3
-    schedule = ExtensionSchedule(domain.extension_order, start=1, every=1)
+    schedule = ExtensionSchedule(start=1, every=1)
     env = DialogueEnv(domain, batch_size=(replicas, 6), schedule=schedule, seed=0)
     spec = env.action_spec_unbatched
     features = env.observation_spec["observation"].shape[-1]
