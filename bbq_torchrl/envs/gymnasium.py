@@ -6,7 +6,6 @@ Importing this module registers ``bbq_torchrl/MovieDialogue-v0``. It needs the p
 
 from __future__ import annotations
 
-import operator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,9 +23,6 @@ from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from bbq_torchrl.envs.schedule import ExtensionSchedule
-    from bbq_torchrl.simulator import SlotErrorMode
 
 __all__ = ["ENV_ID", "GymnasiumDialogue"]
 
@@ -56,15 +52,9 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
 
     Args:
         domain: what the dialogues are about: a domain, or its folder; None: movie tickets.
-        slot_error_prob: see :class:`~bbq_torchrl.envs.DialogueEnv`, as those that follow.
-        slot_error_mode: what becomes of a slot that is misunderstood.
-        intent_error_prob: probability that the user's act is misunderstood.
-        max_turn: acts of both sides after which a dialogue has failed.
-        success_reward: reward of the turn that ends a dialogue in success.
-        failure_reward: reward of the turn that ends a dialogue otherwise.
-        turn_reward: reward of every other turn.
-        schedule: domain extension, whose round :meth:`set_round` enters; None: all slots.
         render_mode: ``"ansi"``: ``render()`` returns the last turn as text.
+        **settings: those of :class:`~bbq_torchrl.envs.DialogueEnv`, such as ``slot_error_prob``,
+            ``max_turn``, the rewards, and ``schedule``, whose round :meth:`set_round` enters.
 
     Raises:
         ValueError: if a setting is out of range, or the domain's folder holds none.
@@ -86,32 +76,15 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         self,
         domain: Domain | Path | str | None = None,
         *,
-        slot_error_prob: float | None = None,
-        slot_error_mode: SlotErrorMode = "value",
-        intent_error_prob: float = 0.0,
-        max_turn: int = 40,
-        success_reward: float = 40.0,
-        failure_reward: float = -10.0,
-        turn_reward: float = -1.0,
-        schedule: ExtensionSchedule | None = None,
         render_mode: str | None = None,
+        **settings: Any,
     ) -> None:
         if domain is None:
             domain = movie_domain()
         elif not isinstance(domain, Domain):
             domain = load_domain(Path(domain))
         self.render_mode = render_mode
-        self._dialogue = DialogueEnv(
-            domain,
-            slot_error_prob=slot_error_prob,
-            slot_error_mode=slot_error_mode,
-            intent_error_prob=intent_error_prob,
-            max_turn=max_turn,
-            success_reward=success_reward,
-            failure_reward=failure_reward,
-            turn_reward=turn_reward,
-            schedule=schedule,
-        )
+        self._dialogue = DialogueEnv(domain, batch_size=(), **settings)
         self._transcript = Transcript(tensorize(domain))
         self._is_seeded = False
         self._is_over = True
@@ -171,11 +144,11 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         """
         if self._is_over:
             raise ResetNeeded("there is no dialogue under way: call reset() first")
-        index = _index(action)
-        actions = len(self.domain.actions)
-        if not 0 <= index < actions:
-            raise ValueError(f"action must be an integer from 0 to {actions - 1}, got {action!r}")
-        played = self._dialogue.step(TensorDict({"action": torch.tensor(index)}))["next"]
+        index = np.asarray(action).squeeze()
+        if not self.action_space.contains(index):
+            last = len(self.domain.actions) - 1
+            raise ValueError(f"action must be an integer from 0 to {last}, got {action!r}")
+        played = self._dialogue.step(TensorDict({"action": torch.tensor(int(index))}))["next"]
         self._is_over = bool(played["terminated"])
         return (
             played["observation"].numpy(),
@@ -199,14 +172,6 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
             "goal_id": int(told["goal_id"]),
             "action_mask": self.action_masks().astype(np.int8),
         }
-
-
-def _index(action: Any) -> int:
-    """Returns an action as an integer, -1 where it is none."""
-    try:
-        return operator.index(action.item() if isinstance(action, np.ndarray) else action)
-    except (TypeError, ValueError):
-        return -1
 
 
 def _observation_space(env: DialogueEnv) -> Box:

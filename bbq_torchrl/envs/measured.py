@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
+from functools import reduce
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
@@ -162,14 +163,8 @@ class _Recorder:
         coding = channel.coding
         self._acts, self._slots = coding.acts, coding.slots
         self._text = coding.text
-        self._act_counts: dict[str, Counter[str]] = defaultdict(Counter)
-        self._values: dict[str, dict[str, dict[str, Counter[str]]]] = {
-            context: defaultdict(lambda: defaultdict(Counter)) for context in CONTEXTS
-        }
-        self._inserted: dict[str, Counter[str]] = defaultdict(Counter)
-        self._requests: dict[str, dict[str, list[int]]] = defaultdict(
-            lambda: defaultdict(lambda: [0, 0])
-        )
+        self._counted: Counter[tuple[str, ...]] = Counter()
+        self._asked: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
 
     def to(self, device: torch.device | str) -> _Recorder:
         return self
@@ -225,7 +220,8 @@ class _Recorder:
         self.turns += 1
         acts, slots, text = self._acts, self._slots, self._text
         manner = "asking" if any(heard_requests) else "silent"
-        self._act_counts[f"{question} {acts[act]} {manner}"][acts[heard_act]] += 1
+        counted = self._counted
+        counted["acts", f"{question} {acts[act]} {manner}", acts[heard_act]] += 1
         values = list(enumerate(zip(informs, heard_informs, strict=True)))
         lost = [slot for slot, (said, heard) in values if said and not heard]
         new = [slot for slot, (said, heard) in values if heard and not said]
@@ -236,30 +232,27 @@ class _Recorder:
             place = moved[1] if moved and moved[0] == slot else slot
             value = heard_informs[place]
             name = f"{slots[place]}={text(place, value)}" if value else ""
-            self._values[contexts[slot]][slots[slot]][text(slot, said)][name] += 1
-        inserted = self._inserted[asks_or_question]
-        inserted["turns"] += 1
+            counted["values", contexts[slot], slots[slot], text(slot, said), name] += 1
+        counted["inserted", asks_or_question, "turns"] += 1
         for slot in [] if moved else new[:1]:
-            inserted[f"{slots[slot]}={text(slot, heard_informs[slot])}"] += 1
+            name = f"{slots[slot]}={text(slot, heard_informs[slot])}"
+            counted["inserted", asks_or_question, name] += 1
         count = min(sum(requests), MOST_REQUESTS)
         for slot, name in enumerate(slots):
             said_ = "said" if requests[slot] else "unsaid"
-            pair = self._requests[f"{count} {said_} {contexts[slot]}"][name]
+            pair = self._asked[f"{count} {said_} {contexts[slot]}", name]
             pair[0] += heard_requests[slot]
             pair[1] += 1
 
     def counts(self) -> dict[str, Any]:
         """Returns the counts as plain data, in an order that does not depend on chance."""
-        return {
-            "acts": _sorted(self._act_counts),
-            "values": {
-                context: {slot: _sorted(values) for slot, values in sorted(found.items())}
-                for context, found in self._values.items()
-            },
-            "inserted": _sorted(self._inserted),
-            "requests": {key: dict(found) for key, found in sorted(self._requests.items())},
+        counts: dict[str, Any] = {
+            "acts": {},
+            "values": {context: {} for context in CONTEXTS},
+            "inserted": {},
+            "requests": {},
         }
-
-
-def _sorted(counts: dict[str, Counter[str]]) -> dict[str, dict[str, int]]:
-    return {key: dict(sorted(found.items())) for key, found in sorted(counts.items())}
+        asked = {("requests", *path): pair for path, pair in self._asked.items()}
+        for (*above, last), number in sorted({**self._counted, **asked}.items()):
+            reduce(lambda found, key: found.setdefault(key, {}), above, counts)[last] = number
+        return counts
