@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -210,11 +211,11 @@ def test_an_evaluation_refuses_errors_that_sentences_do_not_have(movie, override
         config.env.make(movie, (1, 2))
 
 
-def counted(domain, monkeypatch, **settings):
+def counted(domain, monkeypatch, turns=500, trained=None, **settings):
     channel, _ = channel_of(domain, **settings)
     monkeypatch.setattr(measured, "text_channel", lambda _: channel)
     monkeypatch.setattr(measured, "_BATCH", 60)
-    text = measured.errors_text(measured.count_errors(domain, 500))
+    text = measured.errors_text(measured.count_errors(domain, turns, trained=trained))
     return json.loads(text), text
 
 
@@ -249,11 +250,8 @@ def test_who_is_always_understood_is_counted_so(restaurant, monkeypatch):
 
 
 def test_trained_agents_play_half_of_what_is_counted(movie, monkeypatch):
-    channel, _ = channel_of(movie)
-    monkeypatch.setattr(measured, "text_channel", lambda _: channel)
-    monkeypatch.setattr(measured, "_BATCH", 40)
     tells = SequencePolicy([movie.action_index("inform(zip)")])  # and never anything else
-    counts = measured.count_errors(movie, 800, trained={"own": tells})
+    counts, _ = counted(movie, monkeypatch, 800, {"own": tells})
     assert counts["trained"] == ["own"]
     told = sum(n for key, found in counts["acts"].items() if key.startswith("inform ")
                for n in found.values())  # fmt: skip
@@ -264,10 +262,5 @@ def test_a_domain_without_counts_is_told_how_to_make_them(restaurant, movie, tmp
     with pytest.raises(ValueError, match=r"language count --domain"):
         measured.load_errors(restaurant)
     (tmp_path / measured.ERRORS_FILE).write_text('{"values": {"opening": 3}}', encoding="utf-8")
-    moved = type(movie)(**{**vars_of(movie), "folder": tmp_path})
     with pytest.raises(ValueError, match=re.escape(str(tmp_path))):
-        measured.load_errors(moved)
-
-
-def vars_of(domain):
-    return {name: getattr(domain, name) for name in domain.__dataclass_fields__}
+        measured.load_errors(replace(movie, folder=tmp_path))
