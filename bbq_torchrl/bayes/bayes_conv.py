@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from math import prod
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import torch.nn.functional as F
 
-from bbq_torchrl.bayes.layers import BayesLayer, MeanInit
+from bbq_torchrl.bayes.layers import BayesLayer, LayerSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import torch
     from torch import Tensor
+    from typing_extensions import Unpack
 
 __all__ = ["BayesConv2d"]
 
@@ -62,12 +60,7 @@ class BayesConv2d(BayesLayer):
         *,
         stride: int | tuple[int, int] = 1,
         padding: int | tuple[int, int] = 0,
-        replicas: int | Sequence[int] = (),
-        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
-        mean_init: MeanInit = "zero",
-        std_init: float | Tensor | None = None,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype | None = None,
+        **settings: Unpack[LayerSettings],
     ) -> None:
         kernel = (kernel_size, kernel_size) if isinstance(kernel_size, int) else tuple(kernel_size)
         if min(in_channels, out_channels, *kernel) < 1:
@@ -79,16 +72,7 @@ class BayesConv2d(BayesLayer):
         self.kernel_size = kernel
         self.stride, self.padding = stride, padding
         inputs = in_channels * prod(kernel)
-        super().__init__(
-            [(inputs + 1) * out_channels],
-            [inputs],
-            replicas=replicas,
-            prior_std=prior_std,
-            mean_init=mean_init,
-            std_init=std_init,
-            device=device,
-            dtype=dtype,
-        )
+        super().__init__([(inputs + 1) * out_channels], [inputs], **settings)
 
     def run(self, x: Tensor, weights: Tensor) -> Tensor:
         """Returns the outputs [*replicas, *batch, out_channels, height, width] with these weights.

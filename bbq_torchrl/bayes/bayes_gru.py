@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from math import prod
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from bbq_torchrl.bayes.layers import BayesLayer, MeanInit
+from bbq_torchrl.bayes.layers import BayesLayer, LayerSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from typing_extensions import Unpack
 
     from bbq_torchrl.bayes.scope import WeightMode
 
@@ -57,16 +57,7 @@ class BayesGRU(BayesLayer):
     """
 
     def __init__(
-        self,
-        input_size: int,
-        hidden_size: int,
-        *,
-        replicas: int | Sequence[int] = (),
-        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
-        mean_init: MeanInit = "zero",
-        std_init: float | Tensor | None = None,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype | None = None,
+        self, input_size: int, hidden_size: int, **settings: Unpack[LayerSettings]
     ) -> None:
         if min(input_size, hidden_size) < 1:
             raise ValueError(
@@ -74,16 +65,8 @@ class BayesGRU(BayesLayer):
             )
         self.input_size, self.hidden_size = input_size, hidden_size
         units = 3 * hidden_size
-        super().__init__(
-            [(input_size + 1) * units, (hidden_size + 1) * units],
-            [input_size, hidden_size],
-            replicas=replicas,
-            prior_std=prior_std,
-            mean_init=mean_init,
-            std_init=std_init,
-            device=device,
-            dtype=dtype,
-        )
+        groups = [(input_size + 1) * units, (hidden_size + 1) * units]
+        super().__init__(groups, [input_size, hidden_size], **settings)
 
     @torch.no_grad()
     def init_means_(self) -> None:

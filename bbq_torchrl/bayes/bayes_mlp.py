@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp, mlp_local
-from bbq_torchrl.bayes.layers import BayesLayer, MeanInit
+from bbq_torchrl.bayes.layers import BayesLayer, LayerSettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import torch
     from torch import Tensor
+    from typing_extensions import Unpack
 
 __all__ = ["BayesLinear", "BayesMLP"]
 
@@ -57,25 +57,11 @@ class BayesMLP(BayesLayer):
         in_features: int,
         out_features: int,
         hidden: Sequence[int] = (256, 256),
-        *,
-        replicas: int | Sequence[int] = (),
-        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
-        mean_init: MeanInit = "zero",
-        std_init: float | Tensor | None = None,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype | None = None,
+        **settings: Unpack[LayerSettings],
     ) -> None:
         self.layout = FlatLayout((in_features, *hidden, out_features))
-        super().__init__(
-            self.layout.layer_sizes,
-            [inputs for inputs, _ in self.layout.shapes],
-            replicas=replicas,
-            prior_std=prior_std,
-            mean_init=mean_init,
-            std_init=std_init,
-            device=device,
-            dtype=dtype,
-        )
+        fan_in = [inputs for inputs, _ in self.layout.shapes]
+        super().__init__(self.layout.layer_sizes, fan_in, **settings)
 
     @property
     def in_features(self) -> int:
@@ -133,25 +119,6 @@ class BayesLinear(BayesMLP):
     """
 
     def __init__(
-        self,
-        in_features: int,
-        out_features: int,
-        *,
-        replicas: int | Sequence[int] = (),
-        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
-        mean_init: MeanInit = "zero",
-        std_init: float | Tensor | None = None,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype | None = None,
+        self, in_features: int, out_features: int, **settings: Unpack[LayerSettings]
     ) -> None:
-        super().__init__(
-            in_features,
-            out_features,
-            (),
-            replicas=replicas,
-            prior_std=prior_std,
-            mean_init=mean_init,
-            std_init=std_init,
-            device=device,
-            dtype=dtype,
-        )
+        super().__init__(in_features, out_features, (), **settings)

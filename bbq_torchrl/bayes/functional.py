@@ -9,7 +9,6 @@ fill a vector of zeros for each layer and add them up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from math import prod, sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +26,6 @@ __all__ = ["FlatLayout", "as_rows", "init_linear_", "mlp", "mlp_local"]
 _relu_backward = torch.ops.aten.threshold_backward.grad_input
 
 
-@dataclass(frozen=True)
 class FlatLayout:
     """Where the weights and biases of an MLP lie in its flat vector.
 
@@ -48,24 +46,14 @@ class FlatLayout:
         (26, (16, 10))
     """
 
-    sizes: tuple[int, ...]
-    shapes: tuple[tuple[int, int], ...] = field(init=False, repr=False, compare=False)
-    layer_sizes: tuple[int, ...] = field(init=False, repr=False, compare=False)
-    numel: int = field(init=False, repr=False, compare=False)
-    _split_sizes: list[int] = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
+    def __init__(self, sizes: Sequence[int]) -> None:
+        self.sizes = tuple(sizes)
         if len(self.sizes) < 2 or any(n < 1 for n in self.sizes):
             raise ValueError(f"sizes must be at least two positive integers, got {self.sizes}")
-        shapes = tuple(zip(self.sizes[:-1], self.sizes[1:], strict=True))
-        # at once, and not as cached properties, which torch.compile does not trace
-        for name, value in {
-            "shapes": shapes,
-            "layer_sizes": tuple((i + 1) * o for i, o in shapes),
-            "numel": sum((i + 1) * o for i, o in shapes),
-            "_split_sizes": [n for i, o in shapes for n in (i * o, o)],
-        }.items():
-            object.__setattr__(self, name, value)
+        self.shapes = tuple(zip(self.sizes[:-1], self.sizes[1:], strict=True))
+        self.layer_sizes = tuple((i + 1) * o for i, o in self.shapes)
+        self.numel = sum(self.layer_sizes)
+        self._split_sizes = [n for i, o in self.shapes for n in (i * o, o)]
 
     def unflatten(self, flat: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Returns each layer's matrix [*lead, inputs, outputs] and bias [*lead, outputs], views.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, TypedDict, get_args
 
 import torch
 from torch import Tensor, nn
@@ -19,9 +19,20 @@ from bbq_torchrl.bayes.scope import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["BayesLayer", "MeanInit"]
+__all__ = ["BayesLayer", "LayerSettings", "MeanInit"]
 
 MeanInit = Literal["zero", "kaiming"]
+
+
+class LayerSettings(TypedDict, total=False):
+    """What every layer takes besides its sizes; :class:`BayesLayer` has meanings and defaults."""
+
+    replicas: int | Sequence[int]
+    prior_std: float | Tensor | Literal["fan_in"]
+    mean_init: MeanInit
+    std_init: float | Tensor | None
+    device: torch.device | str | None
+    dtype: torch.dtype | None
 
 
 class BayesLayer(nn.Module):

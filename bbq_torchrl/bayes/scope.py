@@ -118,7 +118,7 @@ class WeightScope:
 
     Attributes:
         mode: "draw", "local", "mean", or None to follow the exploration type.
-        weights: weights to use whatever the mode, by posterior (by module where there is none).
+        weights: weights to use whatever the mode, by posterior.
         noise: where the noise of weight draws comes from; None for new noise from torch's
             generator.
         kl: takes in the KL of the posteriors used, or None.

@@ -137,26 +137,6 @@ class _Draw(torch.autograd.Function):
         return grad_mu, grad_rho, None, None, None, None, None
 
 
-class _ClosedKL(torch.autograd.Function):
-    """(μ, ρ, p) to KL(N(μ, softplus(ρ)²) ‖ N(0, p²)), summed over the weights: [*replicas]."""
-
-    @staticmethod
-    def forward(ctx: Any, mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
-        inverse = prior_std.reciprocal()
-        ratio = F.softplus(rho).mul_(inverse).clamp_min_(_LEAST_RATIO)
-        ctx.save_for_backward(mu, rho, ratio, prior_std)
-        return _closed_kl_value(mu, ratio, inverse, torch.empty_like(ratio))
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, grad_kl: Tensor) -> tuple[Tensor, Tensor, None]:
-        mu, rho, ratio, prior_std = ctx.saved_tensors
-        scale = grad_kl.unsqueeze(-1) / prior_std
-        grad_rho = torch.sub(ratio, ratio.reciprocal())
-        grad_rho = torch.hardshrink(grad_rho, _SAME_STD * torch.finfo(rho.dtype).eps).mul_(scale)
-        return (scale / prior_std) * mu, grad_rho.mul_(torch.sigmoid(rho)), None
-
-
 def _closed_kl_value(mu: Tensor, ratio: Tensor, inverse: Tensor, scratch: Tensor) -> Tensor:
     """Returns ½ Σ (r² - 1) + ½ Σ (μ/p)² - Σ log r with r = σ/p, [*lead]."""
     log = _sum_log(ratio, scratch)
@@ -191,16 +171,21 @@ def _sum_square(x: Tensor, factor: Tensor | None, scratch: Tensor) -> Tensor:
     return (norm if factor is None else norm * factor.squeeze(-1)).square()
 
 
-def _plain_kl(
-    mu: Tensor, rho: Tensor, prior_std: Tensor, weights: Tensor | None, noise: Tensor
-) -> Tensor:
-    """Returns the KL [*replicas] by torch's own operations: closed, or sampled at ``weights``."""
+def closed_kl(mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
+    """Returns KL(N(μ, softplus(ρ)²) ‖ N(0, p²)) summed over the weights, [*replicas].
+
+    Differentiable in mu and rho; arguments as those of :func:`draw_with_kl`.
+    """
     ratio = (F.softplus(rho) / prior_std).clamp_min(_LEAST_RATIO)
     # where σ = p it is 1, without a gradient: see _SAME_STD
     is_same = (ratio - ratio.reciprocal()).abs() <= _SAME_STD * torch.finfo(rho.dtype).eps
-    ratio = torch.where(is_same, 1.0, ratio) if weights is None else ratio
-    if weights is None:
-        return (0.5 * (ratio.square() - 1 + (mu / prior_std).square()) - ratio.log()).sum(-1)
+    ratio = torch.where(is_same, 1.0, ratio)
+    return (0.5 * (ratio.square() - 1 + (mu / prior_std).square()) - ratio.log()).sum(-1)
+
+
+def _sampled_kl(weights: Tensor, noise: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
+    """Returns log q(w) - log p(w), [*replicas], by torch's own operations."""
+    ratio = (F.softplus(rho) / prior_std).clamp_min(_LEAST_RATIO)
     return (0.5 * ((weights / prior_std).square() - noise.square()) - ratio.log()).sum(-1)
 
 
@@ -232,17 +217,8 @@ def draw_with_kl(
     """
     if is_transformed():
         weights = torch.addcmul(mu, F.softplus(rho), noise)
-        return weights, _plain_kl(mu, rho, prior_std, weights if kind == "sampled" else None, noise)
+        if kind == "closed":
+            return weights, closed_kl(mu, rho, prior_std)
+        return weights, _sampled_kl(weights, noise, rho, prior_std)
     weights, kl = _Draw.apply(mu, rho, prior_std, kind, noise, fill_noise_, known_kl)
     return weights, kl
-
-
-def closed_kl(mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
-    """Returns KL(N(μ, softplus(ρ)²) ‖ N(0, p²)) summed over the weights, [*replicas].
-
-    Differentiable in mu and rho (once); arguments as those of :func:`draw_with_kl`.
-    """
-    if is_transformed():
-        return _plain_kl(mu, rho, prior_std, None, mu)
-    out: Tensor = _ClosedKL.apply(mu, rho, prior_std)
-    return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +12,9 @@ from bbq_torchrl.bayes.bayes_mlp import BayesMLP
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bbq_torchrl.bayes.layers import MeanInit
+    from typing_extensions import Unpack
+
+    from bbq_torchrl.bayes.layers import LayerSettings
     from bbq_torchrl.bayes.scope import WeightMode
 
 __all__ = ["DynamicsModel"]
@@ -78,14 +80,9 @@ class DynamicsModel(nn.Module):
         action_size: int,
         hidden: Sequence[int] = (64, 64),
         *,
-        replicas: int | Sequence[int] = (),
-        prior_std: float | Literal["fan_in"] = 0.1,
         noise_std: float = 1.0,
         std_floor: float = 0.05,
-        mean_init: MeanInit = "kaiming",
-        std_init: float | None = None,
-        device: torch.device | str | None = None,
-        dtype: torch.dtype | None = None,
+        **settings: Unpack[LayerSettings],
     ) -> None:
         super().__init__()
         for name, size in (("observation_size", observation_size), ("action_size", action_size)):
@@ -98,16 +95,9 @@ class DynamicsModel(nn.Module):
         self.action_size = action_size
         self.noise_std = noise_std
         self.std_floor = std_floor
+        settings.setdefault("mean_init", "kaiming")
         self.network = BayesMLP(
-            observation_size + action_size,
-            observation_size,
-            hidden,
-            replicas=replicas,
-            prior_std=prior_std,
-            mean_init=mean_init,
-            std_init=std_init,
-            device=device,
-            dtype=dtype,
+            observation_size + action_size, observation_size, hidden, **settings
         )
         shape = (*self.replicas, observation_size)
         mu = self.network.posterior.mu
