@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
 from bbq_torchrl.networks.flat_mlp import FlatMLP
-from bbq_torchrl.networks.growth import grow
 from bbq_torchrl.networks.noisy_mlp import NoisyMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.q_actor import q_actor
 from bbq_torchrl.networks.vote import bootstrap_actor
@@ -15,6 +14,5 @@ __all__ = [
     "NoisyMLP",
     "ReplicaNoisyLinear",
     "bootstrap_actor",
-    "grow",
     "q_actor",
 ]

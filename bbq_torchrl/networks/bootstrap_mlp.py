@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
-from bbq_torchrl.bayes.noise import is_transformed
+from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, check_weight_mode
 
@@ -21,28 +20,19 @@ __all__ = ["BootstrapMLP"]
 class _ShareAmongHeads(torch.autograd.Function):
     """[*replicas, *batch, H] for each head, [*replicas, K, *batch, H]; the mean of gradients."""
 
-    @staticmethod
-    def forward(ctx: Any, hidden: Tensor, dim: int, heads: int) -> Tensor:
-        ctx.dim = dim
-        return _for_each_head(hidden, dim, heads)
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
-        return grad.mean(ctx.dim), None, None
-
-
-class _ShareUnderTransforms(_ShareAmongHeads):
-    """The same in the form that torch.func asks for, in which each call takes longer."""
-
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(hidden: Tensor, dim: int, heads: int) -> Tensor:  # type: ignore[override]
+    def forward(hidden: Tensor, dim: int, heads: int) -> Tensor:
         return _for_each_head(hidden, dim, heads)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, int, int], output: Tensor) -> None:
         ctx.dim = inputs[1]
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        return grad.mean(ctx.dim), None, None
 
 
 def _for_each_head(x: Tensor, dim: int, heads: int) -> Tensor:
@@ -183,17 +173,12 @@ class BootstrapMLP(nn.Module):
         """
         if mode is not None:
             check_weight_mode(mode)
-        dim = len(self.replicas)
-        if x.ndim <= dim or x.shape[:dim] != self.replicas or x.shape[-1] != self.in_features:
-            lead = "".join(f"{size}, " for size in self.replicas)
-            raise ValueError(
-                f"input must have shape [{lead}*batch, {self.in_features}], got {list(x.shape)}"
-            )
+        as_rows(x, self.replicas, self.in_features)  # refuses a shape that does not fit
         out = self._run(x, self.trunk, self.heads)
         if self.prior_heads is not None:
             prior = self._run(x, self.prior_trunk, self.prior_heads)
             out = torch.add(out, prior, alpha=self.prior_scale)
-        return out.movedim(dim, -2)
+        return out.movedim(len(self.replicas), -2)
 
     def _run(self, x: Tensor, trunk: Tensor | None, heads: Tensor) -> Tensor:
         """Returns [*replicas, K, *batch, out]."""
@@ -202,8 +187,7 @@ class BootstrapMLP(nn.Module):
             shared = _for_each_head(x, dim, self.num_heads)
         else:
             hidden = mlp(x, trunk, self.trunk_layout).relu()
-            share = _ShareUnderTransforms if is_transformed() else _ShareAmongHeads
-            shared = share.apply(hidden, dim, self.num_heads)
+            shared = _ShareAmongHeads.apply(hidden, dim, self.num_heads)
         return mlp(shared, heads, self.head_layout)
 
     def extra_repr(self) -> str:

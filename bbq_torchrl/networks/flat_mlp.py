@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.bayes import functional
-from bbq_torchrl.bayes.functional import FlatLayout, init_linear_
+from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, check_weight_mode, current_scope
 
@@ -80,9 +79,11 @@ class FlatMLP(nn.Module):
         """Draws the weights like ``nn.Linear``: uniform in ±1/√inputs."""
         init_linear_(self.weight, self.layout)
 
-    def forward(
-        self, x: Tensor, mode: WeightMode | None = None, weights: Tensor | None = None
-    ) -> Tensor:
+    def input_matrices(self) -> list[Tensor]:
+        """Returns the matrices that the input meets, [*replicas, in, width]: views."""
+        return [self.layout.unflatten(self.weight)[0][0]]
+
+    def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
         """Returns the outputs, shape [*replicas, *batch, out].
 
         Args:
@@ -90,22 +91,15 @@ class FlatMLP(nn.Module):
             mode: "draw" and "local" (dropout on), "mean" (off), or None: what
                 :class:`~bbq_torchrl.bayes.weight_scope` says, and outside of it on in
                 training mode, as ``nn.Dropout``.
-            weights: weights to use instead, [*replicas, *rows, P], without dropout.
 
         Raises:
             ValueError: for another mode, or a shape that does not fit.
         """
         if mode is not None:
             check_weight_mode(mode)
-        scope = current_scope()
-        if weights is None:
-            weights = scope.weights.get(self)
-        if weights is not None:
-            return functional.mlp(x, weights, self.layout)
-        if mode is None:
-            mode = scope.mode or ("draw" if self.training else "mean")
-        dropout = 0.0 if mode == "mean" else self.dropout
-        return functional.mlp(x, self.weight, self.layout, dropout)
+        else:
+            mode = current_scope().mode or ("draw" if self.training else "mean")
+        return mlp(x, self.weight, self.layout, 0.0 if mode == "mean" else self.dropout)
 
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""

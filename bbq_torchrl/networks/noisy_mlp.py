@@ -182,6 +182,11 @@ class NoisyMLP(nn.Module):
             for inputs, outputs in FlatLayout((in_features, *hidden, out_features)).shapes
         )
 
+    def input_matrices(self) -> list[Tensor]:
+        """Returns the matrices that the input meets, μ and σ, [*replicas, in, width]: views."""
+        first = noisy_layers(self)[0]
+        return [first.weight_mu.mT, first.weight_sigma.mT]
+
     def reset_parameters(self) -> None:
         """Starts again: μ uniform in ±1/√inputs, σ as ``std_init`` says."""
         for layer in noisy_layers(self):
