@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bbq_torchrl.vime.dynamics import DynamicsModel
 from bbq_torchrl.vime.dynamics_loss import DynamicsLoss
-from bbq_torchrl.vime.information_gain import information_gain, mlp_information_gain
+from bbq_torchrl.vime.information_gain import information_gain
 from bbq_torchrl.vime.reward import VIMEReward
 from bbq_torchrl.vime.vime_loss import VIMELoss
 
@@ -14,5 +14,4 @@ __all__ = [
     "VIMELoss",
     "VIMEReward",
     "information_gain",
-    "mlp_information_gain",
 ]

@@ -23,15 +23,13 @@ from math import prod
 from typing import TYPE_CHECKING
 
 import torch
-import torch.nn.functional as F
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from bbq_torchrl.bayes.functional import FlatLayout
     from bbq_torchrl.vime.dynamics import DynamicsModel
 
-__all__ = ["information_gain", "mlp_information_gain"]
+__all__ = ["information_gain"]
 
 
 @torch.no_grad()
@@ -69,63 +67,23 @@ def information_gain(
         >>> gain.shape, bool((gain > 0).all())
         (torch.Size([5, 32]), True)
     """
-    posterior = dynamics.network.posterior
-    return mlp_information_gain(
-        dynamics.inputs(observation, action),
-        dynamics.standardize(next_observation),
-        posterior.mu,
-        posterior.rho,
-        dynamics.network.layout,
-        noise=noise,
-        noise_std=dynamics.noise_std,
-        step_size=step_size,
-    )
-
-
-@torch.no_grad()
-def mlp_information_gain(
-    x: Tensor,
-    target: Tensor,
-    mu: Tensor,
-    rho: Tensor,
-    layout: FlatLayout,
-    *,
-    noise: Tensor | None = None,
-    noise_std: float = 1.0,
-    step_size: float = 0.01,
-) -> Tensor:
-    """Returns the information gain of each row for ReLU networks, [*replicas, *rows], in nats.
-
-    Args:
-        x: inputs, shape [*replicas, *rows, in].
-        target: what the outputs should have been, shape [*replicas, *rows, out].
-        mu: means of the weights, shape [*replicas, P].
-        rho: softplus(rho) are their standard deviations, shape [*replicas, P].
-        layout: the layers.
-
-    Keyword Args:
-        noise: ε, shape [*replicas, P]; None for 0.
-        noise_std: standard deviation of the likelihood.
-        step_size: λ.
-
-    Raises:
-        ValueError: if a shape does not fit.
-    """
-    replicas = mu.shape[:-1]
-    rows = x.shape[len(replicas) : -1]
-    for name, tensor, size in (("x", x, layout.sizes[0]), ("target", target, layout.sizes[-1])):
-        if tensor.shape != (*replicas, *rows, size):
-            raise ValueError(
-                f"{name} must have shape {[*replicas, *rows, size]}, got {list(tensor.shape)}"
-            )
-    if noise is not None and noise.shape != mu.shape:
-        raise ValueError(f"noise must have shape {list(mu.shape)}, got {list(noise.shape)}")
-    count, flat = prod(replicas), (prod(replicas), layout.numel)
-    sigma = F.softplus(rho)
+    x, target = dynamics.inputs(observation, action), dynamics.standardize(next_observation)
+    layout, posterior = dynamics.network.layout, dynamics.network.posterior
+    if target.shape[:-1] != x.shape[:-1]:
+        raise ValueError(
+            f"next_observation must have shape {list(observation.shape)}, got "
+            f"{list(next_observation.shape)}"
+        )
+    if noise is not None and noise.shape != posterior.mu.shape:
+        raise ValueError(
+            f"noise must have shape {list(posterior.mu.shape)}, got {list(noise.shape)}"
+        )
+    count, flat = prod(posterior.replicas), (prod(posterior.replicas), layout.numel)
+    weights: Tensor = posterior.mu
+    sigma = posterior.sigma
     variance = sigma.square()
-    weights = mu
     if noise is not None:
-        weights = torch.addcmul(mu, sigma, noise)
+        weights = torch.addcmul(weights, sigma, noise)
         variance.mul_(noise.square().mul_(0.5).add_(1))
     layers = layout.unflatten(weights.reshape(flat))
     variances = layout.unflatten(variance.view(flat))
@@ -135,7 +93,7 @@ def mlp_information_gain(
         inputs.append(torch.baddbmm(bias.unsqueeze(-2), inputs[-1], matrix).relu_())
     matrix, bias = layers[-1]
     error = torch.baddbmm(bias.unsqueeze(-2), inputs[-1], matrix)
-    error.sub_(target.reshape(error.shape)).div_(noise_std**2)
+    error.sub_(target.reshape(error.shape)).div_(dynamics.noise_std**2)
 
     gain = error.new_zeros(error.shape[:-1])
     for k in range(len(layers) - 1, -1, -1):
@@ -146,4 +104,4 @@ def mlp_information_gain(
             error = torch.bmm(error, layers[k][0].mT).mul_(inputs[k] > 0)
     # a posterior so wide that the sum overflows is as surprised as a number can tell
     gain = gain.mul_(0.5 * step_size**2).clamp_max_(torch.finfo(gain.dtype).max)
-    return gain.reshape((*replicas, *rows))
+    return gain.reshape(x.shape[:-1])

@@ -6,17 +6,17 @@ from math import prod
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
+import torch.nn.functional as F
 from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.vime.information_gain import information_gain
-from bbq_torchrl.vime.pieces import pieces
 from bbq_torchrl.vime.running_median import RunningMedian
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 __all__ = ["GainWeights", "VIMEReward"]
 
 GainWeights = Literal["map", "mc"]
+
+_PIECE = 256  # rows worked on at a time, so that none depends on how many others there are
 
 
 class VIMEReward(Transform):
@@ -242,14 +244,14 @@ class VIMEReward(Transform):
             return self.dynamics.mean.new_zeros(observation.shape[:-1])
         replicas = self.dynamics.replicas
         states = torch.cat([observation, following], -1), torch.cat([valid, predicted], -1)
-        for state, states_valid in pieces(replicas, *states):
+        for state, states_valid in _pieces(replicas, *states):
             before, after = state.chunk(2, -1)
             self.dynamics.update_statistics(before, states_valid[..., 0])
             self.dynamics.update_statistics(after, states_valid[..., 1])
         noise = self._noise() if self.weights == "mc" else None
         gains = [
             information_gain(self.dynamics, *piece, noise=noise, step_size=self.step_size)
-            for piece in pieces(replicas, observation, action, following)
+            for piece in _pieces(replicas, observation, action, following)
         ]
         gain = torch.cat(gains, -1)[..., :count]
         is_predicted = predicted.squeeze(-1)
@@ -299,3 +301,15 @@ class VIMEReward(Transform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         raise ValueError(self.ENV_ERR)
+
+
+def _pieces(replicas: Sequence[int], *entries: Tensor) -> Iterator[list[Tensor]]:
+    """Yields entries [*replicas, rows, *] some rows at a time.
+
+    With more than one replica the last piece is filled up: what a matrix product rounds to depends
+    on its shape, and a row's must not depend on how many rows another replica has.
+    """
+    if prod(replicas) > 1:
+        missing = -entries[0].shape[-2] % _PIECE
+        entries = tuple(F.pad(entry, (0, 0, 0, missing)) for entry in entries)
+    yield from (list(piece) for piece in zip(*(e.split(_PIECE, -2) for e in entries), strict=True))
