@@ -153,6 +153,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         )
         self._posteriors = tuple(posteriors(self.value_network))  # type: ignore[arg-type]
         self.target = target
+        self._target_mode = "mean" if target == "map" else "draw"
         self.target_noise = target_noise or _TARGET_NOISES[target][0]
         self._online_noise: SharedNoise | None = None
         self.kl = kl
@@ -181,11 +182,6 @@ class BBQNLoss(NumData, OneStepQLoss):
         if isinstance(temperature, Tensor):
             temperature = temperature.to(self.num_data.dtype)
         return self.num_data.reciprocal() * temperature
-
-    @property
-    def has_fixed_targets(self) -> bool:
-        """Whether the target is the frozen mean network's."""
-        return self.target == "map" and super().has_fixed_targets
 
     def begin_epoch(self) -> None:
         """Discards what is held, where ``hold`` is set: the next batch computes it afresh."""
@@ -221,7 +217,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         # Used up: each batch has noise of its own, and none outlives its batch.
         shared, self._online_noise = self._online_noise, None
         if self.target == "map":
-            return self._function(tensors, inputs, "mean")
+            return super()._target_values(tensors, inputs)
         holds = self._holds(tensors)
         noise: NoiseSource | None = self._pool if holds else None
         if shared is not None:

@@ -2,16 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from torch import Tensor
-
-    from bbq_torchrl.objectives.value_function import Inputs
 
 __all__ = ["DropoutDQNLoss"]
 
@@ -51,8 +42,3 @@ class DropoutDQNLoss(OneStepQLoss):
         >>> sorted(loss(td).keys()), loss(td)["loss_value"].shape
         (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
     """
-
-    def _predict(
-        self, tensors: Sequence[Tensor], inputs: Inputs
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        return self._function(tensors, inputs, "draw"), {}

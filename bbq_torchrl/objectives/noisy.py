@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.networks.noisy_mlp import noisy_layers
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from torch import Tensor, nn
-    from torchrl.data import TensorSpec
+    from torch import nn
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.objectives.td_loss import Distance
-    from bbq_torchrl.objectives.value_function import Inputs
+    from bbq_torchrl.bayes.scope import WeightMode
 
 __all__ = ["NoisyDQNLoss"]
 
@@ -67,38 +63,8 @@ class NoisyDQNLoss(OneStepQLoss):
         (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
     """
 
-    def __init__(
-        self,
-        value_network: QValueActor | nn.Module,
-        *,
-        gamma: float | Tensor = 0.9,
-        action_space: str | TensorSpec | None = None,
-        delay_value: bool = True,
-        double_dqn: bool = False,
-        loss_function: Distance = "l2",
-    ) -> None:
-        super().__init__(
-            value_network,
-            gamma=gamma,
-            action_space=action_space,
-            delay_value=delay_value,
-            double_dqn=double_dqn,
-            loss_function=loss_function,
-        )
+    _target_mode: WeightMode = "draw"
+
+    def __init__(self, value_network: QValueActor | nn.Module, **settings: Any) -> None:
+        super().__init__(value_network, **settings)
         noisy_layers(self.value_network)
-
-    @property
-    def has_fixed_targets(self) -> bool:
-        """False: the target draws noise for every batch."""
-        return False
-
-    def _predict(
-        self, tensors: Sequence[Tensor], inputs: Inputs
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        return self._function(tensors, inputs, "draw"), {}
-
-    def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        return self._function(tensors, inputs, "draw")
-
-    def _choice_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        return self._function(tensors, inputs, "draw")

@@ -13,7 +13,6 @@ from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import replica_values, replicas_of
 from bbq_torchrl.networks.masking import masked
-from bbq_torchrl.objectives.row_weights import normalized_weights
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
+    from bbq_torchrl.bayes.scope import WeightMode
     from bbq_torchrl.objectives.value_function import Inputs
 
 __all__ = ["OneStepQLoss"]
@@ -88,6 +88,8 @@ class OneStepQLoss(DQNLoss):
     out_keys = ["loss", "loss_value", "td_error", "q_value"]  # noqa: RUF012 - as in TorchRL
     SUPPORTED_VALUE_ESTIMATORS = (ValueEstimators.TD0,)
     _loss_mask_key: NestedKey | None = "valid"
+    # of the weights in targets and, in double DQN, in the choice of the target's action
+    _target_mode: WeightMode = "mean"
     _scale: float | Tensor = 1.0  # of each row's loss; float64 [*replicas] where it differs
     _kl_weight: Tensor  # of the KL, [*replicas]; only where _predict returns one
 
@@ -164,7 +166,7 @@ class OneStepQLoss(DQNLoss):
 
         It is not where the online network takes part in it, or noise that a batch draws.
         """
-        return bool(self.delay_value) and not self.double_dqn
+        return bool(self.delay_value) and not self.double_dqn and self._target_mode == "mean"
 
     @torch.no_grad()
     def next_state_values(self, tensordict: TensorDictBase) -> Tensor:
@@ -190,15 +192,11 @@ class OneStepQLoss(DQNLoss):
         self, tensors: Sequence[Tensor], inputs: Inputs
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Returns the values [*replicas, *batch, N] to learn; "kl" [*replicas] if there is one."""
-        raise NotImplementedError
+        return self._function(tensors, inputs, "draw"), {}
 
     def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
         """Returns the frozen network's values [*replicas, *batch, N] of the next state."""
-        return self._function(tensors, inputs, "mean")
-
-    def _choice_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        """Returns the online values [*replicas, *batch, N] that choose double DQN's action."""
-        return self._function(tensors, inputs, "mean")
+        return self._function(tensors, inputs, self._target_mode)
 
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -278,7 +276,7 @@ class OneStepQLoss(DQNLoss):
         values = masked(self._target_values(target, inputs), mask)
         if not self.double_dqn:
             return values.amax(-1, keepdim=True)
-        choice = masked(self._choice_values(online, inputs), mask)
+        choice = masked(function(online, inputs, self._target_mode), mask)
         return values.gather(-1, choice.argmax(-1, keepdim=True))
 
     def _beside_values(self, entry: Tensor) -> Tensor:
@@ -297,5 +295,22 @@ class OneStepQLoss(DQNLoss):
             weight = weight.unsqueeze(-1).to(like.dtype)
             if not keys or tensordict.get(keys[0], None) is None:
                 return weight
-        masks = {key: tensordict.get(key, None) for key in keys}
-        return normalized_weights(weight, masks, like, len(self.replicas))
+        for key in keys:
+            mask = tensordict.get(key, None)
+            if mask is None:
+                continue
+            if mask.ndim == like.ndim - 1:
+                mask = mask.unsqueeze(-1)
+            if mask.shape != like.shape:
+                raise ValueError(
+                    f"{key!r} must have the batch's shape {list(like.shape[:-1])}, got "
+                    f"{list(mask.shape)}"
+                )
+            mask = mask.to(like.dtype)
+            weight = mask if weight is None else weight * mask
+        if weight is None:
+            return None
+        # 0 / tiny where no row counts at all: such a replica's data have no gradient
+        tiny = torch.finfo(weight.dtype).tiny
+        total = weight.sum(tuple(range(len(self.replicas), like.ndim)), keepdim=True)
+        return weight / total.clamp_min_(tiny)
