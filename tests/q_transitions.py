@@ -113,28 +113,6 @@ def target_of(layout, weights, td, gamma):
     return (td["next", "reward"].squeeze(-1) + gamma * going_on * best).detach()
 
 
-def slopes(loss, td, step=1e-6):
-    """The loss's slope along a random direction of its parameters: by its gradient, by steps."""
-    parameters = list(loss.parameters())
-    directions = [torch.randn_like(parameter) for parameter in parameters]
-
-    def value(scale):
-        with torch.no_grad():
-            for parameter, direction in zip(parameters, directions, strict=True):
-                parameter.add_(scale * direction)
-        torch.manual_seed(0)  # the same draws and dropout masks each time
-        out = loss(td)["loss"]
-        with torch.no_grad():
-            for parameter, direction in zip(parameters, directions, strict=True):
-                parameter.sub_(scale * direction)
-        return out
-
-    torch.manual_seed(0)
-    gradients = torch.autograd.grad(loss(td)["loss"], parameters)
-    by_gradient = sum((g * d).sum() for g, d in zip(gradients, directions, strict=True))
-    return by_gradient, ((value(step) - value(-step)) / (2 * step)).detach()
-
-
 def elements(td, replicas):
     """The batch of each replica, one after the other."""
     return td.reshape(-1, *td.shape[len(replicas) :]) if replicas else td.unsqueeze(0)

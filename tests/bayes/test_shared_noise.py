@@ -85,26 +85,6 @@ def test_a_layer_that_draws_twice_shares_draw_by_draw():
     assert torch.equal(second[2], third[2])
 
 
-def test_only_what_draws_inside_shares_and_blocks_nest():
-    layer, x = trained(BayesLinear(4, 4)), torch.randn(5, 4)
-    outer, inner = SharedNoise(), SharedNoise()
-
-    def draws():
-        with weight_scope(noise=outer.again()):
-            a = layer(x, "draw")
-            with weight_scope(noise=inner.again()):
-                b = layer(x, "draw")
-            c = layer(x, "draw")
-        return a, b, c
-
-    first, second = draws(), draws()
-    for ours, theirs in zip(first, second, strict=True):
-        assert torch.equal(ours, theirs)
-    assert not torch.equal(first[0], first[1])
-    assert not torch.equal(first[0], first[2])
-    assert not torch.equal(layer(x, "draw"), first[0])
-
-
 def test_draws_of_other_shapes_are_refused():
     layer, noise = BayesLinear(4, 2), SharedNoise()
     with weight_scope(noise=noise.again()):

@@ -38,32 +38,6 @@ def is_one_number(rows):
     return bool((rows - rows.flatten()[0]).abs().max() < 1e-4)
 
 
-@pytest.mark.parametrize("replicas", REPLICAS)
-@pytest.mark.parametrize(
-    ("per", "shared", "rows_share", "calls_share"),
-    [
-        ("step", False, False, False),
-        ("step", True, True, False),
-        ("episode", False, False, True),
-        ("episode", True, True, True),
-        ("round", False, False, True),
-        ("round", True, True, True),
-    ],
-)
-def test_who_shares_a_draw(replicas, per, shared, rows_share, calls_share):
-    policy = ThompsonSampling(bayes_actor(replicas), per=per, shared=shared)
-    td = observations(*replicas, 4)
-    first, again = values(policy, td), values(policy, td)
-    for element in first.reshape(-1, 4):
-        assert is_one_number(element) == rows_share
-        assert rows_share or torch.unique(element).numel() == 4
-    assert torch.equal(first, again) == calls_share
-    if replicas:  # replicas never share
-        assert torch.unique(first[:, 0]).numel() == 3
-    policy.resample()
-    assert not (values(policy, td) == first).any()
-
-
 def test_draws_are_the_papers_by_default():
     actor = bayes_actor()
     assert ThompsonSampling(actor).per == "step"

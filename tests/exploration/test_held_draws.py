@@ -17,7 +17,7 @@ HEADS = 1000  # so many that a row hardly ever draws the same head again
 
 
 def thompson(replicas=(), **settings):
-    return ThompsonSampling(bayes_actor(replicas), **settings)
+    return ThompsonSampling(bayes_actor(replicas), shared=False, **settings)
 
 
 def shared(replicas=(), **settings):
@@ -46,9 +46,14 @@ def values(policy, td, exploration=ExplorationType.RANDOM):
 def test_a_draw_is_kept_for_a_step_a_dialogue_or_a_round(make, per, replicas):
     policy, td = make(replicas, per=per), observations(*replicas, 40)
     first = values(policy, td)
+    for rows in first.reshape(-1, 40):
+        if make is shared:  # equal rows of a matrix product may be rounded differently
+            torch.testing.assert_close(rows, rows[:1].expand(40), rtol=0, atol=1e-4)
+        else:
+            assert torch.unique(rows).numel() > 30
     assert torch.equal(values(policy, td), first) == (per != "step")
     if replicas:
-        assert torch.unique(first, dim=0).shape[0] == 3
+        assert torch.unique(first[:, 0]).numel() == 3
     begin = td.clone().set("is_init", torch.ones_like(td["is_init"]))
     assert torch.equal(values(policy, begin), first) == (per == "round")
     before = values(policy, td)

@@ -35,11 +35,6 @@ def test_who_shares_the_noise(replicas, shared):
             assert torch.unique(element).numel() == 4
 
 
-def test_the_action_is_greedy_on_the_values_that_are_written():
-    td = NoisySampling(noisy_actor())(observations(50, same=False))
-    assert torch.equal(td["action"], td["action_value"].argmax(-1))
-
-
 def test_the_mean_network_can_be_evaluated():
     actor, td = noisy_actor((2,)), observations(2, 4)
     with set_exploration_type(RANDOM):

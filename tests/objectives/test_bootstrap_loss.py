@@ -147,14 +147,6 @@ def test_every_head_has_a_frozen_copy_with_the_same_prior():
     assert not any("prior" in name for name, _ in loss.named_parameters())
 
 
-def test_states_hold_the_priors_and_loading_moves_both_copies():
-    loss, other = (heads_loss((2,), prior_scale=1.0)[0] for _ in range(2))
-    td = masked(transitions((2,)))
-    assert not torch.equal(other(td)["loss"], loss(td)["loss"])
-    other.load_state_dict(loss.state_dict())
-    assert torch.equal(other(td)["loss"], loss(td)["loss"])
-
-
 def test_prioritized_replay_weights_count():
     loss, _ = heads_loss(dtype=torch.double)
     td = masked(transitions(batch=(8,), dtype=torch.double))

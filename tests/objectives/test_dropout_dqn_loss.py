@@ -11,7 +11,6 @@ from q_transitions import (
     elements,
     flat,
     plain_loss,
-    slopes,
     transitions,
 )
 from torch import nn
@@ -90,12 +89,6 @@ def test_dropout_is_on_in_the_prediction_and_off_in_the_targets(kind, training):
     assert torch.equal(*targets)
     assert loss(td)["loss"] != loss(td)["loss"]
     assert all(module.training == training for module in net.modules())
-
-
-def test_the_gradient_is_that_of_the_network_with_the_dropped_units():
-    loss, _ = plain_loss(dropout=0.5, hidden=(64,), dtype=torch.double)
-    td = transitions(dtype=torch.double)
-    torch.testing.assert_close(*slopes(loss, td), rtol=1e-5, atol=0)
 
 
 def test_a_mask_of_another_shape_is_refused():

@@ -8,13 +8,11 @@ from copy import deepcopy
 import pytest
 import torch
 from q_transitions import (
-    REPLICAS,
     bayes_loss,
     flat,
     heads_loss,
     noisy_loss,
     plain_loss,
-    target_of,
     transitions,
 )
 
@@ -31,25 +29,6 @@ def gradients(loss, td):
 
 
 # ------------------------------------------------------------------------- frozen values
-
-
-@pytest.mark.parametrize("replicas", REPLICAS, ids=str)
-def test_next_state_values_are_the_best_legal_values_of_the_frozen_network(replicas):
-    loss, _ = plain_loss(replicas, dtype=torch.double)
-    td = transitions(replicas, dtype=torch.double)
-    td["next", "reward"].zero_()
-    td["next", "terminated"].zero_()
-
-    found = loss.next_state_values(td)
-
-    assert found.shape == (*td.shape, 1)
-    assert not found.requires_grad
-    weights = flat(loss, "weight", target=True)
-    weights = weights.reshape(-1, weights.shape[-1])
-    rows = td.reshape(len(weights), -1)
-    for own, w, values in zip(rows, weights, found.reshape(len(weights), -1), strict=True):
-        expected = target_of(loss.value_network[0].module.layout, w, own, 1.0)
-        torch.testing.assert_close(values, expected)
 
 
 @pytest.mark.parametrize("name", FIXED)

@@ -67,35 +67,3 @@ def test_each_batch_has_noise_of_its_own_and_none_outlives_it():
     _, target = loss._tensors()
     alone = loss._target_values(target, [td["observation"]])
     assert (alone != second[1]).any(-1).all()
-
-
-def test_a_network_of_several_layers_shares_layer_by_layer():
-    loss, _ = several_layers((2,), target_noise="shared", gamma=0.8)
-    layers = [m for m in loss.value_network.modules() if isinstance(m, BayesLinear)]
-    with torch.no_grad():
-        for parameter in loss.parameters():
-            parameter.add_(0.3 * torch.randn_like(parameter))
-    td = transitions((2,))
-    noises = []
-
-    def fill(buffer):
-        buffer.normal_()
-        noises.append(buffer.clone())
-
-    for layer in layers:
-        layer.posterior.fill_noise_ = fill
-    loss._predict(loss._tensors()[0], [td["observation"]])
-    got = loss._td_target(td["next"], *loss._tensors())
-    assert len(noises) == 3
-    x = td["next", "observation"]
-    params = loss.target_value_network_params["module", "0", "module"]
-    for name, epsilon, activation in zip(
-        "024", noises, (torch.tanh, torch.relu, torch.clone), strict=True
-    ):
-        mu, rho = params[name, "posterior", "mu"], params[name, "posterior", "rho"]
-        weights = mu + nn.functional.softplus(rho) * epsilon
-        ((matrix, bias),) = layers[int(name) // 2].layout.unflatten(weights)
-        x = activation(x @ matrix + bias.unsqueeze(-2))
-    best = x.masked_fill(~td["next", "action_mask"], -torch.inf).amax(-1, keepdim=True)
-    going_on = ~td["next", "terminated"]
-    torch.testing.assert_close(got, td["next", "reward"] + 0.8 * going_on * best)

@@ -16,7 +16,6 @@ from q_transitions import (
     plain_loss,
     transitions,
 )
-from torchrl.objectives import DQNLoss, LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 LOSSES = {
@@ -39,13 +38,6 @@ def case(request):
 def result(loss, td):
     torch.manual_seed(0)
     return loss(td)["loss"]
-
-
-def test_it_is_a_dqn_loss_module(case):
-    make, _, _ = case
-    loss, _ = make()
-    assert isinstance(loss, LossModule)
-    assert isinstance(loss, DQNLoss)
 
 
 def test_parameters_are_the_online_networks_and_targets_are_buffers(case):
@@ -104,17 +96,6 @@ def test_it_can_be_called_with_tensors(case):
     torch.testing.assert_close(out[out_keys.index("loss")], result(loss, td))
 
 
-def test_unknown_keys_are_refused_and_none_restores_the_default(case):
-    make, _, _ = case
-    loss, _ = make()
-    with pytest.raises(ValueError, match="not an accepted tensordict key"):
-        loss.set_keys(rewards="x")
-    loss.set_keys(reward="pay")
-    assert loss.tensor_keys.reward == "pay"
-    loss.set_keys(reward=None)
-    assert loss.tensor_keys.reward == loss.default_keys().reward == "reward"
-
-
 def test_keys_can_be_set(case):
     make, _, _ = case
     loss, _ = make()
@@ -150,21 +131,13 @@ def make_again(make, loss, **settings):
     return other
 
 
-def test_states_round_trip(case):
+@pytest.mark.parametrize("assign", [False, True])
+def test_states_round_trip(case, assign):
     make, _, _ = case
-    loss, _ = make((2,))
+    loss, other = make((2,))[0], make((2,))[0]
     td = transitions((2,))
-    other = make_again(make, loss, replicas=(2,))
-    assert not any(a is b for a in loss.parameters() for b in other.parameters())
-    assert torch.equal(result(other, td), result(loss, td))
-
-
-def test_loading_a_state_is_seen_also_where_tensors_are_assigned(case):
-    make, _, _ = case
-    loss, other = make()[0], make()[0]
-    td = transitions()
     result(other, td)
-    other.load_state_dict(loss.state_dict(), assign=True)
+    other.load_state_dict(loss.state_dict(), assign=assign)
     assert torch.equal(result(other, td), result(loss, td))
 
 
@@ -207,26 +180,6 @@ def test_hard_updates_copy_at_each_step(case):
     assert not any(torch.equal(flat(loss, n), flat(loss, n, target=True)) for n in names)
     update.step()
     assert all(torch.equal(flat(loss, n), flat(loss, n, target=True)) for n in names)
-
-
-def test_soft_updates_mix(case):
-    make, names, _ = case
-    loss, _ = make()
-    update = SoftUpdate(loss, tau=0.25)
-    before = {n: flat(loss, n, target=True).clone() for n in names}
-    with torch.no_grad():
-        for parameter in loss.parameters():
-            parameter.add_(4.0)
-    update.step()
-    for n in names:
-        torch.testing.assert_close(flat(loss, n, target=True), before[n] + 1.0)
-
-
-def test_a_missing_target_update_is_warned_of(case):
-    make, _, _ = case
-    fresh = type(make()[0])(make()[0].value_network, **({"num_data": 9} if "kl" in case[2] else {}))
-    with pytest.warns(UserWarning, match="No target network updater"):
-        fresh(transitions())
 
 
 def test_parameters_can_be_reset(case):

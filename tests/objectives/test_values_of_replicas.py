@@ -6,8 +6,6 @@ import pytest
 import torch
 from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss, transitions
 
-from bbq_torchrl.objectives.td_loss import td_loss
-
 REPLICAS = (3,)
 SETTINGS = {
     "noise_std": [0.3, 1.0, 2.7],
@@ -44,20 +42,6 @@ def test_each_element_is_bitwise_as_where_all_have_its_value(kind, name, mask):
         for one, other in zip(together, alone, strict=True):
             assert one.shape[:1] == REPLICAS
             assert torch.equal(one[element], other[element])
-
-
-@pytest.mark.parametrize("distance", ["l1", "smooth_l1"])
-def test_a_scale_an_element_is_that_of_the_element(distance):
-    values = torch.randn(3, 8, 5, requires_grad=True)
-    index, target = torch.randint(5, (3, 8, 1)), torch.randn(3, 8, 1)
-    scales = [0.2, 1.0, 3.0]
-    loss, *_ = td_loss(values, index, target, None, distance, torch.tensor(scales).double())
-    (gradient,) = torch.autograd.grad(loss.sum(), values)
-    for element, scale in enumerate(scales):
-        alone, *_ = td_loss(values, index, target, None, distance, scale)
-        (expected,) = torch.autograd.grad(alone.sum(), values)
-        assert torch.equal(loss[element], alone[element])
-        assert torch.equal(gradient[element], expected[element])
 
 
 def test_the_values_are_no_part_of_the_state_and_follow_the_loss():

@@ -88,14 +88,6 @@ def test_a_draw_a_batch_whatever_the_exploration_type(drawn_noise):
     assert loss.dynamics.network.posterior.rho.grad.any()
 
 
-def test_statistics_are_read_and_not_changed():
-    loss = dynamics_loss()
-    before = {name: b.clone() for name, b in loss.dynamics.named_buffers()}
-    loss(transitions())["loss"].backward()
-    for name, buffer in loss.dynamics.named_buffers():
-        assert torch.equal(buffer, before[name])
-
-
 def test_one_hot_actions_and_batches_of_any_shape():
     loss = dynamics_loss((2,))
     td = transitions((2,), (4, 3))

@@ -179,18 +179,6 @@ def test_it_goes_on_where_it_was(copy):
             assert torch.equal(theirs[key], value)
 
 
-def test_moving_and_casting_reach_everything(kind):
-    loss = vime_loss(kind, (2,)).double()
-    td = transitions((2,), dtype=torch.double)
-    out = loss(td)
-    assert out["loss"].dtype == torch.double
-    out["loss"].backward()
-    assert all(p.grad.dtype == torch.double for p in loss.parameters())
-    before = [p.detach().clone() for p in loss.parameters()]
-    loss.reset_parameters_recursive()
-    assert not any(map(torch.equal, loss.parameters(), before))
-
-
 def test_bad_parts_are_named():
     with pytest.raises(ValueError, match="dynamics_every must be at least 1, got 0"):
         vime_loss(dynamics_every=0)
