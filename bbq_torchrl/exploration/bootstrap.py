@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, get_args
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.exploration.base import Per, begins, explores
+from bbq_torchrl.exploration.base import ActorPolicy, Per, begins, explores
 from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.networks.vote import VoteModule
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["BootstrapSampling", "MajorityVote"]
 
 
-class _OnHeads(TensorDictModuleBase):
+class _OnHeads(ActorPolicy):
     """What acts on the heads of an actor, without writing the values of all of them."""
 
     def __init__(self, actor: QValueActor) -> None:
@@ -32,9 +31,7 @@ class _OnHeads(TensorDictModuleBase):
                 "actor must be one that chooses by a VoteModule, as bootstrap_actor returns it, "
                 f"got {type(actor).__name__} with {type(choice).__name__}"
             )
-        super().__init__()
-        self.actor = actor
-        self.in_keys = actor.in_keys
+        super().__init__(actor)
         states = [key for key in network.out_keys if key != choice.action_value_key]
         self.out_keys = [*states, *choice.out_keys]
 

@@ -130,9 +130,7 @@ class DynamicsModel(nn.Module):
             valid: bool [*replicas, *rows], True for the rows that count; None for all. The others
                 may hold anything, and a replica without one keeps its statistics bitwise.
         """
-        x = self._states("observation", observation).reshape(
-            *self.replicas, -1, self.observation_size
-        )
+        x = self._states(observation).reshape(*self.replicas, -1, self.observation_size)
         if valid is None:
             mask = torch.ones(x.shape[:-1], dtype=torch.bool, device=x.device)
         else:
@@ -162,7 +160,7 @@ class DynamicsModel(nn.Module):
         Raises:
             ValueError: if the shape does not fit.
         """
-        x = self._states("observation", observation)
+        x = self._states(observation)
         shape = (
             *self.replicas,
             *(1 for _ in x.shape[len(self.replicas) : -1]),
@@ -170,12 +168,12 @@ class DynamicsModel(nn.Module):
         )
         return (x - self.mean.reshape(shape)) / self.std.reshape(shape)
 
-    def _states(self, name: str, x: Tensor) -> Tensor:
+    def _states(self, x: Tensor) -> Tensor:
         n = len(self.replicas)
         if x.ndim <= n or x.shape[:n] != self.replicas or x.shape[-1] != self.observation_size:
             lead = "".join(f"{d}, " for d in self.replicas)
             raise ValueError(
-                f"{name} must have shape [{lead}*rows, {self.observation_size}], got "
+                f"observation must have shape [{lead}*rows, {self.observation_size}], got "
                 f"{list(x.shape)}"
             )
         return x.to(self.mean.dtype)

@@ -251,20 +251,3 @@ def test_gradients_under_a_transform_are_the_hand_written_ones(kind):
     )
     for reference, own in zip(expected, each.values(), strict=True):
         torch.testing.assert_close(own[1], reference)
-
-
-def test_at_the_prior_a_transform_finds_no_slope_either():
-    net = BayesMLP(4, 3, prior_std=0.07)
-    found = torch.func.grad(
-        lambda p: functional_call(KL(net), {f"net.{k}": v for k, v in p.items()})
-    )(dict(net.named_parameters()))
-    assert not any(slope.any() for slope in found.values())
-
-
-class KL(nn.Module):
-    def __init__(self, net):
-        super().__init__()
-        self.net = net
-
-    def forward(self):
-        return kl_divergence(self.net)

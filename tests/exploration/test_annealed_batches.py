@@ -78,12 +78,20 @@ def test_the_place_in_the_schedule_is_in_the_state(kind):
     assert torch.equal(start, column(STARTS))
 
 
-@pytest.mark.parametrize(("start", "end"), [(0.1, 0.2), (1.5, 0.1), (0.1, -0.1)])
-def test_an_epsilon_that_is_no_schedule_is_refused(start, end):
-    with pytest.raises(ValueError, match="eps_init must be at least eps_end and both be between"):
-        BatchedEGreedy(Categorical(3), column((0.5, start)), column((0.1, end)))
-    with pytest.raises(ValueError, match="temperature_init must be at least temperature_end"):
-        Boltzmann(column((0.5, start)), column((0.6, end)))
+@pytest.mark.parametrize(
+    ("kind", "start", "end"),
+    [
+        ("epsilon", 0.1, 0.2),
+        ("epsilon", 1.5, 0.1),
+        ("epsilon", 0.1, -0.1),
+        ("temperature", 0.1, 0.2),
+        ("temperature", 0.1, 0.0),
+    ],
+)
+def test_what_is_no_schedule_is_refused(kind, start, end):
+    name = "eps" if kind == "epsilon" else kind
+    with pytest.raises(ValueError, match=f"{name}_init must be at least {name}_end and"):
+        explorer(kind, column((0.5, start)), column((0.1, end)))
 
 
 @pytest.mark.parametrize("kind", ["epsilon", "temperature"])
@@ -100,3 +108,5 @@ def test_values_that_do_not_fit_the_batch_are_refused(kind, batch):
 def test_a_schedule_without_a_step_is_refused():
     with pytest.raises(ValueError, match="annealing_num_steps must be at least 1, got 0"):
         BatchedEGreedy(Categorical(3), 0.5, 0.1, 0)
+    with pytest.raises(ValueError, match="annealing_num_steps must be at least 1, got 0"):
+        Boltzmann(0.5, 0.1, 0)

@@ -29,9 +29,9 @@ def heads(replicas=(), **settings):
     return BootstrapSampling(bootstrap_actor(network, Categorical(ACTIONS)), **settings)
 
 
-def noisy(replicas=(), **_):
+def noisy(replicas=(), shared=False, **_):
     network = NoisyMLP(FEATURES, ACTIONS, (16,), replicas=replicas)
-    return NoisySampling(q_actor(network, Categorical(ACTIONS)))
+    return NoisySampling(q_actor(network, Categorical(ACTIONS)), shared=shared)
 
 
 def values(policy, td, exploration=ExplorationType.RANDOM):
@@ -59,6 +59,17 @@ def test_a_draw_is_kept_for_a_step_a_dialogue_or_a_round(make, per, replicas):
     before = values(policy, td)
     policy.resample()
     assert not torch.equal(values(policy, td), before)
+
+
+@pytest.mark.parametrize("replicas", REPLICAS)
+@pytest.mark.parametrize("together", [False, True])
+def test_rows_have_one_noise_or_each_its_own(replicas, together):
+    found = values(noisy(replicas, shared=together), observations(*replicas, 40))
+    for rows in found.reshape(-1, 40):
+        if together:
+            torch.testing.assert_close(rows, rows[:1].expand(40), rtol=0, atol=1e-4)
+        else:
+            assert torch.unique(rows).numel() == 40
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)

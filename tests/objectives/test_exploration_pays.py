@@ -8,7 +8,6 @@ of the second state was tried.
 
 from __future__ import annotations
 
-import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.data import Categorical
@@ -96,11 +95,10 @@ def share_solved(explore) -> float:
     return float(chain.solved(Greedy(actor)).float().mean())
 
 
-@pytest.mark.parametrize("per", ["step", "episode"])
-def test_thompson_sampling_solves_the_chain(per):
+def test_thompson_sampling_solves_the_chain():
     # In 99 of 100 replicas (measured), each of which is an independent experiment. Even at 95 of
     # 100 fewer than 80 would have a probability below 1e-7.
-    assert share_solved(lambda actor: ThompsonSampling(actor, per=per)) >= 0.8
+    assert share_solved(ThompsonSampling) >= 0.8
 
 
 def test_acting_greedily_does_not():

@@ -11,8 +11,6 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from bbq_torchrl.objectives import OneStepQLoss
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from tensordict import TensorDictBase
     from torch import Tensor
     from torchrl.modules import QValueActor
@@ -111,8 +109,3 @@ class IndexLoss(OneStepQLoss):
         tensordict.set(INDEX, index)
         tensordict.set(("next", INDEX), index)
         return super().forward(tensordict)
-
-    def _predict(
-        self, tensors: Sequence[Tensor], inputs: Sequence[Tensor]
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        return self._function(tensors, inputs, "draw"), {}
