@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
+from tensordict import pad_sequence
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
 
 from bbq_torchrl.data.epoch import Batch, EpochMemory
 from bbq_torchrl.data.hooks import Seeded
-from bbq_torchrl.data.padding import pad_rows, unpad_rows
 from bbq_torchrl.data.stored_rows import buffer_state, load_buffer_state, map_stored_rows
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
@@ -64,6 +64,7 @@ class ReplicaReplay:
         device (torch.device or str): where the transitions are kept. Default: ``"cpu"``.
 
     Attributes:
+        buffers (tuple of TensorDictReplayBuffer): TorchRL's, one for each replica.
         keys (tuple of NestedKey): the entries that :meth:`extend` reads.
         stored_keys (tuple of NestedKey): those, and what the transform adds.
         transform (Transform or None): the transform.
@@ -103,7 +104,7 @@ class ReplicaReplay:
         self.stored_keys = (*self.keys, *(key for key in added if key not in self.keys))
         self._device = torch.device(device)
         self._generators = [torch.Generator(self._device) for _ in range(replicas)]
-        self._buffers = [
+        self.buffers = tuple(
             TensorDictReplayBuffer(
                 storage=LazyTensorStorage(capacity, device=self._device),
                 sampler=SamplerWithoutReplacement(drop_last=False),
@@ -111,26 +112,21 @@ class ReplicaReplay:
                 batch_size=1,
             )
             for _ in range(replicas)
-        ]
+        )
         self.seed(range(replicas))
         self._computed: dict[NestedKey, Tensor] = {}
-        self._memory = EpochMemory(self._buffers, self.stored_keys, capacity)
+        self._memory = EpochMemory(self.buffers, self.stored_keys, capacity)
         self._epochs_begun = 0
-
-    @property
-    def buffers(self) -> tuple[TensorDictReplayBuffer, ...]:
-        """TorchRL's replay buffers, one for each replica."""
-        return tuple(self._buffers)
 
     @property
     def lengths(self) -> tuple[int, ...]:
         """The number of transitions that each replica's buffer holds."""
-        return tuple(len(buffer) for buffer in self._buffers)
+        return tuple(len(buffer) for buffer in self.buffers)
 
     @property
     def protected(self) -> tuple[int, ...]:
         """The number of transitions of each replica that are never evicted."""
-        return tuple(buffer.writer.protected for buffer in self._buffers)
+        return tuple(buffer.writer.protected for buffer in self.buffers)
 
     def num_data(self) -> Tensor:
         """Returns the number of transitions each replica learns from, int64, shape [replicas]."""
@@ -142,7 +138,7 @@ class ReplicaReplay:
             raise ValueError(
                 f"seeds must be {self.replicas}, one for each replica, got {len(seeds)}"
             )
-        for buffer, generator, seed in zip(self._buffers, self._generators, seeds, strict=True):
+        for buffer, generator, seed in zip(self.buffers, self._generators, seeds, strict=True):
             # The sampler draws the next permutation as soon as one is used up. A fresh sampler
             # forgets it, so that an epoch depends on this seed alone, not on the epochs before.
             buffer.set_sampler(SamplerWithoutReplacement(drop_last=False))
@@ -171,10 +167,13 @@ class ReplicaReplay:
             validate_transitions(td, name=f"replica {replica}")
         selected = [td.to(self._device) for td in selected]
         if self.transform is not None:
-            stacked = self.transform.inv(pad_rows(selected)).select(*self.stored_keys)
-            selected = unpad_rows(stacked, [len(td) for td in selected])
+            for td in selected:
+                td["valid"] = torch.ones(len(td), dtype=torch.bool, device=self._device)
+            # The shorter ones are padded with zeros, which are not valid.
+            stacked = self.transform.inv(pad_sequence(selected)).select(*self.stored_keys)
+            selected = [stacked[replica, : len(td)] for replica, td in enumerate(selected)]
         self._computed.clear()
-        for buffer, td in zip(self._buffers, selected, strict=True):
+        for buffer, td in zip(self.buffers, selected, strict=True):
             td = td[-buffer.writer.unprotected_capacity :]
             if len(td):
                 buffer.extend(td)
@@ -185,28 +184,19 @@ class ReplicaReplay:
         Raises:
             ValueError: if they fill the capacity of a replica.
         """
-        for replica, buffer in enumerate(self._buffers):
-            if len(buffer) >= self.capacity:
-                raise ValueError(
-                    f"the protected transitions of replica {replica} must be fewer than the "
-                    f"capacity {self.capacity}, got {len(buffer)}: raise the capacity or spike "
-                    "with fewer dialogues"
-                )
-            if len(buffer):
-                buffer.writer.protect()
+        for buffer in self.buffers:
+            buffer.writer.protect()
 
-    def drop_protected(self, replica: int) -> int:
-        """Removes the protected transitions of one replica, and returns how many they were."""
-        buffer = self._buffers[replica]
-        dropped = buffer.writer.protected
-        if dropped:
+    def drop_protected(self, replica: int) -> None:
+        """Removes the protected transitions of one replica."""
+        buffer = self.buffers[replica]
+        if buffer.writer.protected:
             self._computed.clear()
             index = buffer.writer.oldest_first().to(self._device)
             rest = buffer.storage.get(index).select(*self.stored_keys)
             buffer.empty(empty_write_count=False)
             if len(rest):
                 buffer.extend(rest)
-        return int(dropped)
 
     def compute(self, key: NestedKey, function: Callable[[TensorDictBase], Tensor]) -> None:
         """Computes an entry for every stored transition; epochs hand it out with the others.
@@ -223,7 +213,7 @@ class ReplicaReplay:
             ValueError: if a replica has no transition.
         """
         self._check_not_empty()
-        self._computed[key] = map_stored_rows(self._buffers, function)
+        self._computed[key] = map_stored_rows(self.buffers, function)
 
     def epoch(self, batch_size: int) -> Iterator[Batch]:
         """Yields each replica's transitions once, in an order of its own, in shared batches.
@@ -266,7 +256,7 @@ class ReplicaReplay:
         """
         state: dict[str, Any] = {
             str(replica): buffer_state(buffer, self.stored_keys)
-            for replica, buffer in enumerate(self._buffers)
+            for replica, buffer in enumerate(self.buffers)
         }
         if self.transform is not None:
             state["transform"] = dict(self.transform.state_dict())
@@ -286,7 +276,7 @@ class ReplicaReplay:
         self._computed.clear()
         if self.transform is not None:
             self.transform.load_state_dict(state_dict["transform"])
-        for replica, buffer in enumerate(self._buffers):
+        for replica, buffer in enumerate(self.buffers):
             load_buffer_state(buffer, state_dict[str(replica)], self.capacity, self._device)
 
 

@@ -22,12 +22,11 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
     A replay buffer *spiked* with the dialogues of a rule policy so keeps them for the whole
     training.
 
-    Args:
-        protected (int): how many rows at the head of the storage are protected from the start.
+    Attributes:
+        protected (int): how many rows, from the first, are never overwritten.
 
     Raises:
-        ValueError: if ``protected`` is negative, leaves no room in the storage, or if more rows are
-            written at once than there are unprotected ones.
+        ValueError: if more rows are written at once than there are unprotected ones.
 
     Example:
         >>> import torch
@@ -44,22 +43,14 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         tensor([1, 2, 5, 4])
     """
 
-    def __init__(self, protected: int = 0) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        if protected < 0:
-            raise ValueError(f"protected must not be negative, got {protected}")
-        self._protected = protected
-        self._cursor = protected
-
-    @property
-    def protected(self) -> int:
-        """The number of rows, from the first, that are never overwritten."""
-        return self._protected
+        self.protected = 0
 
     @property
     def unprotected_capacity(self) -> int:
         """The number of rows of the storage that are written in turn."""
-        return int(self._storage.max_size) - self._protected
+        return int(self._storage.max_size) - self.protected
 
     def protect(self) -> None:
         """Protects every row that the storage holds now.
@@ -73,15 +64,15 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
                 f"protected rows must be fewer than the capacity {self._storage.max_size} of the "
                 f"storage, got {rows}"
             )
-        self._protected = rows
+        self.protected = rows
         self._cursor = rows
 
     def oldest_first(self) -> torch.Tensor:
         """Returns the indices of the unprotected rows from oldest to newest, shape [rows]."""
-        index = torch.arange(self._protected, len(self._storage))
+        index = torch.arange(self.protected, len(self._storage))
         if len(self._storage) < self._storage.max_size:
             return index
-        return index.roll(self._protected - self._cursor)
+        return index.roll(self.protected - self._cursor)
 
     def add(self, data: TensorDictBase) -> torch.Tensor:
         """Writes one row and returns its index, shape []."""
@@ -95,12 +86,12 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         if rows > room:
             raise ValueError(
                 f"extend writes at most {room} rows at once (capacity {self._storage.max_size}, "
-                f"{self._protected} protected), got {rows}"
+                f"{self.protected} protected), got {rows}"
             )
         device = data.device if data.device is not None else "cpu"
-        start = self._cursor - self._protected
-        index = torch.arange(start, start + rows, device=device) % room + self._protected
-        self._cursor = self._protected + (start + rows) % room
+        start = self._cursor - self.protected
+        index = torch.arange(start, start + rows, device=device) % room + self.protected
+        self._cursor = self.protected + (start + rows) % room
         self._write_count += rows
         data.set("index", index)
         self._storage.set(index, data)
@@ -110,13 +101,13 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
 
     def _empty(self, empty_write_count: bool = True) -> None:
         super()._empty(empty_write_count=empty_write_count)
-        self._protected = 0
+        self.protected = 0
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the cursor, the count of rows written and the number of protected rows."""
-        return {**super().state_dict(), "_protected": self._protected}
+        return {**super().state_dict(), "_protected": self.protected}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` returned."""
         super().load_state_dict(state_dict)
-        self._protected = state_dict["_protected"]
+        self.protected = state_dict["_protected"]

@@ -68,21 +68,6 @@ def test_single_rows_are_written_in_turn():
     assert contents(buffer) == [1, 4, 3]
 
 
-def test_state_is_restored_with_the_protection():
-    buffer = make_buffer(5)
-    buffer.extend(rows(0, 1))
-    buffer.writer.protect()
-    buffer.extend(rows(2, 3))
-    other = make_buffer(5)
-    other.extend(rows(0, 1, 2, 3))
-
-    other.writer.load_state_dict(buffer.writer.state_dict())
-    for b in (buffer, other):
-        b.extend(rows(4, 5, 6))
-
-    assert contents(other) == contents(buffer) == [0, 1, 5, 6, 4]
-
-
 def test_emptying_ends_the_protection():
     buffer = make_buffer(4)
     buffer.extend(rows(0, 1))
@@ -107,5 +92,3 @@ def test_more_rows_than_are_unprotected_are_refused():
     buffer.extend(rows(2, 3))
     with pytest.raises(ValueError, match="fewer than the capacity 4 of the storage, got 4"):
         buffer.writer.protect()
-    with pytest.raises(ValueError, match="must not be negative, got -1"):
-        ProtectedRoundRobinWriter(-1)
