@@ -42,24 +42,6 @@ class ReplicaOptimizer(Protocol):
         """Restores it."""
 
 
-class _GroupState:
-    """What Adam keeps of a group of views, in lists as its functional form takes them."""
-
-    names = ("exp_avg", "exp_avg_sq", "step")
-
-    def __init__(
-        self,
-        views: list[Tensor],
-        exp_avgs: list[Tensor],
-        exp_avg_sqs: list[Tensor],
-        steps: list[Tensor],
-    ) -> None:
-        self.views = views
-        self.exp_avgs = exp_avgs
-        self.exp_avg_sqs = exp_avg_sqs
-        self.steps = steps
-
-
 class ReplicaAdam:
     """:class:`torch.optim.Adam` over parameters of replicas, each with its own steps.
 
@@ -107,18 +89,12 @@ class ReplicaAdam:
                     f"got shape {tuple(parameter.shape)}"
                 )
         self._views = [
-            [parameter.detach()[replica].requires_grad_() for parameter in self.parameters]
+            [parameter.detach()[replica] for parameter in self.parameters]
             for replica in range(replicas)
         ]
         groups = self._groups(lr)
         self._rates = [group["lr"] for group in groups]
         self._adam = torch.optim.Adam(groups, betas=betas, eps=eps, fused=True)
-        self._states: list[_GroupState] = []
-
-    @property
-    def device(self) -> torch.device:
-        """Where the parameters are."""
-        return self.parameters[0].device
 
     def _groups(self, lr: float | Sequence[float]) -> list[dict[str, Any]]:
         """Returns Adam's parameter groups: neighbors of the same rate are one, as a step is."""
@@ -140,6 +116,7 @@ class ReplicaAdam:
         for parameter in self.parameters:
             parameter.grad = None
 
+    @torch.no_grad()
     def step(self, active: Sequence[bool] | None = None) -> None:
         """Moves the replicas that are active by one Adam step.
 
@@ -147,68 +124,48 @@ class ReplicaAdam:
             active (sequence of bool, optional): for each replica, whether the last batch concerned
                 it. Default: all.
         """
-        if (
-            (active is None or all(active))
-            and all(parameter.grad is not None for parameter in self.parameters)
-            and (self._states or self._has_states())
-        ):
-            self._step_all()
-            return
         flags = (True,) * self.replicas if active is None else active
-        for parameter_number, parameter in enumerate(self.parameters):
-            gradients = (None,) * self.replicas if parameter.grad is None else parameter.grad
-            for views, gradient, is_active in zip(self._views, gradients, flags, strict=True):
-                views[parameter_number].grad = gradient if is_active else None
-        self._adam.step()
+        gradients = {
+            views[number]: gradient
+            for number, parameter in enumerate(self.parameters)
+            if parameter.grad is not None
+            for views, gradient, is_active in zip(self._views, parameter.grad, flags, strict=True)
+            if is_active
+        }
+        # Not Adam.step: its hooks and checks cost as much as the step where networks are small.
+        for group in self._adam.param_groups:
+            views = [view for view in group["params"] if view in gradients]
+            states = [self._state(view) for view in views]
+            adam(
+                views,
+                [gradients[view] for view in views],
+                [state["exp_avg"] for state in states],
+                [state["exp_avg_sq"] for state in states],
+                [],
+                [state["step"] for state in states],
+                fused=True,
+                amsgrad=False,
+                beta1=group["betas"][0],
+                beta2=group["betas"][1],
+                lr=group["lr"],
+                weight_decay=0.0,
+                eps=group["eps"],
+                maximize=False,
+            )
+
+    def _state(self, view: Tensor) -> dict[str, Tensor]:
+        """Returns what Adam keeps of a view, as its first step begins it."""
+        state: dict[str, Tensor] = self._adam.state[view]
+        if not state:
+            state["step"] = torch.zeros((), dtype=torch.float32, device=view.device)
+            state["exp_avg"] = torch.zeros_like(view)
+            state["exp_avg_sq"] = torch.zeros_like(view)
+        return state
 
     def scale_lr(self, share: float) -> None:
         """Has each replica go on at that share of the rate that it was given."""
         for group, rate in zip(self._adam.param_groups, self._rates, strict=True):
             group["lr"] = rate * share
-
-    def _has_states(self) -> bool:
-        """Whether every view has moments; notes where they are."""
-        state = self._adam.state
-        if not all("exp_avg" in state[view] for views in self._views for view in views):
-            return False
-        self._states = [
-            _GroupState(
-                group["params"],
-                *([state[view][name] for view in group["params"]] for name in _GroupState.names),
-            )
-            for group in self._adam.param_groups
-        ]
-        return True
-
-    @torch.no_grad()
-    def _step_all(self) -> None:
-        """What ``Adam.step`` does, without looking up again what it finds at each step.
-
-        Hooks, groups and states cost as much as the step itself where the networks are small.
-        """
-        parts = [parameter.grad.unbind(0) for parameter in self.parameters]  # type: ignore[union-attr]
-        gradients = [part[replica] for replica in range(self.replicas) for part in parts]
-        options = self._adam.defaults
-        first = 0
-        for group, state in zip(self._adam.param_groups, self._states, strict=True):
-            last = first + len(state.views)
-            adam(
-                state.views,
-                gradients[first:last],
-                state.exp_avgs,
-                state.exp_avg_sqs,
-                [],
-                state.steps,
-                fused=True,
-                amsgrad=False,
-                beta1=options["betas"][0],
-                beta2=options["betas"][1],
-                lr=group["lr"],
-                weight_decay=0.0,
-                eps=options["eps"],
-                maximize=False,
-            )
-            first = last
 
     def state_dict(self) -> dict[str, Any]:
         """Returns moments and step counts, as :meth:`torch.optim.Adam.state_dict` does."""
@@ -216,6 +173,5 @@ class ReplicaAdam:
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Restores a copy of what :meth:`state_dict` returned."""
-        self._states = []
         # torch's own would go on in the very tensors of the state that it is given.
         self._adam.load_state_dict(deepcopy(dict(state_dict)))
