@@ -11,7 +11,7 @@ from bbq_torchrl.hooks import provides
 from bbq_torchrl.objectives.hooks import BeginsEpochs, FixedTargets, UsesNumData
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from tensordict import TensorDictBase
     from torch import nn
@@ -51,14 +51,16 @@ class LossSums:
             self._sums.zero_()
         self.updates = [0] * self._replicas
 
-    def add(self, losses: TensorDictBase, active: Tensor | None = None) -> None:
-        """Adds what a loss returned for an update; nothing here runs on the host.
+    def add(self, losses: TensorDictBase, batch: Batch) -> None:
+        """Adds what a loss returned for an update of a batch; nothing here runs on the host.
 
         Args:
-            losses (TensorDictBase): with ``loss_value`` of shape [replicas].
-            active (Tensor, optional): bool [replicas]; the others' entries, which mean nothing,
-                are left out. Default: all are active.
+            losses (TensorDictBase): with ``loss_value`` of shape [replicas]; the entries of
+                replicas that the batch is not active for mean nothing, and are left out.
+            batch (Batch): what it was computed from.
         """
+        counted = zip(self.updates, batch.active, strict=True)
+        self.updates = [count + is_active for count, is_active in counted]
         if self._sums is None:
             self._names = tuple(
                 name
@@ -73,8 +75,8 @@ class LossSums:
                 len(self._names), self._replicas, dtype=torch.float64
             )
         values = [losses.get(name) for name in self._names]
-        if active is not None:
-            values = [torch.where(active, value.detach(), 0.0) for value in values]
+        if not all(batch.active):
+            values = [torch.where(batch.active_mask, value.detach(), 0.0) for value in values]
         self._pending += values
         limit = _AT_ONCE if self._sums.device.type == "cpu" else 1
         if len(self._pending) >= limit * len(self._names):
@@ -86,17 +88,10 @@ class LossSums:
             return
         values = torch.stack(self._pending).view(-1, *self._sums.shape)
         self._pending.clear()
-        if len(values) == 1:
-            self._sums += values[0]
-        else:
-            # One after the other: a sum of a block would depend, in its last bits, on which
-            # updates happen to be in it.
-            rows = torch.cat([self._sums.unsqueeze(0), values.double()])
-            self._sums.copy_(rows.cumsum(0)[-1])
-
-    def count(self, active: Iterable[bool]) -> None:
-        """Counts an update of the active replicas."""
-        self.updates = [n + is_active for n, is_active in zip(self.updates, active, strict=True)]
+        # One after the other: a sum of a block would depend, in its last bits, on which updates
+        # happen to be in it.
+        rows = torch.cat([self._sums.unsqueeze(0), values.double()])
+        self._sums.copy_(rows.cumsum(0)[-1])
 
     def means(self) -> dict[str, list[float]]:
         """Returns by name the means over each replica's updates; waits once for the device."""
@@ -133,13 +128,11 @@ class Update:
 
     def __call__(self, batch: Batch) -> None:
         """Updates once."""
-        everyone = all(batch.active)
         losses = self.loss(batch.transitions)
         self.optimizer.zero_grad()
         losses["loss"].backward()
-        self.optimizer.step(None if everyone else batch.active)
-        self.sums.add(losses, None if everyone else batch.active_mask)
-        self.sums.count(batch.active)
+        self.optimizer.step(None if all(batch.active) else batch.active)
+        self.sums.add(losses, batch)
 
 
 class Learner:

@@ -6,11 +6,14 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from bbq_torchrl.data import Batch
 from bbq_torchrl.trainers.learn import LossSums
 
 
-def reported(values: torch.Tensor) -> TensorDict:
-    return TensorDict({"loss_value": values[0], "kl": values[1], "loss": values.sum()})
+def added(sums: LossSums, values: torch.Tensor, *active: bool) -> None:
+    """Adds an update that reported values [2, replicas] of a batch that is active for some."""
+    reported = TensorDict({"loss_value": values[0], "kl": values[1], "loss": values.sum()})
+    sums.add(reported, Batch(TensorDict(), active, torch.tensor(active)))
 
 
 @pytest.mark.parametrize("updates", [1, 63, 64, 65, 200])
@@ -20,8 +23,7 @@ def test_sums_of_many_updates_are_those_of_one_after_the_other(updates):
     expected = torch.zeros(2, 3, dtype=torch.float64)
 
     for update in values:
-        sums.add(reported(update))
-        sums.count((True,) * 3)
+        added(sums, update, True, True, True)
         expected += update
 
     assert sums.means()["loss_value"] == [float(total) / updates for total in expected[0]]
@@ -31,12 +33,9 @@ def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
     values = torch.randn(150, 2, 2)
     alone, beside = LossSums(2), LossSums(2)
     for number, update in enumerate(values):
-        is_active = number < 100
-        if is_active:
-            alone.add(reported(update))
-            alone.count((True, True))
-        beside.add(reported(update), torch.tensor([is_active, True]))
-        beside.count((is_active, True))
+        if number < 100:
+            added(alone, update, True, True)
+        added(beside, update, number < 100, True)
     for name, means in alone.means().items():
         assert beside.means()[name][0] == means[0]
     assert beside.updates == [100, 150]
@@ -45,8 +44,7 @@ def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
 def test_resetting_forgets_what_was_not_added_yet():
     sums = LossSums(2)
     for _ in range(10):
-        sums.add(reported(torch.ones(2, 2)))
+        added(sums, torch.ones(2, 2), True, True)
     sums.reset()
-    sums.add(reported(torch.full((2, 2), 3.0)))
-    sums.count((True, True))
+    added(sums, torch.full((2, 2), 3.0), True, True)
     assert sums.means() == {"loss_value": [3.0, 3.0], "kl": [3.0, 3.0]}
