@@ -9,6 +9,7 @@ noise, and then measured with other users.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -122,20 +123,19 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     if config.policy not in domain.policies:
         names = ", ".join(domain.policies) or "the domain's scripted policies, of which it has none"
         raise ConfigError(f"policy must be one of {names}, got {shown(config.policy)}")
-    tried: dict[tuple[float, int], float] = {}
 
+    @functools.cache
     def success(probability: float, seed: int) -> float:
-        if (probability, seed) not in tried:
-            env = dataclasses.replace(option, slot_error_prob=probability).make(
-                domain,
-                (1, min(config.batch, config.dialogues)),
-                device=config.device,
-            )
-            policy = scripted_policy(config.policy, env)
-            played = evaluate(env, policy, config.dialogues, seed=seed)
-            rate = tried[probability, seed] = played.success.double().mean().item()
-            tell(f"slot_error_prob={probability:.5f}: {config.policy} succeeds in {rate:.4f}")
-        return tried[probability, seed]
+        env = dataclasses.replace(option, slot_error_prob=probability).make(
+            domain,
+            (1, min(config.batch, config.dialogues)),
+            device=config.device,
+        )
+        policy = scripted_policy(config.policy, env)
+        played = evaluate(env, policy, config.dialogues, seed=seed)
+        rate = played.success.double().mean().item()
+        tell(f"slot_error_prob={probability:.5f}: {config.policy} succeeds in {rate:.4f}")
+        return rate
 
     def error(rate: float) -> float:
         return binomial_standard_error(rate, config.dialogues)

@@ -88,7 +88,10 @@ class CheckpointFolder:
             OSError: if the folder cannot be written or the disk has no room.
         """
         path = self.folder / f"{name or f'round-{rounds:06d}'}{_SUFFIX}"
-        self._check_room()
+        states = [part.state_dict() for part in self._checkpoint.components.values()]
+        tensors = [leaf for leaf in pytree.tree_leaves(states) if isinstance(leaf, torch.Tensor)]
+        # The tensors are written twice: staged and archived.
+        _check_room(self.folder, 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE)
         self._checkpoint.save(path, metadata={"round": rounds, **metadata})
         _force_to_disk(path)
         _force_to_disk(self.folder)
@@ -127,19 +130,18 @@ class CheckpointFolder:
             CheckpointDamagedError: as :meth:`newest`.
             CheckpointMismatchError: if the checkpoint is one of another seed or configuration.
         """
-        while True:
-            found = self.newest()
-            if found is None:
-                return None
-            path, metadata = found
-            _compare(path, metadata, expected)
-            try:
-                self.load(path)
-            except FileNotFoundError:
-                if path.exists():
-                    raise
-                continue  # the process that writes has removed it: there is a newer one
-            return found
+        found = self.newest()
+        if found is None:
+            return None
+        path, metadata = found
+        _compare(path, metadata, expected)
+        try:
+            self.load(path)
+        except FileNotFoundError:
+            if path.exists():
+                raise
+            return self.restore(expected)  # the process that writes has saved a newer one
+        return found
 
     def check(self, expected: Mapping[str, Any], *components: str) -> bool:
         """Refuses the newest readable checkpoint as :meth:`restore` would; whether there is one.
@@ -225,29 +227,25 @@ class CheckpointFolder:
         self, components: Iterable[str]
     ) -> tuple[tuple[Path, dict[str, Any]] | None, list[str]]:
         """Returns the newest readable checkpoint with its metadata, and which ones are damaged."""
-        vanished = True
-        while vanished:
-            vanished = False
-            damages: list[str] = []
-            for path in self._files():
-                # An archive can be damaged in more ways than there are errors to name.
-                try:
-                    manifest = read_archive(path)
-                except Exception as error:
-                    if isinstance(error, FileNotFoundError) and not os.path.lexists(path):
-                        vanished = True  # the process that writes has saved a newer one
-                    else:
-                        reason = " ".join(str(error).split()) or type(error).__name__
-                        damages.append(f"{path.name}: {reason}")
-                    continue
-                missing = set(components) - manifest["components"].keys()
-                if missing:
-                    raise CheckpointDamagedError(
-                        f"the checkpoint {path} has no {', '.join(sorted(missing))}, only "
-                        f"{', '.join(manifest['components'])}: a run that is to go on after its "
-                        "end needs protocol.keep_checkpoints=last"
-                    )
-                return (path, dict(manifest["metadata"])), damages
+        damages: list[str] = []
+        for path in self._files():
+            # An archive can be damaged in more ways than there are errors to name.
+            try:
+                manifest = read_archive(path)
+            except Exception as error:
+                if isinstance(error, FileNotFoundError) and not os.path.lexists(path):
+                    return self._newest(components)  # the process that writes has saved a newer one
+                reason = " ".join(str(error).split()) or type(error).__name__
+                damages.append(f"{path.name}: {reason}")
+                continue
+            missing = set(components) - manifest["components"].keys()
+            if missing:
+                raise CheckpointDamagedError(
+                    f"the checkpoint {path} has no {', '.join(sorted(missing))}, only "
+                    f"{', '.join(manifest['components'])}: a run that is to go on after its "
+                    "end needs protocol.keep_checkpoints=last"
+                )
+            return (path, dict(manifest["metadata"])), damages
         if damages:
             raise CheckpointDamagedError(
                 f"every checkpoint in {self.folder} is damaged ({'; '.join(damages)}): put a good "
@@ -265,12 +263,6 @@ class CheckpointFolder:
             if (match := _NAME.fullmatch(path.name)) is not None
         ]
         return [path for _, path in sorted(numbered, reverse=True)]
-
-    def _check_room(self) -> None:
-        """Raises OSError where the disk has no room for a checkpoint, staged and archived."""
-        states = [part.state_dict() for part in self._checkpoint.components.values()]
-        tensors = [leaf for leaf in pytree.tree_leaves(states) if isinstance(leaf, torch.Tensor)]
-        _check_room(self.folder, 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE)
 
 
 def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any]) -> None:

@@ -6,13 +6,14 @@ import csv
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from bbq_torchrl.run_folder import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from torchrl.record.loggers import Logger
@@ -69,7 +70,15 @@ class MetricsFile:
         Raises:
             ValueError: if the columns are others than those of the rounds before.
         """
-        rows = list(self._rows_of(round_number, columns))
+        values = {name: _of_each(value, self.replicas) for name, value in columns.items()}
+        rows: list[MetricRow] = [
+            {
+                "round": round_number,
+                "replica": replica,
+                **{name: column[replica] for name, column in values.items()},
+            }
+            for replica in range(self.replicas)
+        ]
         names = tuple((self.rows or rows)[0])
         if tuple(rows[0]) != names:
             raise ValueError(f"a row must have the columns {names}, got {tuple(rows[0])}")
@@ -82,21 +91,6 @@ class MetricsFile:
             for row in rows:
                 _log(logger, row)
         return rows
-
-    def _rows_of(
-        self, round_number: int, columns: Mapping[str, float | Tensor | Sequence[float]]
-    ) -> Iterator[MetricRow]:
-        values = {name: self._of_each(value) for name, value in columns.items()}
-        for replica in range(self.replicas):
-            own = {name: column[replica] for name, column in values.items()}
-            yield {"round": round_number, "replica": replica, **own}
-
-    def _of_each(self, value: float | Tensor | Sequence[float]) -> Sequence[float]:
-        """Returns a metric's value for each replica."""
-        if isinstance(value, Tensor):
-            of_each: list[float] = value.expand(self.replicas).tolist()
-            return of_each
-        return [value] * self.replicas if isinstance(value, int | float) else value
 
     def state_dict(self) -> dict[str, Any]:
         """Returns all rows: the columns' names, which of them are integers, and the values."""
@@ -124,6 +118,13 @@ class MetricsFile:
             write_text(self.path, _csv(self.rows, header=True))
         else:
             self.path.unlink(missing_ok=True)
+
+
+def _of_each(value: float | Tensor | Sequence[float], replicas: int) -> list[float]:
+    """Returns a metric's value for each replica."""
+    numbers = value.tolist() if isinstance(value, Tensor) else value
+    of_each: list[float] = np.broadcast_to(numbers, (replicas,)).tolist()
+    return of_each
 
 
 def _log(logger: Logger, row: MetricRow) -> None:

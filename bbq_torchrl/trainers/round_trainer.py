@@ -190,16 +190,24 @@ class RoundTrainer:
             found = self.checkpoints.restore(self.described)
             if found is not None:
                 self.rounds_done = self.rounds_saved = int(found[1]["round"])
-            elif self.metrics.path.exists():
+                return
+            if self.metrics.path.exists():
                 raise CheckpointDamagedError.gone(self.run_folder)
         elif self.metrics.path.exists() or self.checkpoints.newest() is not None:
             raise ValueError(
                 f"the run folder must be a new one, or be resumed; {self.run_folder} holds a "
                 "training already"
             )
-        if self.rounds_done == 0 and not any(self.replay.lengths):
-            self._fill_with_spike()
-            self._save()
+        if self.spike_policy is not None and self.spike.dialogues:
+            self._begin_phase("spike", 0)
+            spike_replay(
+                self.replay,
+                self.env,
+                self.spike_policy,
+                self.spike,
+                max_steps=self.settings.max_steps,
+            )
+        self._save()
 
     def train_round(self) -> list[MetricRow]:
         """Plays, learns and records one round; returns its rows. :meth:`train` is a loop over it.
@@ -217,19 +225,6 @@ class RoundTrainer:
         return rows
 
     # ---------------------------------------------------------------- phases
-
-    def _fill_with_spike(self) -> None:
-        """Stores the spike policy's dialogues, each replica its own."""
-        if self.spike_policy is None or not self.spike.dialogues:
-            return
-        self._begin_phase("spike", 0)
-        spike_replay(
-            self.replay,
-            self.env,
-            self.spike_policy,
-            self.spike,
-            max_steps=self.settings.max_steps,
-        )
 
     def _round(self, round_number: int) -> dict[str, float | Tensor | Sequence[float]]:
         """Plays and learns one round. Returns its metrics by name, in the order of the columns."""
