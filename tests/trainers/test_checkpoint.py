@@ -154,12 +154,3 @@ def test_a_checkpoint_of_a_device_that_is_absent_is_restored(tmp_path):
     (tmp_path / "new").replace(path)
 
     assert restored(tmp_path) == 20.0
-
-
-def test_nothing_in_a_checkpoint_is_pickled(tmp_path):
-    folder_with(tmp_path, 10)
-
-    with zipfile.ZipFile(tmp_path / "round-000010.torchrl") as archive:
-        endings = {name.rsplit(".", 1)[-1] for name in archive.namelist()}
-
-    assert endings == {"json", "memmap"}

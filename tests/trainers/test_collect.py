@@ -6,28 +6,11 @@ import pytest
 import torch
 from torch import nn
 from torchrl.envs.utils import ExplorationType, exploration_type
-from trainer_parts import GuessEnv, random_policy
+from trainer_parts import GuessEnv, never_guess, random_policy
 
 from bbq_torchrl.data import TRANSITION_KEYS
 from bbq_torchrl.trainers import outcomes, play, play_dialogues
 from bbq_torchrl.trainers.collect import rows_per_replica
-
-
-def never_guess(td):
-    return td.set("action", torch.ones(td.batch_size, dtype=torch.long))
-
-
-def test_what_is_valid_ends_with_the_first_done_and_every_dialogue_ends():
-    torch.manual_seed(0)
-    rollout = play(GuessEnv(2, 20), random_policy)
-
-    valid, done = rollout["valid"], rollout["next", "done"].squeeze(-1)
-    for replica in range(2):
-        for place in range(20):
-            count = int(valid[replica, place].sum())
-            assert valid[replica, place].tolist() == [t < count for t in range(rollout.shape[-1])]
-            assert done[replica, place, :count].tolist() == [False] * (count - 1) + [True]
-    assert len(set(valid.sum(-1).flatten().tolist())) > 1
 
 
 def test_the_policy_is_told_which_turn_begins_a_dialogue():
@@ -50,7 +33,10 @@ def test_outcomes_are_those_of_the_dialogues_played_one_by_one():
     for replica in range(2):
         for place in range(10):
             steps = rollout[replica, place]["next"]
+            assert steps["done"].any()
             count = int(steps["done"].squeeze(-1).int().argmax()) + 1
+            valid = rollout["valid"][replica, place].tolist()
+            assert valid == [turn < count for turn in range(len(steps))]
             last = steps[count - 1]
             assert result.turns[replica, place] == count
             assert result.success[replica, place] == last["success"]

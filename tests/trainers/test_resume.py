@@ -3,63 +3,88 @@
 from __future__ import annotations
 
 import csv
-import json
 import logging
+import os
 import signal
-import subprocess
-import sys
+import zipfile
 from typing import TYPE_CHECKING
 
-import killable
+import forked
 import pytest
 import torch
+from torchrl.checkpoint import StateDictCheckpointAdapter
 from trainer_parts import make_trainer
 
+from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.trainers import MetricsFile, ReplicaAdam, RoundTrainer, SpikeSettings, checkpoint
+
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
-    from bbq_torchrl.trainers import RoundTrainer
+ROUNDS = 10
+
+# Where a process dies: the function, and which of its calls. Rounds 2, 4, ... save a checkpoint of
+# five parts, the first one is saved right after the spike (one call of extend).
+MOMENTS: dict[str, tuple[object, str, int]] = {
+    "while the buffer is spiked": (ReplicaReplay, "extend", 1),
+    "while the first checkpoint is staged": (StateDictCheckpointAdapter, "save", 3),
+    "before the first checkpoint is published": (os, "replace", 1),
+    "in the first round": (ReplicaReplay, "extend", 2),
+    "in the middle of an epoch": (ReplicaAdam, "step", 70),
+    "while a checkpoint is staged": (StateDictCheckpointAdapter, "save", 12),
+    "while a checkpoint is written": (zipfile.ZipFile, "write", 130),
+    "before a checkpoint is published": (os, "replace", 3),
+    "before the older checkpoint goes": (checkpoint, "_force_to_disk", 7),
+    "while the last checkpoint is published": (os, "replace", 6),
+    "before a round's metrics are written": (MetricsFile, "append", 5),
+}
 
 
-class Processes:
-    """Runs trainings in processes that may die."""
-
-    def __init__(self) -> None:
-        self._server = subprocess.Popen(
-            [sys.executable, killable.__file__],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-
-    def run(self, folder: Path, moment: str | None = None) -> int:
-        """Returns the exit code: 0, or the negative number of the signal that ended it."""
-        request = {"folder": str(folder), "moment": moment}
-        self._server.stdin.write(json.dumps(request) + "\n")
-        self._server.stdin.flush()
-        for line in self._server.stdout:
-            if line.startswith("exit "):
-                return int(line.split()[1])
-        raise RuntimeError("the server of processes is gone")
-
-    def close(self) -> None:
-        self._server.stdin.close()
-        self._server.wait()
-        self._server.stdout.close()
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
-@pytest.fixture(scope="module")
-def processes():
-    server = Processes()
-    yield server
-    server.close()
+def die_at(owner: object, name: str, call: int) -> None:
+    """Makes the process die when the function is called for that time."""
+    function: Callable = getattr(owner, name)
+    calls = 0
+
+    def counted(*args: object, **kwargs: object) -> object:
+        nonlocal calls
+        calls += 1
+        if calls == call:
+            die()
+        return function(*args, **kwargs)
+
+    setattr(owner, name, counted)
 
 
-def finished(folder: Path) -> RoundTrainer:
-    """Returns the trainer of a finished training, its state loaded from the last checkpoint."""
-    trainer = killable.build(folder)
+def die_within_a_line(trainer: RoundTrainer, _: object) -> None:
+    """A callback: makes the process die with half a line of metrics.csv written."""
+    if trainer.rounds_done == 5:
+        path = trainer.metrics.path
+        path.write_bytes(path.read_bytes()[:-25])
+        die()
+
+
+def build(folder: Path) -> RoundTrainer:
+    return make_trainer(
+        folder,
+        rounds=ROUNDS,
+        replicas=2,
+        spike=SpikeSettings(dialogues=5, drop_above=0.7, drop_window=2),
+    )
+
+
+def train(folder: Path, moment: str | None = None) -> None:
+    """Goes on with the training, or begins it, and dies at the moment."""
+    trainer = build(folder)
+    if moment == "within a line of the metrics":
+        trainer.callbacks = (die_within_a_line,)
+    elif moment is not None:
+        die_at(*MOMENTS[moment])
     trainer.train(resume=True)
-    return trainer
 
 
 def table(folder: Path) -> list[dict[str, str]]:
@@ -72,32 +97,20 @@ def table(folder: Path) -> list[dict[str, str]]:
 
 
 def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
-    ours, expected = finished(folder), reference
-    assert ours.rounds_done == expected.rounds_done == killable.ROUNDS
+    """Compares a finished training, by its last checkpoint, with one that was not interrupted."""
+    ours = build(folder)
+    ours.train(resume=True)
+    assert ours.rounds_done == reference.rounds_done == ROUNDS
     assert table(folder) == table(reference.run_folder)
     for part in ("loss", "policy", "optimizer", "replay"):
-        ours_state, expected_state = (getattr(t, part).state_dict() for t in (ours, expected))
-        assert_equal(ours_state, expected_state, part)
-
-
-def assert_equal(ours: object, expected: object, where: str) -> None:
-    if isinstance(expected, torch.Tensor):
-        assert torch.equal(ours, expected), where
-    elif isinstance(expected, dict):
-        assert ours.keys() == expected.keys(), where
-        for name, value in expected.items():
-            assert_equal(ours[name], value, f"{where}.{name}")
-    elif isinstance(expected, list | tuple):
-        for number, pair in enumerate(zip(ours, expected, strict=True)):
-            assert_equal(*pair, f"{where}[{number}]")
-    else:
-        assert ours == expected, where
+        states = (getattr(trainer, part).state_dict() for trainer in (ours, reference))
+        torch.testing.assert_close(*states, rtol=0, atol=0)
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory) -> RoundTrainer:
     """A training that was never interrupted."""
-    trainer = killable.build(tmp_path_factory.mktemp("reference") / "run")
+    trainer = build(tmp_path_factory.mktemp("reference") / "run")
     rows = trainer.train()
     # The comparison means something only if the state that is carried over is a rich one: ragged
     # buffers, and a spike that was dropped on the way.
@@ -106,14 +119,12 @@ def reference(tmp_path_factory) -> RoundTrainer:
     return trainer
 
 
-@pytest.mark.parametrize("moment", [*killable.MOMENTS, "within a line of the metrics"])
-def test_a_training_killed_at_the_worst_moment_ends_the_same(
-    tmp_path, processes, reference, moment
-):
+@pytest.mark.parametrize("moment", [*MOMENTS, "within a line of the metrics"])
+def test_a_training_killed_at_the_worst_moment_ends_the_same(tmp_path, reference, moment):
     folder = tmp_path / "run"
 
-    assert processes.run(folder, moment) == -signal.SIGKILL
-    assert processes.run(folder) == 0
+    forked.call(lambda: train(folder, moment), cwd=tmp_path, code=-signal.SIGKILL)
+    train(folder)
 
     assert_same_training(folder, reference)
     assert not [path for path in (folder / "checkpoint").iterdir() if path.name.startswith(".")]
@@ -130,13 +141,12 @@ def test_a_training_can_be_resumed_for_more_rounds(tmp_path):
 
 def test_a_damaged_newest_checkpoint_costs_rounds_but_not_the_result(tmp_path, reference, caplog):
     folder = tmp_path / "run"
-    killable.build(folder).train()
+    train(folder)
     newest = max((folder / "checkpoint").iterdir())
     newest.write_bytes(newest.read_bytes()[:1000])
 
     with caplog.at_level(logging.WARNING, "bbq_torchrl"):
-        resumed = killable.build(folder)
-        resumed.train(resume=True)
+        train(folder)
 
     assert newest.name in caplog.text
     assert_same_training(folder, reference)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
+from itertools import count
 from typing import TYPE_CHECKING
 
 import pytest
 import torch
-from torch import nn
-from torchrl.envs import InitTracker, TransformedEnv
-from trainer_parts import GuessEnv, ReplicaQLoss, make_trainer
+from trainer_parts import GuessEnv, make_trainer, never_guess, random_policy
 
 from bbq_torchrl.trainers import NonFiniteLossError, RoundSettings, SpikeSettings
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from tensordict import TensorDictBase
 
 
@@ -59,6 +61,7 @@ def test_metrics_are_what_was_played_and_learned(tmp_path):
         assert [row["buffer"] for row in own] == [sum(turns[: i + 1]) for i in range(3)]
         assert [row["updates"] for row in own] == [4 * -(-int(row["buffer"]) // 16) for row in own]
         assert trainer.loss.num_data[0][replica] == own[0]["buffer"]
+        assert int(trainer.replay.buffers[replica][:]["next", "done"].sum()) == 3 * 8
     assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
 
 
@@ -86,19 +89,6 @@ def test_a_rounds_phases_follow_the_protocol(tmp_path):
     assert events == expected
 
 
-def test_the_target_is_the_network_at_the_freeze(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=1)
-
-    trainer.train()
-    target = [v.clone() for k, v in trainer.loss.state_dict().items() if "target" in k]
-    network = [v for k, v in trainer.loss.state_dict().items() if "target" not in k]
-    assert not any(torch.equal(*pair) for pair in zip(target, network, strict=True))
-
-    trainer.target_updater.step()
-    frozen = [v for k, v in trainer.loss.state_dict().items() if "target" in k]
-    assert all(torch.equal(*pair) for pair in zip(frozen, network, strict=True))
-
-
 def test_schedules_move_once_a_round_and_the_environment_knows_the_round(tmp_path):
     trainer = make_trainer(tmp_path, rounds=3, replicas=1)
 
@@ -107,29 +97,6 @@ def test_schedules_move_once_a_round_and_the_environment_knows_the_round(tmp_pat
     assert [row["epsilon"] for row in rows] == pytest.approx([0.8, 0.4, 0.2])
     assert trainer.policy.explore.resampled == 3
     assert trainer.env.rounds_seen == [0, 0, 1, 2]  # the spike plays in the state of round 0
-
-
-def test_transformed_environments_are_trained_in_too(tmp_path):
-    trainer = make_trainer(tmp_path / "plain", rounds=2, replicas=2)
-    expected = trainer.train()
-    transformed = make_trainer(tmp_path / "transformed", rounds=2, replicas=2)
-    transformed.env = TransformedEnv(transformed.env, InitTracker())
-
-    rows = transformed.train()
-
-    assert transformed.env.base_env.rounds_seen == [0, 0, 1]
-    for ours, theirs in zip(rows, expected, strict=True):
-        assert ours["loss"] == theirs["loss"]
-
-
-def test_more_dialogues_than_places_are_played_in_turns(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=1, replicas=2, spike=SpikeSettings(dialogues=0))
-    object.__setattr__(trainer.settings, "dialogues", 19)
-
-    trainer.train()
-
-    for buffer in trainer.replay.buffers:
-        assert int(buffer[:]["next", "done"].sum()) == 19
 
 
 @pytest.mark.parametrize("dialogues", [0, 8, 13])
@@ -149,28 +116,13 @@ def test_the_spike_fills_every_replica_with_dialogues_of_its_own(tmp_path, dialo
     assert observations[1].isdisjoint(observations[2])
 
 
-class Never(nn.Module):
-    """Never guesses, so that no dialogue is a success."""
-
-    def forward(self, tensordict):
-        shape = tensordict.batch_size
-        return tensordict.set("action", torch.ones(shape, dtype=torch.long))
-
-
 def test_a_spike_without_a_success_is_told(tmp_path, caplog):
-    make_trainer(tmp_path / "a", rounds=0, capacity=400, spike=SpikeSettings(dialogues=20)).begin()
-    assert not told(caplog)
-    trainer = make_trainer(
-        tmp_path / "b", rounds=0, capacity=400, spike=SpikeSettings(dialogues=20)
-    )
-    trainer.spike_policy = Never()
-    trainer.begin()
-    assert told(caplog) == ["none of the 20 spiked dialogues of replica 0, 1, 2 is a success"]
-
-
-def told(caplog):
-    """What the package has logged; TorchRL tells of every storage if another test let it."""
-    return [r.getMessage() for r in caplog.records if r.name.startswith("bbq_torchrl")]
+    for name, policy in {"guesses": random_policy, "never guesses": never_guess}.items():
+        spike = SpikeSettings(dialogues=20)
+        make_trainer(tmp_path / name, capacity=400, spike=spike, spike_policy=policy).begin()
+    # TorchRL tells of every storage if another test let it.
+    told = [r.getMessage() for r in caplog.records if r.name.startswith("bbq_torchrl")]
+    assert told == ["none of the 20 spiked dialogues of replica 0, 1, 2 is a success"]
 
 
 def test_the_spike_is_protected_by_default_and_evicted_otherwise(tmp_path):
@@ -220,21 +172,17 @@ def test_a_spike_that_fills_the_capacity_is_refused(tmp_path):
     assert not (tmp_path / "checkpoint").exists()
 
 
-class _BreaksInReplica1(ReplicaQLoss):
-    broken_from = 5
+def test_a_loss_that_is_not_finite_stops_with_the_state_saved(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=6)
+    forward, calls = trainer.loss.forward, count(1)
 
-    def forward(self, batch: TensorDictBase) -> TensorDictBase:
-        out = super().forward(batch)
-        self.calls = getattr(self, "calls", 0) + 1
-        if self.calls > self.broken_from:
+    def broken(batch: TensorDictBase) -> TensorDictBase:
+        out = forward(batch)
+        if next(calls) > 40:
             out["loss_value"][1] = torch.nan
         return out
 
-
-def test_a_loss_that_is_not_finite_stops_with_the_state_saved(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=6)
-    trainer.loss.__class__ = _BreaksInReplica1
-    _BreaksInReplica1.broken_from = 40
+    trainer.loss.forward = broken
 
     with pytest.raises(NonFiniteLossError, match="replica 1 is not finite in round"):
         trainer.train()
@@ -266,23 +214,16 @@ def test_a_folder_that_holds_a_training_is_not_overwritten(tmp_path):
     assert (tmp_path / "metrics.csv").read_text() == before
 
 
-def test_parts_that_do_not_fit_are_refused(tmp_path):
-    good = make_trainer(tmp_path)
-    other = make_trainer(tmp_path, replicas=2)
-    parts = [good.env, good.policy, good.loss, good.replay, good.optimizer, good.target_updater]
-
-    def build(**changed: object) -> None:
-        names = ["env", "policy", "loss", "replay", "optimizer", "target_updater"]
-        chosen = dict(zip(names, parts, strict=True)) | changed
-        spike = chosen.pop("spike", None)
-        type(good)(**chosen, settings=good.settings, run_folder=tmp_path, spike=spike)
-
-    with pytest.raises(
-        ValueError, match=r"batch size must be \[3, places\] for 3 replicas, got \[2, 8\]"
-    ):
-        build(env=other.env)
-    with pytest.raises(ValueError, match="spiking with 5 dialogues needs a spike_policy"):
-        build(spike=SpikeSettings(dialogues=5))
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"env": GuessEnv(2, 8)}, r"must be \[3, places\] for 3 replicas, got \[2, 8\]"),
+        ({"spike_policy": None}, "spiking with 5 dialogues needs a spike_policy"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(tmp_path, changed, message):
+    with pytest.raises(ValueError, match=message):
+        make_trainer(tmp_path, **changed)
 
 
 @pytest.mark.parametrize(
@@ -302,23 +243,30 @@ def test_settings_that_make_no_sense_are_refused(kind, arguments, message):
         kind(**arguments)
 
 
-def test_dropout_is_off_while_playing_and_on_while_learning(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=1)
-    modes: dict[str, set[bool]] = {"play": set(), "learn": set()}
-    watched = nn.Identity()
-    trainer.policy.watched = watched
-    play, learn = trainer.policy.forward, trainer.loss.forward
+def weights_after(folder: Path, stops: Sequence[int], **settings: float) -> list[torch.Tensor]:
+    """Returns the weights after each of the rounds in which the training stopped."""
+    seen = []
+    for stop in stops:
+        trainer = make_trainer(folder, rounds=max(stops), checkpoint_every=1, **settings)
+        trainer.begin(resume=folder.exists())
+        while trainer.rounds_done < stop:
+            trainer.train_round()
+        seen.append(trainer.optimizer.parameters[0].detach().clone())
+    return seen
 
-    def playing(td: TensorDictBase) -> TensorDictBase:
-        modes["play"].add(watched.training)
-        return play(td)
 
-    def learning(td: TensorDictBase) -> TensorDictBase:
-        modes["learn"].add(watched.training)
-        return learn(td)
+def test_the_learning_rate_falls_after_its_share_of_the_rounds(tmp_path):
+    constant = weights_after(tmp_path / "constant", (2, 4))
+    falls = weights_after(tmp_path / "falls", (2, 3, 4), lr_final=0.0, lr_decay_from=0.5)
 
-    trainer.policy.forward, trainer.loss.forward = playing, learning
+    assert torch.equal(falls[0], constant[0])
+    assert not torch.equal(falls[1], falls[0])  # at half of the rate
+    assert torch.equal(falls[2], falls[1])  # at 0: nothing moves in the last round
+    assert not torch.equal(constant[1], falls[2])
 
-    trainer.train()
 
-    assert modes == {"play": {False}, "learn": {True}}
+def test_a_resumed_training_goes_on_at_the_rate_of_its_round(tmp_path):
+    settings = {"lr_final": 0.1, "lr_decay_from": 0.25}
+    (through,) = weights_after(tmp_path / "through", (4,), **settings)
+    *_, resumed = weights_after(tmp_path / "resumed", (1, 2, 3, 4), **settings)
+    assert torch.equal(through, resumed)

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from torchrl.envs import Transform
+    from torchrl.record.loggers import Logger
+
+    from bbq_torchrl.trainers import Policy, RoundCallback
 
 FEATURES, ACTIONS = 6, 4
 
@@ -188,19 +190,24 @@ def random_policy(tensordict: TensorDictBase) -> TensorDictBase:
     return tensordict.set("action", action)
 
 
+def never_guess(tensordict: TensorDictBase) -> TensorDictBase:
+    """Waits for ever, so that no dialogue is a success."""
+    return tensordict.set("action", torch.ones(tensordict.batch_size, dtype=torch.long))
+
+
 def make_trainer(
     folder: Path,
     *,
     replicas: int = 3,
     places: int = 8,
-    rounds: int = 6,
     capacity: int = 120,
-    seed: int = 0,
-    checkpoint_every: int = 2,
+    env: EnvBase | None = None,
     spike: SpikeSettings | None = None,
-    transform: Transform | None = None,
+    spike_policy: Policy | None = random_policy,
     rates: Sequence[Sequence[float]] | None = None,
-    **options: object,
+    loggers: Sequence[Logger] = (),
+    callbacks: Sequence[RoundCallback] = (),
+    **settings: float,
 ) -> RoundTrainer:
     """Returns a trainer of tiny parts that learns for a few rounds."""
     network = TensorDictModule(
@@ -208,25 +215,21 @@ def make_trainer(
     )
     policy = QPolicy(network)
     loss = ReplicaQLoss(network)
+    own = {"rounds": 6, "dialogues": places, "batch_size": 16, "checkpoint_every": 2}
     return RoundTrainer(
-        GuessEnv(replicas, places),
+        GuessEnv(replicas, places) if env is None else env,
         policy,
         loss,
-        ReplicaReplay(capacity, replicas=replicas, transform=transform),
+        ReplicaReplay(capacity, replicas=replicas),
         ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
         HardUpdate(loss, value_network_update_interval=0),
-        RoundSettings(
-            rounds=rounds,
-            dialogues=places,
-            batch_size=16,
-            checkpoint_every=checkpoint_every,
-            seed=seed,
-        ),
+        RoundSettings(**{**own, **settings}),
         folder,
-        spike_policy=random_policy,
+        spike_policy=spike_policy,
         spike=spike if spike is not None else SpikeSettings(dialogues=5),
         round_metrics={"epsilon": lambda: float(policy.explore.epsilon)},
         progress=False,
         evaluator=None if rates is None else GivenRates(network, rates),
-        **options,
+        loggers=loggers,
+        callbacks=callbacks,
     )
