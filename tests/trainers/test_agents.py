@@ -1,4 +1,4 @@
-"""The round trainer with the project's own environment, networks, exploration and losses."""
+"""What every agent's updates have in common: they wait for no device, targets hold for a freeze."""
 
 from __future__ import annotations
 
@@ -6,106 +6,97 @@ from typing import TYPE_CHECKING
 
 import pytest
 import torch
-from tensordict.nn import TensorDictSequential
-from torchrl.modules import EGreedyModule
-from torchrl.objectives import HardUpdate
+from host_waits import NeverWaits, draw_as_on_a_device
 
-from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.exploration import Boltzmann, Greedy, ThompsonSampling
-from bbq_torchrl.networks import FlatMLP, q_actor
-from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
-from bbq_torchrl.trainers import ReplicaAdam, RoundSettings, RoundTrainer, SpikeSettings
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.options import Task
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from tensordict import TensorDictBase
-    from torch import Tensor
 
-    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.options import Config
+    from bbq_torchrl.trainers import RoundTrainer
 
-HIDDEN = (12, 12)
+SHRUNKEN = (
+    "protocol.rounds=2",
+    "protocol.dialogues=4",
+    "protocol.batch_size=6",
+    "protocol.capacity=120",
+    "protocol.epochs=1",
+    "spike.dialogues=4",
+    "spike.policy=random",
+    "agent.hidden=[8,8]",
+    "env.max_turn=16",
+    "replicas=3",
+)
+# Every loss, and both weights of VIME's dynamics; how an agent explores is no part of an update.
 AGENTS = {
-    "BBQN-MAP, Thompson sampling a step": ("map", "closed", "step"),
-    "BBQN-MC, Thompson sampling a dialogue": ("mc", "closed", "episode"),
-    "BBQN-MAP, sampled KL, Thompson sampling a round": ("map", "sampled", "round"),
-    "DQN with dropout, epsilon-greedy": ("epsilon",),
-    "DQN with dropout, Boltzmann": ("boltzmann",),
+    **{
+        name: (f"+experiment=agents/{name}",)
+        for name in ("bbqn_map", "bbqn_mc", "bbqn_vime_mc", "dqn", "dqn_bootstrap", "dqn_vime_map")
+    },
+    "noisy_dqn": ("+experiment=baselines/noisy_dqn",),
+    "double_dqn": ("+experiment=baselines/double_dqn",),
+    "shared target noise": ("agent=bbqn", "agent.target=mc", "agent.target_noise=shared"),
+    "sampled KL": ("agent=bbqn", "agent.kl=sampled"),
+    "separate heads with priors": (
+        "agent=bootstrap",
+        "agent.trunk_layers=0",
+        "agent.prior_scale=3",
+        "agent.double=true",
+    ),
+    "dynamics now and then": ("agent=bbqn", "intrinsic=vime", "intrinsic.dynamics_every=3"),
 }
 
 
-def make_trainer(domain: Domain, agent: str, folder: Path, rounds: int = 3) -> RoundTrainer:
-    torch.manual_seed(0)
-    replicas = 3
-    schedule = ExtensionSchedule(start=1, every=1)
-    env = DialogueEnv(domain, batch_size=(replicas, 6), schedule=schedule, seed=0)
-    spec = env.action_spec_unbatched
-    features = env.observation_spec["observation"].shape[-1]
-    kind = AGENTS[agent]
-    if len(kind) == 3:
-        target, kl, per = kind
-        actor = q_actor(BayesMLP(features, spec.n, HIDDEN, replicas=(replicas,)), spec)
-        loss = BBQNLoss(actor, target=target, kl=kl, hold=per != "step")
-        policy = ThompsonSampling(actor, per=per)
-    else:
-        actor = q_actor(FlatMLP(features, spec.n, HIDDEN, replicas=(replicas,), dropout=0.5), spec)
-        loss = DropoutDQNLoss(actor)
-        explore = (
-            EGreedyModule(spec, 0.5, 0.1, annealing_num_steps=4, action_mask_key="action_mask")
-            if kind == ("epsilon",)
-            else Boltzmann(1.0, 0.1, 4)
-        )
-        policy = TensorDictSequential(Greedy(actor), explore)
-    return RoundTrainer(
-        env,
-        policy,
-        loss,
-        ReplicaReplay(300, replicas=replicas),
-        ReplicaAdam(loss.parameters(), replicas),
-        HardUpdate(loss, value_network_update_interval=0),
-        RoundSettings(rounds=rounds, dialogues=6, batch_size=32, checkpoint_every=1),
-        folder,
-        spike_policy=scripted_policy("random", env),
-        spike=SpikeSettings(dialogues=4),
-        progress=False,
-    )
+def config_of(agent: str, domain: Path, *further: str) -> Config:
+    return compose([*AGENTS[agent], *SHRUNKEN, *further, "domain=folder", f"domain.path={domain}"])
 
 
-def weights(trainer: RoundTrainer) -> list[Tensor]:
-    return [parameter.detach().clone() for parameter in trainer.optimizer.parameters]
+def make_trainer(config: Config, folder: Path) -> RoundTrainer:
+    trainer, _ = build_trainer(config, folder)
+    trainer.progress = False
+    return trainer
 
 
 @pytest.mark.parametrize("agent", AGENTS)
-def test_what_one_replica_does_leaves_the_others_bitwise_alone(restaurant, tmp_path, agent):
-    plain = make_trainer(restaurant, agent, tmp_path / "plain")
-    changed = make_trainer(restaurant, agent, tmp_path / "changed")
-    with torch.no_grad():
-        changed.optimizer.parameters[0][0] += torch.randn_like(changed.optimizer.parameters[0][0])
+def test_a_rounds_updates_never_wait_and_find_all_on_their_device(
+    agent, restaurant_folder, tmp_path, monkeypatch
+):
+    draw_as_on_a_device(monkeypatch)
+    config = config_of(agent, restaurant_folder)
+    trainer = make_trainer(config, tmp_path)
+    trainer.begin()
+    trainer.train_round()
+    with NeverWaits():
+        trainer.learner.update_all(1)
 
-    plain.train()
-    changed.train()
+    trainer.learner.compute_targets()
+    batch = next(trainer.replay.epoch(8)).transitions.to("meta")
+    # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
+    # tensors of the CPU, fails.
+    env = trainer.env
+    spec, device = env.action_spec_unbatched, torch.device("meta")
+    task = Task(env.layout.size, spec, replicas=3, rounds=2, device=device)
+    q_loss = config.agent.make_loss(config.agent.make_actor(task), task)
+    loss, _ = config.intrinsic.make(q_loss, task)
+    loss._has_update_associated.update(dict.fromkeys(loss._has_update_associated, True))
+    if hasattr(loss, "set_num_data"):
+        loss.set_num_data(10)
+    with NeverWaits():
+        loss(batch)["loss"].backward()
+    gradients = [p.grad for p in loss.parameters() if p.requires_grad]
+    assert {gradient.device for gradient in gradients} == {device}
 
-    for ours, theirs in zip(weights(plain), weights(changed), strict=True):
-        assert torch.equal(ours[1:], theirs[1:])
-        assert not torch.equal(ours[0], theirs[0])
-    for ours, theirs in zip(plain.metrics.rows, changed.metrics.rows, strict=True):
-        assert (ours["loss"] == theirs["loss"]) == (ours["replica"] > 0)
 
-
-def test_the_weight_of_the_kl_follows_each_replicas_buffer(restaurant, tmp_path):
-    trainer = make_trainer(restaurant, "BBQN-MAP, Thompson sampling a step", tmp_path, rounds=1)
-
-    rows = trainer.train()
-
-    assert trainer.loss.num_data.tolist() == [row["buffer"] for row in rows]
-
-
-def test_targets_computed_once_a_freeze_are_those_of_every_batch(restaurant, tmp_path, monkeypatch):
-    agent = "DQN with dropout, Boltzmann"
-    once = make_trainer(restaurant, agent, tmp_path / "once", rounds=1)
-    every = make_trainer(restaurant, agent, tmp_path / "every", rounds=1)
+def test_targets_computed_once_a_freeze_are_those_of_every_batch(
+    restaurant_folder, tmp_path, monkeypatch
+):
+    config = config_of("dqn", restaurant_folder, "protocol.rounds=1")
+    once, every = (make_trainer(config, tmp_path / name) for name in ("once", "every"))
     read: list[bool] = []
     forward = once.loss.forward
 
@@ -120,7 +111,9 @@ def test_targets_computed_once_a_freeze_are_those_of_every_batch(restaurant, tmp
 
     assert read
     assert all(read)
-    for ours, theirs in zip(weights(once), weights(every), strict=True):
+    pairs = zip(once.optimizer.parameters, every.optimizer.parameters, strict=True)
+    for ours, theirs in pairs:
         torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-4)
     for ours, theirs in zip(rows, expected, strict=True):
         assert ours["loss"] == pytest.approx(theirs["loss"], rel=1e-3)
+        assert ours["loss"] > 0
