@@ -17,7 +17,7 @@ from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from tensordict.utils import NestedKey
     from torch import Tensor, nn
@@ -136,7 +136,8 @@ class OneStepQLoss(DQNLoss):
 
     def _tensors(self) -> tuple[list[Tensor], list[Tensor]]:
         """Returns the online and the target network's parameters and buffers."""
-        # TorchRL erases attributes that begin with _cache when it casts or moves the loss.
+        # TorchRL erases attributes that begin with _cache when it casts or moves the loss. Loading
+        # a state writes into the tensors that are there.
         cached = self.__dict__.get("_cache_tensors")
         if cached is None:
             cached = (
@@ -145,13 +146,6 @@ class OneStepQLoss(DQNLoss):
             )
             self.__dict__["_cache_tensors"] = cached
         return cached
-
-    def load_state_dict(
-        self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False
-    ) -> Any:
-        """Loads parameters, targets and buffers, as ``nn.Module`` has it."""
-        self.__dict__.pop("_cache_tensors", None)
-        return super().load_state_dict(state_dict, strict, assign)
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

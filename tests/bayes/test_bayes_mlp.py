@@ -10,6 +10,7 @@ from torch.func import functional_call
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesLinear, BayesMLP, weight_scope
+from bbq_torchrl.bayes.noise_sources import NoisePool
 from bbq_torchrl.bayes.scope import current_scope, resolve_weight_mode
 
 REPLICAS = [(), (3,), (2, 3)]
@@ -118,12 +119,14 @@ def test_weight_modes_nest_and_end_on_errors():
             raise RuntimeError
 
     assert current_scope().mode is None
-    with weight_scope("draw"):
+    noise = NoisePool()
+    with weight_scope("draw", noise=noise):
         with pytest.raises(RuntimeError):
             fail_in_mode_mean()
         assert current_scope().mode == "draw"
         with weight_scope(kl="closed"):  # what is not given is as outside
             assert current_scope().mode == "draw"
+            assert current_scope().noise is noise
     assert current_scope().mode is None
     assert current_scope().kl is None
 
