@@ -98,21 +98,6 @@ def flat(loss, name, *, target=False):
     return found[0]
 
 
-def network(layout, weights, x):
-    """One network by its definition; weights [P], x [B, in]."""
-    for k, (matrix, bias) in enumerate(layout.unflatten(weights)):
-        x = (x if k == 0 else x.relu()) @ matrix + bias
-    return x
-
-
-def target_of(layout, weights, td, gamma):
-    """The one-step target [B] of one network."""
-    q = network(layout, weights, td["next", "observation"])
-    best = q.masked_fill(~td["next", "action_mask"], -torch.inf).amax(-1)
-    going_on = (~td["next", "terminated"].squeeze(-1)).to(q.dtype)
-    return (td["next", "reward"].squeeze(-1) + gamma * going_on * best).detach()
-
-
 def elements(td, replicas):
     """The batch of each replica, one after the other."""
     return td.reshape(-1, *td.shape[len(replicas) :]) if replicas else td.unsqueeze(0)

@@ -8,13 +8,11 @@ from q_transitions import (
     ACTIONS,
     REPLICAS,
     bayes_loss,
-    elements,
     flat,
-    network,
-    target_of,
     transitions,
 )
 from torch.distributions import Normal, kl_divergence
+from torch.nn.functional import softplus
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -24,37 +22,28 @@ from bbq_torchrl.objectives import BBQNLoss
 TARGETS = [("map", "mean"), ("mc", "independent"), ("mc", "shared")]
 
 
-def definition(
-    loss, td, noises, replicas, *, target_noise, kl, noise_std, temperature, gamma, num_data, **_
-):
+def definition(loss, td, noises, *, target_noise, kl, noise_std, temperature, gamma, num_data, **_):
     """Returns each replica's loss and KL by the formula, for the noise that was drawn."""
     net = loss.value_network[0].module
-    layout = net.layout
-    mu, rho = (flat(loss, n).reshape(-1, layout.numel) for n in ("mu", "rho"))
-    frozen_mu, frozen_rho = (
-        flat(loss, n, target=True).reshape(-1, layout.numel) for n in ("mu", "rho")
-    )
-    prior = Normal(0.0, torch.nn.functional.softplus(net.posterior.prior_rho))
-    count = mu.shape[0]
-    losses, kls = [], []
-    for k, batch in enumerate(elements(td, replicas)):
-        q = Normal(mu[k], torch.nn.functional.softplus(rho[k]))
-        weights = q.loc + q.scale * noises[k]
-        frozen = frozen_mu[k]
-        if target_noise != "mean":
-            epsilon = noises[k if target_noise == "shared" else count + k]
-            frozen = frozen + torch.nn.functional.softplus(frozen_rho[k]) * epsilon
-        y = target_of(layout, frozen, batch, gamma)
-        chosen = network(layout, weights, batch["observation"])
-        chosen = chosen.gather(-1, batch["action"].unsqueeze(-1)).squeeze(-1)
-        closed = kl_divergence(q, prior).sum()
-        sampled = (q.log_prob(weights) - prior.log_prob(weights)).sum()
-        kls.append(closed if kl == "closed" else sampled)
-        data = -Normal(chosen, noise_std).log_prob(y).mean()
-        data = data - torch.tensor(2 * torch.pi, dtype=data.dtype).sqrt().log()
-        data = data - torch.tensor(noise_std, dtype=data.dtype).log()
-        losses.append(data + temperature * kls[-1] / num_data[k])
-    return torch.stack(losses).reshape(replicas), torch.stack(kls).reshape(replicas)
+    mu, rho = flat(loss, "mu"), flat(loss, "rho")
+    online_noise, *others = (noise.reshape(mu.shape) for noise in noises)
+    q, prior = Normal(mu, softplus(rho)), Normal(0.0, softplus(net.posterior.prior_rho))
+    weights = q.loc + q.scale * online_noise
+    frozen = flat(loss, "mu", target=True)
+    if target_noise != "mean":
+        epsilon = online_noise if target_noise == "shared" else others[0]
+        frozen = frozen + softplus(flat(loss, "rho", target=True)) * epsilon
+    values = net(td["next", "observation"], weights=frozen)
+    best = values.masked_fill(~td["next", "action_mask"], -torch.inf).amax(-1, keepdim=True)
+    y = td["next", "reward"] + gamma * ~td["next", "terminated"] * best
+    chosen = net(td["observation"], weights=weights).gather(-1, td["action"].unsqueeze(-1))
+    likelihood, greatest = Normal(chosen, noise_std), Normal(0.0, noise_std)
+    # the constant of the density is left out
+    data = greatest.log_prob(torch.zeros_like(y)) - likelihood.log_prob(y.detach())
+    divergence = kl_divergence(q, prior)
+    if kl == "sampled":
+        divergence = q.log_prob(weights) - prior.log_prob(weights)
+    return data.mean((-2, -1)) + temperature * divergence.sum(-1) / num_data, divergence.sum(-1)
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)
@@ -67,13 +56,13 @@ def test_value_and_gradient_are_those_of_the_definition(
     settings = {"target": target, "target_noise": target_noise, "kl": kl}
     settings.update(noise_std=0.7, gamma=0.8)
     loss, _ = bayes_loss(replicas, dtype=torch.double, kl_temperature=0.3, **settings)
-    num_data = torch.arange(10.0, 10.0 + count).double()
-    loss.set_num_data(num_data.reshape(replicas))
+    num_data = torch.arange(10.0, 10.0 + count).double().reshape(replicas)
+    loss.set_num_data(num_data)
     td = transitions(replicas, dtype=torch.double)
     out = loss(td)
     assert len(drawn_noise) == (2 if target_noise == "independent" else 1)
     expected, expected_kl = definition(
-        loss, td, torch.cat(drawn_noise), replicas, temperature=0.3, num_data=num_data, **settings
+        loss, td, drawn_noise, temperature=0.3, num_data=num_data, **settings
     )
     torch.testing.assert_close(out["loss_value"], expected.detach())
     torch.testing.assert_close(out["kl"], expected_kl.detach())

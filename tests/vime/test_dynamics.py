@@ -98,16 +98,11 @@ def test_it_predicts_from_standardized_state_and_one_hot_action(replicas, rows):
     action = torch.randint(A, (*replicas, *rows))
     out = dynamics(x, action, "mean")
     assert out.shape == (*replicas, *rows, S)
-    weights = elements(dynamics.network.posterior.mu.detach(), replicas)
-    mean, std = elements(dynamics.mean, replicas), elements(dynamics.var, replicas).sqrt()
-    for k, (xs, actions) in enumerate(
-        zip(elements(x, replicas), elements(action, replicas), strict=True)
-    ):
-        (w1, b1), (w2, b2) = dynamics.network.layout.unflatten(weights[k])
-        one_hot = torch.nn.functional.one_hot(actions, A).double()
-        read = torch.cat([(xs - mean[k]) / std[k], one_hot], -1)
-        expected = (read @ w1 + b1).relu() @ w2 + b2
-        torch.testing.assert_close(elements(out, replicas)[k], expected)
+    shape = (*replicas, *(1 for _ in rows), S)
+    mean, std = dynamics.mean.reshape(shape), dynamics.var.sqrt().reshape(shape)
+    one_hot = torch.nn.functional.one_hot(action, A).double()
+    expected = dynamics.network(torch.cat([(x - mean) / std, one_hot], -1), "mean")
+    torch.testing.assert_close(out, expected)
 
 
 @pytest.mark.parametrize("replicas", [(), (3,)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from dynamics_losses import dynamics_loss, gradients, model, result
-from q_transitions import ACTIONS, FEATURES, REPLICAS, elements, transitions
+from q_transitions import ACTIONS, REPLICAS, transitions
 from torch.distributions import Normal, kl_divergence
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import LossModule
@@ -18,37 +18,30 @@ from bbq_torchrl.vime import DynamicsLoss
 def test_value_and_gradient_are_those_of_the_definition(drawn_noise, replicas, padded):
     dynamics = model(replicas, torch.double, noise_std=0.7, prior_std=0.3)
     loss = DynamicsLoss(dynamics, kl_temperature=0.4)
-    num_data = torch.arange(10.0, 10.0 + torch.Size(replicas).numel()).double()
-    loss.set_num_data(num_data.reshape(replicas))
+    count = torch.Size(replicas).numel()
+    num_data = torch.arange(10.0, 10.0 + count).double().reshape(replicas)
+    loss.set_num_data(num_data)
     td = transitions(replicas, dtype=torch.double)
+    counts = torch.ones(td.shape, dtype=torch.bool)
     if padded:
-        td["valid"] = torch.rand(*replicas, 32) < 0.7
+        counts = td["valid"] = torch.rand(*replicas, 32) < 0.7
     out = loss(td)
     posterior = dynamics.network.posterior
-    mu, rho = (t.reshape(-1, t.shape[-1]) for t in (posterior.mu, posterior.rho))
-    mean, std = (t.reshape(-1, FEATURES) for t in (dynamics.mean, dynamics.var.sqrt()))
-    losses, kls = [], []
-    for k, batch in enumerate(elements(td, replicas)):
-        q = Normal(mu[k], torch.nn.functional.softplus(rho[k]))
-        (w1, b1), (w2, b2) = dynamics.network.layout.unflatten(q.loc + q.scale * drawn_noise[0][k])
-        z, following = (
-            (t - mean[k]) / std[k] for t in (batch["observation"], batch["next", "observation"])
-        )
-        one_hot = torch.nn.functional.one_hot(batch["action"], ACTIONS).double()
-        predicted = (torch.cat([z, one_hot], -1) @ w1 + b1).relu() @ w2 + b2
-        # the constant of the density is left out
-        rows = -Normal(predicted, 0.7).log_prob(following) + Normal(0.0, 0.7).log_prob(
-            torch.zeros(1).double()
-        )
-        rows = rows.sum(-1) * ~batch["next", "terminated"].squeeze(-1)
-        if padded:
-            rows = rows[batch["valid"]]
-        kls.append(kl_divergence(q, Normal(0.0, 0.3)).sum())
-        losses.append(rows.mean() + 0.4 * kls[-1] / num_data[k])
-    expected = torch.stack(losses)
+    q = Normal(posterior.mu, torch.nn.functional.softplus(posterior.rho))
+    weights = q.loc + q.scale * drawn_noise[0].reshape(q.loc.shape)
+    mean, std = dynamics.mean.unsqueeze(-2), dynamics.var.sqrt().unsqueeze(-2)
+    z, following = ((t["observation"] - mean) / std for t in (td, td["next"]))
+    one_hot = torch.nn.functional.one_hot(td["action"], ACTIONS).double()
+    predicted = dynamics.network(torch.cat([z, one_hot], -1), weights=weights)
+    # the constant of the density is left out
+    greatest = Normal(0.0, 0.7).log_prob(torch.zeros(1).double())
+    rows = (greatest - Normal(predicted, 0.7).log_prob(following)).sum(-1)
+    rows = rows * ~td["next", "terminated"].squeeze(-1) * counts
+    kl = kl_divergence(q, Normal(0.0, 0.3)).sum(-1)
+    expected = rows.sum(-1) / counts.sum(-1) + 0.4 * kl / num_data
     torch.testing.assert_close(out["loss"], expected.sum())
-    torch.testing.assert_close(out["dynamics_loss"], expected.detach().reshape(replicas))
-    torch.testing.assert_close(out["dynamics_kl"], torch.stack(kls).detach().reshape(replicas))
+    torch.testing.assert_close(out["dynamics_loss"], expected.detach())
+    torch.testing.assert_close(out["dynamics_kl"], kl.detach())
     parameters = list(loss.parameters())
     torch.testing.assert_close(
         torch.autograd.grad(out["loss"], parameters),

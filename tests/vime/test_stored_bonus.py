@@ -59,6 +59,14 @@ def test_terminal_transitions_get_0_and_decide_nothing():
     assert torch.equal(one.dynamics.mean, two.dynamics.mean)
 
 
+def test_a_store_of_terminal_transitions_alone_leaves_the_median():
+    vime = transform()
+    vime.inv(transitions(40))
+    state = {k: v.clone() for k, v in vime.median.state_dict().items()}
+    assert not vime.inv(transitions(5, end=1.0))[BONUS].any()
+    assert all(torch.equal(v, state[k]) for k, v in vime.median.state_dict().items())
+
+
 @pytest.mark.parametrize("weights", ["map", "mc"])
 def test_mc_is_one_draw_a_store_and_map_none(weights):
     td = transitions(30, end=0.0)
