@@ -18,9 +18,9 @@ __all__ = ["ABLATIONS_NOTE", "Ablations", "ablations_text", "find_ablations"]
 
 ABLATIONS_NOTE = """\
 Means over seeds with their 95 % Student t interval; the reference stands in every table. Others are
-compared with it by pairs: replicas that saw the same spiked dialogues, goals and noise of the
-simulator; where a key changes the dialogues themselves there are no pairs. p: of a t test of the
-differences, by Holm's method for the values of the key.
+compared with it by pairs: replicas of one seed, which saw the same spiked dialogues, goals and
+noise of the simulator, but for what the key changes of them. p: of a t test of the differences, by
+Holm's method for the values of the key.
 """
 
 
@@ -95,7 +95,7 @@ def ablations_text(groups: Sequence[Group]) -> str:
         differences = {
             (item.one, quantity): item.cells()[:2]
             for quantity in ("final_success", "training_success")
-            for item in compare(row, declared, quantity)
+            for item in compare(row, declared, quantity, same_dialogues=False)
         }
         none = ("–", "–")
         rows = [
