@@ -15,12 +15,12 @@ from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseExceptio
 
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import CalibrateConfig, Config, ConfigError, EvaluateConfig, schemas
-from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options_folder
+from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options, options_folder
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
 __all__ = [
     "LAUNCHER",
@@ -45,25 +45,19 @@ _LONGEST = 100_000  # characters of an override: Hydra's parser takes seconds fo
 _DEEPEST = 20  # brackets within brackets: it takes minutes for thousands
 
 
-def explain(
-    error: Exception,
-    overrides: Sequence[str],
-    options: Callable[[str], list[str]],
-    root: type = Config,
-) -> str:
+def explain(error: Exception, overrides: Sequence[str], root: type = Config) -> str:
     """One sentence for a configuration that could not be composed.
 
     Args:
         error: what Hydra or OmegaConf raised.
         overrides: the command line it was composed from.
-        options: the options of a group.
         root: the schema of the whole configuration.
     """
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(error, OverrideParseException):
         return unreadable(str(error.override), "write key=value, and quote special characters")
     if isinstance(error, MissingConfigException):
-        return _missing_option(error, options)
+        return _missing_option(error)
     if isinstance(cause, InterpolationResolutionError):
         return f"{cause.full_key}: {_first_line(cause)}" if cause.full_key else _first_line(cause)
     if isinstance(cause, ValidationError):
@@ -149,7 +143,7 @@ def _first_line(error: BaseException) -> str:
     return str(error).splitlines()[0]
 
 
-def _missing_option(error: MissingConfigException, options: Callable[[str], list[str]]) -> str:
+def _missing_option(error: MissingConfigException) -> str:
     missing = str(error.missing_cfg_file or "")
     group, _, option = missing.partition("/")
     if missing.startswith(f"{LAUNCHER}/"):
@@ -243,9 +237,7 @@ def _place(parent: str, schema: Any) -> str:
     return parent or "the configuration"
 
 
-def not_an_option(
-    overrides: Sequence[str], options: Callable[[str], list[str]], root: type
-) -> str | None:
+def not_an_option(overrides: Sequence[str], root: type) -> str | None:
     """A sentence for a group that was given something else than the name of an option.
 
     Hydra itself takes a mapping, ``agent={lr: 1}``, for changes to whatever option is the default.

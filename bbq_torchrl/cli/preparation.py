@@ -41,8 +41,8 @@ from bbq_torchrl.cli.messages import LAUNCHER, explain, too_large
 from bbq_torchrl.cli.resume import restarted_config, resumed_config
 from bbq_torchrl.cli.store import (
     compose_raw,
-    options,
     register_options,
+    searched,
     session,
     to_config,
 )
@@ -167,7 +167,7 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
             folder = _resumed_folder(composed.resume)
             if folder is not None:
                 held.enter_context(run_lock(folder))
-            config = _run_config(_without_hydra(composed), parsed.overrides)
+            config = _run_config(composed, parsed.overrides)
             domain = check(config)
             extra = run_folder(composed, folder, held)
             _override_hydra(composed, extra, hydra_session)
@@ -212,7 +212,8 @@ def _refuse_unread(parsed: Namespace) -> None:
 
 
 def _run_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
-    config = to_config(composed, Config)
+    own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
+    config = to_config(own, Config)
     return config if config.resume is None else resumed_config(config, overrides)
 
 
@@ -239,7 +240,7 @@ def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, li
         parsed = parser.parse_overrides([*swept, *arguments])
         jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
     except HydraException as error:
-        raise ConfigError(explain(error, arguments, options)) from error
+        raise ConfigError(explain(error, arguments)) from error
     if not jobs:
         raise ConfigError(
             f"{sentence(' '.join(arguments))} is a sweep without a job: a range() is empty, or a "
@@ -263,7 +264,7 @@ def _compose_single(hydra_session: Any, overrides: Sequence[str]) -> DictConfig 
         composed = compose_raw(overrides, with_hydra=True)
     except ConfigError:
         # Values of a sweep cannot be composed; an experiment, too, may ask for one.
-        if hydra_session.get_mode("config", list(overrides)) is RunMode.MULTIRUN:
+        if hydra_session.get_mode("config", searched(overrides)) is RunMode.MULTIRUN:
             return None
         raise
     return None if composed.hydra.mode is RunMode.MULTIRUN else composed
@@ -277,12 +278,3 @@ def _override_hydra(composed: DictConfig, overrides: Sequence[str], hydra_sessio
         for override in parser.parse_overrides(list(overrides)):
             OmegaConf.update(composed, override.key_or_group, override.value())
             composed.hydra.overrides.hydra.append(override.input_line)
-
-
-def _without_hydra(composed: DictConfig) -> DictConfig:
-    """The configuration without Hydra's own part."""
-    plain = composed.copy()
-    OmegaConf.set_struct(plain, False)
-    OmegaConf.set_readonly(plain, False)
-    del plain["hydra"]
-    return plain

@@ -20,8 +20,9 @@ from omegaconf import OmegaConf
 
 from bbq_torchrl.cli.messages import unreadable
 from bbq_torchrl.cli.parameters import Parameter, as_entry, parse_parameter
-from bbq_torchrl.cli.store import compose_raw, config_folders, options, session, to_config
+from bbq_torchrl.cli.store import compose_raw, session, to_config
 from bbq_torchrl.options import Config
+from bbq_torchrl.options.registry import config_folders, options
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
     BELOW_ONE,

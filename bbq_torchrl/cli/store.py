@@ -1,7 +1,7 @@
 """Composing and checking configurations.
 
 The only module that talks to Hydra's configuration store: a :func:`session` registers every option
-in its group, and finds the ``conf`` folder: inside an installed package, else beside it.
+in its group.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import textwrap
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hydra import compose as hydra_compose
@@ -31,7 +30,7 @@ from bbq_torchrl.options import (
     schemas,
     validate,
 )
-from bbq_torchrl.options.registry import EXPERIMENT, options_folder
+from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, options_folder
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.text import shown
 
@@ -41,11 +40,9 @@ if TYPE_CHECKING:
 __all__ = [
     "compose",
     "compose_raw",
-    "conf_folder",
-    "config_folders",
     "explorations_table",
-    "options",
     "register_options",
+    "searched",
     "session",
     "to_config",
     "typed",
@@ -55,39 +52,6 @@ Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
 
 ROOTS = {"config": Config, "evaluate": EvaluateConfig, "calibrate": CalibrateConfig}
 """YAML file of a root -> its schema."""
-
-_PACKAGE = Path(__file__).resolve().parent.parent
-
-
-def conf_folder() -> Path:
-    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` beside it.
-
-    Raises:
-        FileNotFoundError: neither is there.
-    """
-    for folder in (_PACKAGE / "conf", _PACKAGE.parent / "conf"):
-        if (folder / "config.yaml").is_file():
-            return folder
-    raise FileNotFoundError(f"no configuration folder 'conf' in {_PACKAGE} or beside it")
-
-
-def config_folders() -> list[Path]:
-    """The folders of YAML files: ours, and that of ``--config-dir`` if one is given."""
-    own = options_folder()
-    return [conf_folder()] if own is None else [conf_folder(), own]
-
-
-def options(group: str) -> list[str]:
-    """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``.
-
-    Those of ``experiment`` are files; one in a folder of its own is named with it: ``agents/vime``.
-    """
-    names = set(schemas().get(group, {}))
-    for root in config_folders():
-        files = (root / group).rglob("*.yaml")
-        names |= {file.relative_to(root / group).with_suffix("").as_posix() for file in files}
-    return sorted(names)
-
 
 _registered: set[tuple[str, str]] = set()
 
@@ -163,11 +127,11 @@ def compose_raw(
     Raises:
         ConfigError: an unknown group, option or key, or a value of the wrong type.
     """
-    refusal = too_large(overrides) or not_an_option(overrides, options, ROOTS[name])
+    refusal = too_large(overrides) or not_an_option(overrides, ROOTS[name])
     if refusal is not None:
         raise ConfigError(refusal)
     try:
-        return hydra_compose(name, [*_searched(), *overrides], return_hydra_config=with_hydra)
+        return hydra_compose(name, searched(overrides), return_hydra_config=with_hydra)
     # The last three: very long or deep texts, and numbers of thousands of digits.
     except (
         HydraException,
@@ -177,13 +141,13 @@ def compose_raw(
         OverflowError,
         RecursionError,
     ) as error:
-        raise ConfigError(explain(error, overrides, options, ROOTS[name])) from error
+        raise ConfigError(explain(error, overrides, ROOTS[name])) from error
 
 
-def _searched() -> list[str]:
-    """The override by which the YAML files of a folder of options are found beside ours."""
+def searched(overrides: Sequence[str]) -> list[str]:
+    """Overrides by which the YAML files of a folder of options are found beside ours."""
     folder = options_folder()
-    return [] if folder is None else [f"hydra.searchpath=['file://{folder}']"]
+    return [*([] if folder is None else [f"hydra.searchpath=['file://{folder}']"]), *overrides]
 
 
 def to_config(composed: DictConfig, root: type[Root]) -> Root:
@@ -216,9 +180,8 @@ def typed(plain: DictConfig, root: type[Root]) -> Root:
     try:
         typed = OmegaConf.structured(root)
         for key in map(str, plain):
-            if OmegaConf.is_missing(plain, key):
-                raise ConfigError(f"{key} must be given, as {key}=<value>")
-            typed[key] = _typed_group(key, plain) if key in schemas() else plain[key]
+            if not OmegaConf.is_missing(plain, key):
+                typed[key] = _typed_group(key, plain) if key in schemas() else plain[key]
         for key in sorted(str(key) for key in typed if OmegaConf.is_missing(typed, key)):
             raise ConfigError(f"{key} must be given, as {key}=<value>")
         _check_interpolations(plain)
@@ -227,7 +190,7 @@ def typed(plain: DictConfig, root: type[Root]) -> Root:
             raise ConfigError(f"{key} must be given, as {key}=<value>")
         config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
     except OmegaConfBaseException as error:
-        raise ConfigError(explain(error, (), options)) from error
+        raise ConfigError(explain(error, ())) from error
     config.domain.resolve_path()
     validate(config)
     return config

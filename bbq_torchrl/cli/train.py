@@ -21,18 +21,13 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, HydraException
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.folders import (
-    quoted,
-)
+from bbq_torchrl.cli.folders import quoted
 from bbq_torchrl.cli.messages import explain, train_command
 from bbq_torchrl.cli.preparation import FULL_ERROR, Sweep, prepare
 from bbq_torchrl.cli.resume import restarted_config
-from bbq_torchrl.cli.store import (
-    conf_folder,
-    options,
-    to_config,
-)
+from bbq_torchrl.cli.store import to_config
 from bbq_torchrl.options import Config
+from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence
@@ -193,7 +188,7 @@ def _end(end: BaseException, sweep: Sweep | None, arguments: Sequence[str]) -> N
 def _of_hydra(error: Exception, arguments: Sequence[str]) -> str:
     """A sentence for what stopped Hydra before the run began."""
     if isinstance(error, HydraException):
-        return explain(error, arguments, options)
+        return explain(error, arguments)
     causes = [said for cause in (error, error.__cause__) if cause and (said := sentence(cause))]
     return f"Hydra cannot begin the run: {': '.join(causes) or type(error).__name__}"
 

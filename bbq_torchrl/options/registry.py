@@ -24,8 +24,11 @@ __all__ = [
     "ENTRY_POINTS",
     "EXPERIMENT",
     "GROUPS",
+    "conf_folder",
+    "config_folders",
     "explorations",
     "load_folder",
+    "options",
     "options_folder",
     "register",
     "schemas",
@@ -66,6 +69,8 @@ _BUILT_IN = (
 
 _OPTIONS: dict[str, dict[str, type[Option]]] = {group: {} for group in GROUPS}
 _loaded: set[str] = set()
+
+_PACKAGE = Path(__file__).resolve().parent.parent
 
 Registered = TypeVar("Registered", bound="type[Option]")
 
@@ -148,6 +153,36 @@ def options_folder() -> Path | None:
     """The folder whose files :func:`load_folder` imported, here or in the process that began."""
     folder = os.environ.get(FOLDER_VARIABLE)
     return None if folder is None else Path(folder)
+
+
+def conf_folder() -> Path:
+    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` beside it.
+
+    Raises:
+        FileNotFoundError: neither is there.
+    """
+    for folder in (_PACKAGE / "conf", _PACKAGE.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise FileNotFoundError(f"no configuration folder 'conf' in {_PACKAGE} or beside it")
+
+
+def config_folders() -> list[Path]:
+    """The folders of YAML files: ours, and that of ``--config-dir`` if one is given."""
+    own = options_folder()
+    return [conf_folder()] if own is None else [conf_folder(), own]
+
+
+def options(group: str) -> list[str]:
+    """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``.
+
+    Those of ``experiment`` are files; one in a folder of its own is named with it: ``agents/vime``.
+    """
+    names = set(schemas().get(group, {}))
+    for root in config_folders():
+        files = (root / group).rglob("*.yaml")
+        names |= {file.relative_to(root / group).with_suffix("").as_posix() for file in files}
+    return sorted(names)
 
 
 def explorations() -> dict[str, tuple[str, ...]]:

@@ -69,11 +69,12 @@ def check_values(config: Config) -> None:
             )
 
 
-def check_falls(first_key: str, first: Values, last_key: str, last: Values, config: Config) -> None:
-    """Refuses a schedule that rises for any replica."""
-    pairs = zip(spread(first, config.replicas), spread(last, config.replicas), strict=True)
+def check_falls(config: Config, first: str, last: str) -> None:
+    """Refuses a schedule that rises for any replica, from one key of ``explore`` to another."""
+    start, end = getattr(config.explore, first), getattr(config.explore, last)
+    pairs = zip(spread(start, config.replicas), spread(end, config.replicas), strict=True)
     if any(before < after for before, after in pairs):
-        raise ConfigError(f"{first_key} must be at least {last_key} ({last}), got {first}")
+        raise ConfigError(f"explore.{first} must be at least explore.{last} ({end}), got {start}")
 
 
 def over_replicas(value: Values, task: Task) -> float | Tensor:

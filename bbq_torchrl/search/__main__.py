@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.searches import SEARCH, compose_search
-from bbq_torchrl.cli.store import options
 from bbq_torchrl.extras import install_command
+from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.text import sentence
 

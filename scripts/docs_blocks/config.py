@@ -9,9 +9,9 @@ from dataclasses import MISSING, Field, fields
 from typing import Any
 
 from bbq_torchrl.cli.searches import SEARCH, SearchConfig
-from bbq_torchrl.cli.store import compose, options
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, explorations, schemas
-from bbq_torchrl.options.registry import EXPERIMENT
+from bbq_torchrl.options.registry import EXPERIMENT, options
 from bbq_torchrl.options.settings import REQUIRED
 from scripts.docs_blocks.common import block, code, table
 

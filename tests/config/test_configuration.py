@@ -2,33 +2,13 @@
 
 from __future__ import annotations
 
-import copy
-from itertools import product
-
 import pytest
-from composing import checked, composed, own_conf
-from omegaconf import OmegaConf
 
 from bbq_torchrl.cli.resume import load_config, save_config
-from bbq_torchrl.cli.store import compose, options, to_config
-from bbq_torchrl.options import Config, ConfigError, explorations, schemas
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.options import explorations, registry
+from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.values import replica_values
-
-
-@pytest.mark.parametrize(("agent", "explore"), list(product(explorations(), options("explore"))))
-def test_every_pair_is_composed_or_refused_by_name(agent, explore):
-    raw = copy.deepcopy(composed(f"agent={agent}"))
-    OmegaConf.set_struct(raw, False)
-    raw.explore = OmegaConf.structured(schemas()["explore"][explore])
-    if explore == "noisy" and agent == "dqn":
-        raw.agent.noisy, raw.agent.dropout = True, 0
-    if explore in explorations()[agent]:
-        config = to_config(raw, Config)
-        assert (config.agent.name, config.explore.name) == (agent, explore)
-    else:
-        with pytest.raises(ConfigError, match=f"agent={agent} .* explore={explore}.*must be one"):
-            to_config(raw, Config)
-
 
 TABLE_1 = {  # the paper's agents: network, exploration, target, intrinsic reward
     "dqn": ("dqn", "epsilon_greedy", None, None),
@@ -63,14 +43,17 @@ def test_a_recipe_is_what_table_1_has():
 
 
 @pytest.mark.parametrize("agent", explorations())
-def test_an_agent_brings_its_own_exploration(agent):
-    assert composed(f"agent={agent}").explore.name == explorations()[agent][0]
+def test_an_agent_brings_its_own_exploration_and_a_step_size_for_the_batches(agent):
+    config = compose([f"agent={agent}"])
+    assert config.explore.name == explorations()[agent][0]
+    assert (config.agent.lr, config.protocol.rounds) == (1e-3, 400)
 
 
-def test_rounds_follow_the_environment_unless_given():
-    assert checked("").protocol.rounds == 400
-    assert checked("env=domain_ext").protocol.rounds == 200
-    assert compose(["env=domain_ext", "protocol.rounds=20"]).protocol.rounds == 20
+def test_what_follows_another_key_does_so_unless_given():
+    config = compose(["agent=dqn", "env=domain_ext", "protocol.lr=2e-3"])
+    assert (config.protocol.rounds, config.agent.lr) == (200, 2e-3)
+    config = compose(["protocol=quick", "env=domain_ext", "agent.lr=.1"])
+    assert (config.protocol.rounds, config.protocol.lr, config.agent.lr) == (40, 2e-3, 0.1)
 
 
 BEYOND_AGENTS = [n for n in options("experiment") if "/" not in n and n != "paper_start"]
@@ -96,16 +79,10 @@ def test_the_public_setting_has_no_errors_and_the_goals_of_the_first_template():
     assert config.protocol.rounds * config.protocol.dialogues == 2_000
 
 
-@pytest.mark.parametrize("agent", explorations())
-def test_the_learning_rate_goes_with_the_batch_size_unless_given(agent):
-    assert checked(f"agent={agent}").agent.lr == 1e-3
-    assert checked(f"agent={agent} protocol=quick").agent.lr == 2e-3
-    assert checked(f"agent={agent} protocol=quick agent.lr=.1").agent.lr == 0.1
-
-
 def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkeypatch):
-    conf = own_conf(tmp_path, monkeypatch)
-    (conf / "experiment" / "agents" / "warm.yaml").write_text(
+    monkeypatch.setenv(registry.FOLDER_VARIABLE, str(tmp_path))
+    (tmp_path / "experiment" / "agents").mkdir(parents=True)
+    (tmp_path / "experiment" / "agents" / "warm.yaml").write_text(
         "# @package _global_\n"
         "defaults: [override /agent: dqn, override /explore: boltzmann]\n"
         "agent:\n  lr: 0.5\n"

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bbq_torchrl.cli.searches import compose_search
-from bbq_torchrl.cli.store import compose, conf_folder
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import EvaluateConfig, registry
+from bbq_torchrl.options.registry import conf_folder
 
 from .pages import PAGES, commands, snippets
 

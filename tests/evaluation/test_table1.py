@@ -9,7 +9,7 @@ import pytest
 from result_folders import make_run
 from scipy import stats
 
-from bbq_torchrl.cli.store import compose, options
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.pairs import verdict
@@ -22,6 +22,7 @@ from bbq_torchrl.evaluation.table1 import (
     missing_cells,
     table1,
 )
+from bbq_torchrl.options.registry import options
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.68, 0.77, 0.74, 0.69, 0.74]

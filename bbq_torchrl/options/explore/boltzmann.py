@@ -48,13 +48,7 @@ class BoltzmannActing(ExploreOption):
 
     def check(self, config: Config) -> None:
         """Refuses a temperature that rises."""
-        check_falls(
-            "explore.temperature_init",
-            self.temperature_init,
-            "explore.temperature_end",
-            self.temperature_end,
-            config,
-        )
+        check_falls(config, "temperature_init", "temperature_end")
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The policy, which writes the values, and after it what draws an action by them."""

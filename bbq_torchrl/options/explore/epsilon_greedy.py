@@ -38,7 +38,7 @@ class EpsilonGreedy(ExploreOption):
 
     def check(self, config: Config) -> None:
         """Refuses an epsilon that rises."""
-        check_falls("explore.eps_init", self.eps_init, "explore.eps_end", self.eps_end, config)
+        check_falls(config, "eps_init", "eps_end")
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The policy, and after it what replaces its action."""
