@@ -11,18 +11,21 @@ import logging
 import os
 import runpy
 import signal
+import subprocess
 import sys
 import tempfile
 import traceback
 import warnings
 from functools import partial
+from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
-SECONDS = 300
+ROOT = Path(__file__).resolve().parents[1]
+
+SECONDS = 1_800
 """After so long a child is ended: it hangs."""
 
 
@@ -38,18 +41,44 @@ def call(main: Callable[[], object], *arguments: str, cwd: Path, code: int = 0) 
     Returns:
         what it wrote to its standard output, and to its standard error.
     """
+    ended, *written = end(main, *arguments, cwd=cwd)
+    assert ended == code, written
+    return written[0], written[1]
+
+
+def end(main: Callable[[], object], *arguments: str, cwd: Path) -> tuple[int, str, str]:
+    """Calls ``main``. Returns its exit code, its standard output and its standard error."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python 3.12 warns where there are threads
-            child = os.fork()
-        if child == 0:
-            _run(main, arguments, cwd, out, err)
-        _, status = os.waitpid(child, 0)
+        _, status = os.waitpid(start(main, arguments, cwd, out, err), 0)
         for file in (out, err):
             file.seek(0)
-        written = out.read(), err.read()
-    assert os.waitstatus_to_exitcode(status) == code, written
-    return written
+        return os.waitstatus_to_exitcode(status), out.read(), err.read()
+
+
+def start(
+    main: Callable[[], object], arguments: tuple[str, ...], cwd: Path, out: IO, err: IO
+) -> int:
+    """Begins to call ``main``. Returns the child's process id."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Python 3.12 warns where there are threads
+        child = os.fork()
+    if child == 0:
+        _run(main, arguments, cwd, out, err)
+    return child
+
+
+def python(*arguments: object, cwd: Path, code: int = 0) -> tuple[str, str]:
+    """Runs Python in a process of its own, as a person does; see :func:`call`."""
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        cwd=cwd,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=1_800,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout, done.stderr
 
 
 def _run(

@@ -1,26 +1,20 @@
-"""Runs the commands in processes of their own, which may be killed.
-
-Run as a program, this is a server: it imports everything once and forks a process for each command
-that a line of JSON on its standard input names. Importing torch and torchrl for each takes seconds.
-"""
+"""Runs the commands in children of this process, which may be stopped and killed."""
 
 from __future__ import annotations
 
 import importlib
-import json
 import os
-import subprocess
-import sys
 import time
-import traceback
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import forked
+
+from bbq_torchrl import interruption
+
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-ROOT = Path(__file__).resolve().parents[2]
 
 PROGRAMS = {
     "train": "train",
@@ -61,8 +55,7 @@ class Ended:
 class Command:
     """A process that runs one of :data:`PROGRAMS`."""
 
-    def __init__(self, commands: Commands, pid: int, files: tuple[Path, Path]) -> None:
-        self._commands = commands
+    def __init__(self, pid: int, files: tuple[Path, Path]) -> None:
         self.pid = pid
         self._files = files
 
@@ -72,8 +65,9 @@ class Command:
 
     def end(self) -> Ended:
         """Waits for its end."""
-        code, seconds = self._commands.ask(wait=self.pid)
-        return Ended(int(code), *(path.read_text() for path in self._files), float(seconds))
+        _, status, used = os.wait4(self.pid, 0)
+        written = (path.read_text() for path in self._files)
+        return Ended(os.waitstatus_to_exitcode(status), *written, used.ru_utime + used.ru_stime)
 
     def works_in(self, folder: Path) -> bool:
         """Whether it holds the lock of a run folder."""
@@ -113,32 +107,22 @@ class Commands:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._count = 0
-        self._server = subprocess.Popen(
-            [sys.executable, __file__],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=folder,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
-        )
+        for name in (*PROGRAMS.values(), "bbq_torchrl.run", "matplotlib.figure", "scipy.optimize"):
+            importlib.import_module(name)  # once, not in every child
 
-    def ask(self, **request: object) -> list[str]:
-        """Sends a request to the server; returns the words of its answer."""
-        self._server.stdin.write(json.dumps(request) + "\n")
-        self._server.stdin.flush()
-        return self._server.stdout.readline().split()
-
-    def start(self, program: str, *arguments: str, cwd: Path | None = None) -> Command:
-        """Starts one of :data:`PROGRAMS`, in a working directory of its own if one is given."""
+    def start(self, program: str, *arguments: str) -> Command:
+        """Starts one of :data:`PROGRAMS`."""
         self._count += 1
-        files = tuple(self.folder / f"{kind}-{self._count}" for kind in ("out", "err"))
-        (pid,) = self.ask(
-            program=program,
-            arguments=arguments,
-            files=[str(path) for path in files],
-            cwd=str(cwd or self.folder),
-        )
-        return Command(self, int(pid), files)
+        out, err = (self.folder / f"{kind}-{self._count}" for kind in ("out", "err"))
+        main = importlib.import_module(PROGRAMS[program]).main
+
+        def listening() -> object:
+            interruption.listen()
+            return main()
+
+        with out.open("w") as first, err.open("w") as second:
+            pid = forked.start(listening, arguments, self.folder, first, second)
+        return Command(pid, (out, err))
 
     def run(self, program: str, *arguments: str, code: int = 0) -> Ended:
         """Runs a command to its end, which must be the exit code."""
@@ -152,57 +136,3 @@ class Commands:
         command.work(after)
         command.send(number)
         return command.end()
-
-    def close(self) -> None:
-        self._server.stdin.close()
-        self._server.wait()
-        self._server.stdout.close()
-
-
-def _main(program: str, arguments: list[str]) -> int:
-    from bbq_torchrl import interruption
-
-    sys.argv = [f"{program}.py", *arguments]
-    interruption.listen()
-    main = importlib.import_module(PROGRAMS[program]).main
-    return main() or 0 if program == "train" else main(arguments)
-
-
-def _child(program: str, arguments: list[str], files: list[str], cwd: str) -> None:
-    for number, file in enumerate(files, start=1):
-        descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(descriptor, number)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.chdir(cwd)
-    try:
-        code = _main(program, arguments)
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else 0
-    except BaseException:
-        traceback.print_exc()
-        code = 1
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
-
-
-def serve() -> None:
-    import torch
-
-    for name in (*PROGRAMS.values(), "bbq_torchrl.run", "matplotlib.figure", "scipy.optimize"):
-        importlib.import_module(name)
-    torch.set_num_threads(1)
-    for line in sys.stdin:
-        request = json.loads(line)
-        if "wait" in request:
-            _, status, used = os.wait4(request["wait"], 0)
-            print(os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, flush=True)
-            continue
-        child = os.fork()
-        if child == 0:
-            _child(**request)
-        print(child, flush=True)
-
-
-if __name__ == "__main__":
-    serve()

@@ -48,9 +48,7 @@ def pytest_sessionfinish(session, exitstatus):
 
 @pytest.fixture(scope="session")
 def commands(tmp_path_factory):
-    started = Commands(tmp_path_factory.mktemp("adversary"))
-    yield started
-    started.close()
+    return Commands(tmp_path_factory.mktemp("adversary"))
 
 
 @pytest.fixture

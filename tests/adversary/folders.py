@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import zipfile
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from tiny import rows
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,15 +26,6 @@ class Reference:
     folder: Path
     overrides: tuple[str, ...]
     seconds: float
-
-
-def metrics(folder: Path) -> list[dict[str, str]]:
-    """metrics.csv without its times."""
-    with (folder / "metrics.csv").open(newline="") as file:
-        return [
-            {name: value for name, value in row.items() if not name.startswith("seconds")}
-            for row in csv.DictReader(file)
-        ]
 
 
 def state(folder: Path) -> dict[str, int]:
@@ -59,7 +51,7 @@ def result(folder: Path) -> dict[str, object]:
 
 def assert_same(folder: Path, reference: Path) -> None:
     """The run has ended, and as the reference did."""
-    assert metrics(folder) == metrics(reference)
+    assert rows(folder / "metrics.csv") == rows(reference / "metrics.csv")
     assert state(folder) == state(reference)
     assert result(folder) == result(reference)
     assert (folder / "curve.png").read_bytes().startswith(b"\x89PNG")

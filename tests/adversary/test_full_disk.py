@@ -9,9 +9,9 @@ import subprocess
 import sys
 
 import pytest
+from forked import ROOT
 
 from .cases import KILLS
-from .commands import ROOT
 from .folders import assert_same
 
 pytestmark = pytest.mark.slow

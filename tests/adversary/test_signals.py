@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import pytest
+from forked import ROOT
 
 from .cases import CONFIGURATIONS, KILLS, TINY
-from .commands import ROOT
 from .folders import assert_same
 
 pytestmark = pytest.mark.slow
@@ -73,7 +73,6 @@ def test_an_evaluation_and_a_search_end_in_a_line_too(commands, rng):
     pytest.importorskip("optuna", reason="needs the extra search")
     folder = commands.folder / "interrupted-search"
     command = ("search=dqn", "search.trials=2", f"search.folder={folder}", *TINY)
-    command = (*command, "agent.hidden=[8]", "spike.dialogues=3")
     started = commands.start("search", *command)
     started.until((folder / "trial_0001" / "metrics.csv").exists)
     started.send(signal.SIGTERM)
@@ -130,13 +129,7 @@ def _catches(pid):
 
 @pytest.mark.parametrize("number", NUMBERS)
 def test_the_jobs_of_a_sweep_end_in_good_order(commands, tmp_path, number):
-    keys = (
-        *TINY,
-        "agent.hidden=[8]",
-        "spike.dialogues=3",
-        "protocol.rounds=400",
-        "protocol.eval_every=0",
-    )
+    keys = (*TINY, "protocol.rounds=400", "protocol.eval_every=0")
     sweep = ("--multirun", "agent=dqn,bbqn", "seed=0,1", "hydra.launcher.n_jobs=2")
     started = process(*sweep, *keys, "hydra.sweep.dir=sweep", cwd=tmp_path)
     waiting_until = time.monotonic() + 1_800

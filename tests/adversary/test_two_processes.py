@@ -108,13 +108,7 @@ def test_of_two_that_start_at_once_one_works(commands, references, place, record
 def test_a_run_of_a_sweep_or_a_search_is_not_resumed_beside_it(
     commands, place, record_property, program
 ):
-    keys = (
-        "agent.hidden=[8]",
-        "spike.dialogues=3",
-        *TINY,
-        "protocol.rounds=8",
-        "protocol.eval_every=0",
-    )
+    keys = (*TINY, "protocol.rounds=8", "protocol.eval_every=0")
     if program == "sweep":
         start = ("--multirun", "hydra/launcher=basic", "agent=dqn", f"hydra.sweep.dir={place}")
         command = commands.start("train", *start, *keys)

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 import torch
+from tiny import TINY
 
 from bbq_torchrl import evaluate
+from bbq_torchrl.cli.agent import make_agent
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.metrics import read_metrics
@@ -23,22 +25,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import RoundTrainer
 
-SHRUNKEN = (
-    "protocol.rounds=2",
-    "protocol.dialogues=4",
-    "protocol.capacity=200",
-    "protocol.eval_dialogues=6",
-    "protocol.eval_batch=6",
-    "protocol.eval_every=1",
-    "protocol.eval_every_dialogues=4",
-    "protocol.checkpoint_every=1",
-    "protocol.keep_checkpoints=last",
-    "spike.dialogues=4",
-    "spike.policy=random",
-    "agent.hidden=[8,8]",
-    "env.max_turn=8",
-    "replicas=2",
-)
+SHRUNKEN = (*TINY, "spike.policy=random", "replicas=2")
 EXTENSION = ("env.start=1", "env.every=1")
 NEEDED = {("dqn", "noisy"): ("agent.noisy=true", "agent.dropout=0")}
 # Each pair once, its environment and reward in turn, so that each agent meets all four of them.
@@ -167,3 +154,21 @@ def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(restaurant_fo
     assert not first[..., inactive, :].any()
     assert (rho[..., inactive, :] == network.posterior.prior_rho).all()
     assert first[..., ~inactive, :].any()
+
+
+@pytest.mark.parametrize(
+    ("fraction", "epsilons"),
+    [(0, [0.5, 0.1, 0.1, 0.1]), (0.5, [0.5, 0.3, 0.1, 0.1]), (1, [0.5, 0.4, 0.3, 0.2])],
+)
+def test_a_schedule_falls_over_its_share_of_the_rounds(fraction, epsilons):
+    given = ["explore.eps_init=.5", "explore.eps_end=.1", f"explore.anneal_fraction={fraction}"]
+    config = compose(["agent=dqn", "protocol.rounds=4", *given])
+    env = config.env.make(config.domain.make(), (1, 2))
+    agent = make_agent(config, env)
+    seen = []
+    for _ in range(4):
+        seen.append(float(agent.metrics["epsilon"]()))
+        for module in agent.policy.modules():
+            if hasattr(module, "step"):
+                module.step(1)
+    assert seen == pytest.approx(epsilons)

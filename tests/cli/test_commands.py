@@ -6,61 +6,27 @@ Training runs in children of this process; processes of their own are in the slo
 
 from __future__ import annotations
 
-import csv
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import forked
 import pytest
+from tiny import TINY, rows
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli.train import main as train_main
 
-ROOT = Path(__file__).resolve().parents[2]
+TRAIN = forked.ROOT / "train.py"
 
 SMALL = (
+    *TINY,
     "protocol.rounds=3",
-    "protocol.dialogues=6",
-    "protocol.capacity=400",
     "protocol.eval_dialogues=30",
     "protocol.eval_batch=30",
-    "protocol.eval_every=1",
-    "protocol.eval_every_dialogues=10",
-    "protocol.checkpoint_every=1",
-    "protocol.keep_checkpoints=last",
-    "spike.dialogues=8",
-    "agent.hidden=[16,16]",
-    "env.max_turn=12",
 )
 
 
 def train(*overrides, cwd, code=0):
     return forked.call(train_main, *overrides, cwd=cwd, code=code)
-
-
-def python(*arguments, cwd, code=0):
-    """Runs Python in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=1_800,
-    )
-    assert done.returncode == code, done.stdout + done.stderr
-    return done.stdout, done.stderr
-
-
-def rows(folder, without=("seconds", "seconds_collect", "seconds_learn", "seconds_eval")):
-    with (folder / "metrics.csv").open() as file:
-        return [
-            {name: value for name, value in row.items() if name not in without}
-            for row in csv.DictReader(file)
-        ]
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +54,7 @@ def test_a_run_folder_holds_configuration_metrics_result_curve_and_checkpoints(f
     assert {"config.yaml", ".hydra", "metrics.csv", "result.json", "curve.png"} <= names
     assert "checkpoint" in names
     assert "scalars" not in names  # metrics.csv is the one file of a round's numbers
-    assert [(row["round"], row["replica"]) for row in rows(finished)] == [
+    assert [(row["round"], row["replica"]) for row in rows(finished / "metrics.csv")] == [
         (str(number), str(replica)) for number in range(3) for replica in range(3)
     ]
     assert (finished / "curve.png").read_bytes().startswith(b"\x89PNG")
@@ -175,7 +141,7 @@ def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
 def test_what_cannot_run_is_refused_in_a_line_and_leaves_nothing_behind(tmp_path):
     # All else that is refused is tested in process; here the way the command ends.
     refused = ("agent=dqn", "explore=thompson")
-    out, message = python(str(ROOT / "train.py"), *refused, cwd=tmp_path, code=2)
+    out, message = forked.python(TRAIN, *refused, cwd=tmp_path, code=2)
     assert message.startswith("error: agent=dqn cannot be combined with explore=thompson")
     assert len(message.strip().splitlines()) == 1, message
     assert not out
@@ -183,7 +149,7 @@ def test_what_cannot_run_is_refused_in_a_line_and_leaves_nothing_behind(tmp_path
 
 
 def test_help_shows_groups_and_pairs_without_importing_torch(tmp_path):
-    out, imported = python("-X", "importtime", str(ROOT / "train.py"), "--help", cwd=tmp_path)
+    out, imported = forked.python("-X", "importtime", TRAIN, "--help", cwd=tmp_path)
     assert "agent=dqn        explore=epsilon_greedy (default)" in out
     assert "experiment=" in out
     assert "hydra" in imported

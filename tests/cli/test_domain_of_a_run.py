@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import pickle
 import shutil
 
 import pytest
+from tiny import TINY
 
 import bbq_torchrl.run as runs
+from bbq_torchrl import evaluate
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.results import read_result
-
-SMALL = (
-    "agent=dqn",
-    "protocol=quick",
-    "protocol.rounds=1",
-    "protocol.dialogues=3",
-    "protocol.capacity=300",
-    "protocol.eval_dialogues=4",
-    "protocol.eval_batch=4",
-    "spike.dialogues=3",
-    "agent.hidden=[8]",
-    "env.max_turn=8",
-)
 
 
 @pytest.fixture
@@ -33,7 +23,7 @@ def played(tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "draw_run", lambda *_, title, **__: titles.append(title))
 
     def play(*overrides):
-        runs.run(compose([*SMALL, *overrides]), tmp_path)
+        runs.run(compose([*TINY, "agent=dqn", "protocol.rounds=1", *overrides]), tmp_path)
         return read_result(tmp_path), titles
 
     return play
@@ -60,3 +50,24 @@ def test_a_result_says_what_of_a_corpus_was_left_out(played, tcbot, tmp_path_fac
         "goals.p, goals 0, 2: it must not constrain and request the same slots ['city']",
     )
     assert all(any(text in told for told in caplog.messages) for text in result.skipped)
+
+
+def test_the_public_corpus_is_evaluated_with_files_and_difficulty_of_choice(capsys, tcbot):
+    arguments = [
+        "policy=careful",
+        "dialogues=40",
+        "batch=16",
+        "domain=miulab",
+        f"domain.path={tcbot}",
+        "domain.goals=user_goals_first_turn_template.part.movie.v1.p",
+        "domain.kb=movie_kb.1k.p",
+        "env.slot_error_prob=.05",
+        "env.slot_error_mode=value",
+        "env.intent_error_prob=0",
+        "env.max_turn=40",
+    ]
+    assert evaluate.main(arguments) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["domain"], answer["dialogues"]) == ("miulab", 40)
+    # The scripted policy succeeds in about two thirds of the dialogues at this difficulty.
+    assert answer["success_rate"] > 0.2

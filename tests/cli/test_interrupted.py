@@ -7,6 +7,7 @@ import os
 import signal
 
 import pytest
+from tiny import rows
 
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.resume import load_config
@@ -15,7 +16,7 @@ from bbq_torchrl.cli.sweeps import table_of_runs
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 
-from .trusted import TINY, resumed, rows, state_of
+from .trusted import DQN, resumed, state_of
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 
@@ -36,7 +37,7 @@ def killed_in(round_number):
 
 def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):
     folder = copy(kept)
-    longer = compose([*TINY, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
+    longer = compose([*DQN, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
     run(longer, tmp_path / "uninterrupted")
 
     config = load_config(folder / "config.yaml")
@@ -50,7 +51,7 @@ def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):
     result = resumed(folder)
 
     assert result.rounds == 6
-    assert rows(folder) == rows(tmp_path / "uninterrupted")
+    assert rows(folder / "metrics.csv") == rows(tmp_path / "uninterrupted" / "metrics.csv")
 
 
 def test_a_run_killed_before_its_curve_is_drawn_is_finished_by_resume(copy, finished):
@@ -87,7 +88,7 @@ def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
         os.kill(os.getpid(), signal.SIGTERM)
 
     with pytest.raises(interruption.Interrupted) as end:
-        run(compose([*TINY, "protocol.keep_checkpoints=last"]), folder, [signalled])
+        run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder, [signalled])
 
     assert end.value.exit_code == 128 + signal.SIGTERM
     assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it goes on"
@@ -95,7 +96,7 @@ def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
     assert newest == "round-000001.torchrl"
     interruption._State.received = None
     resumed(folder)
-    assert rows(folder) == rows(kept)
+    assert rows(folder / "metrics.csv") == rows(kept / "metrics.csv")
 
 
 def test_who_handles_a_signal_already_goes_on_handling_it():
@@ -110,7 +111,7 @@ def test_who_handles_a_signal_already_goes_on_handling_it():
 
 
 def test_every_checkpoint_is_kept_on_request(tmp_path):
-    run(compose([*TINY, "protocol.keep_checkpoints=all", "protocol.checkpoint_every=1"]), tmp_path)
+    run(compose([*DQN, "protocol.keep_checkpoints=all", "protocol.checkpoint_every=1"]), tmp_path)
     assert len(list((tmp_path / "checkpoint").glob("round-*"))) == 4
 
 

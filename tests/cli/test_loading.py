@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tiny import TINY
 
 from bbq_torchrl import load_run
 from bbq_torchrl.cli.store import compose
@@ -12,15 +13,10 @@ from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.run import run
 
 SMALL = (
-    "protocol.rounds=2",
-    "protocol.dialogues=4",
-    "protocol.capacity=200",
+    *TINY,
     "protocol.eval_dialogues=30",
-    "protocol.eval_every=1",
-    "protocol.eval_every_dialogues=4",
-    "spike.dialogues=4",
+    "protocol.eval_batch=60",
     "spike.policy=random",
-    "agent.hidden=[8,8]",
     "env.max_turn=12",
     "replicas=2",
     "domain=folder",

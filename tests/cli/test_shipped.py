@@ -5,23 +5,21 @@ from __future__ import annotations
 import pytest
 import torch
 import yaml
+from tiny import TINY
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import evaluate, load_run, shipped
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.options import ConfigError, EvaluateConfig
+from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.run import run
 from scripts import ship_agent
 
 SHRUNKEN = (
+    *TINY,
     "protocol.rounds=1",
-    "protocol.dialogues=3",
-    "protocol.capacity=200",
-    "protocol.eval_dialogues=4",
     "protocol.eval_every=0",
-    "spike.dialogues=3",
-    "agent.hidden=[8]",
+    "protocol.keep_checkpoints=weights",
     "replicas=2",
 )
 
@@ -114,16 +112,3 @@ def test_what_cannot_be_shipped_is_refused(finished, tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
         ship_agent.ship(**given)
     assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (["policy=shipped:nobody"], "shipped:<name> must name one of bbqn_map"),
-        (["policy=shipped:../cli"], "shipped:<name> must name one of bbqn_map"),
-        (["policy=shipped:bbqn_map", "weights=best"], "weights must be last for shipped:bbqn_map"),
-    ],
-)
-def test_a_shipped_agent_that_there_is_not_is_refused(given, message):
-    with pytest.raises(ConfigError, match=message):
-        evaluated(*given)

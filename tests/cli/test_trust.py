@@ -6,19 +6,49 @@ import json
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
-from planted import plant
 
+import train
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli.folders import LOCK, run_lock
 from bbq_torchrl.cli.resume import is_finished, load_config, run_config
+from bbq_torchrl.cli.train import REFUSED
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 
-from .trusted import TINY, one_line, resumed, state_of
+from .trusted import DQN, resumed, state_of
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "trainers"))
+from planted import plant
 
 pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+def one_line(capsys):
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    """Runs a command line of train.py that is refused. Returns its one line."""
+    place = tmp_path / "here"
+    place.mkdir()
+    monkeypatch.chdir(place)
+
+    def command(*arguments):
+        monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
+        with pytest.raises(SystemExit) as end:
+            train.main()
+        assert end.value.code == REFUSED
+        return one_line(capsys)
+
+    return command
 
 
 def evaluation_refused(capsys, folder):
@@ -113,15 +143,6 @@ def test_a_checkpoint_of_another_seed_or_configuration_is_refused(
         resumed(folder, "protocol.rounds=5")
 
 
-@pytest.mark.parametrize("place", ["file", "file/run", "/proc/run"])
-def test_a_run_folder_that_cannot_be_is_refused(refused, tmp_path, place):
-    (tmp_path / "here" / "file").write_text("a file")
-
-    line = refused(*TINY, f"hydra.run.dir={place}")
-
-    assert f"{place} cannot be used as a run folder" in line
-
-
 @pytest.fixture
 def holder():
     """Starts a process that holds the lock of a run folder until it is killed."""
@@ -153,7 +174,7 @@ def test_a_second_process_in_a_run_folder_is_refused_until_the_first_is_dead(
     before = state_of(folder)
 
     assert "another process is at work in" in refused(f"resume={folder}", "protocol.rounds=5")
-    assert "another process is at work in" in refused(*TINY, f"hydra.run.dir={folder}")
+    assert "another process is at work in" in refused(*DQN, f"hydra.run.dir={folder}")
     with pytest.raises(ConfigError, match="another process is at work in"):
         run(load_config(folder / "config.yaml"), folder)
     assert state_of(folder) == before
@@ -163,9 +184,3 @@ def test_a_second_process_in_a_run_folder_is_refused_until_the_first_is_dead(
 
     with run_lock(folder), run_lock(folder):
         pass
-
-
-def test_a_new_run_in_the_folder_of_another_names_the_way(copy, kept, refused):
-    folder = copy(kept)
-    line = refused(*TINY, f"hydra.run.dir={folder}")
-    assert f"already holds a run; go on with it by resume={folder}" in line

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
+from tiny import TINY
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli.store import compose
@@ -22,18 +23,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 
-SHRUNKEN = (
-    "protocol.rounds=2",
-    "protocol.dialogues=4",
-    "protocol.capacity=200",
-    "protocol.batch_size=16",
-    "protocol.eval_dialogues=6",
-    "protocol.eval_batch=6",
-    "protocol.checkpoint_every=1",
-    "spike.dialogues=4",
-    "agent.hidden=[8,8]",
-    "env.max_turn=8",
-)
+SHRUNKEN = (*TINY, "protocol.batch_size=16", "protocol.eval_every=0")
 # Keys that one training can have side by side share it: a replica whose values are not its own in
 # any of them differs.
 CASES: dict[str, tuple[tuple[str, ...], dict[str, list[float]]]] = {

@@ -12,21 +12,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from tiny import TINY
 
 from bbq_torchrl.extras import install_command
 
 ROOT = Path(__file__).resolve().parents[2]
-
-TINY = [
-    "agent=dqn",
-    "protocol.rounds=1",
-    "protocol.dialogues=4",
-    "protocol.capacity=200",
-    "protocol.eval_dialogues=8",
-    "protocol.eval_every=0",
-    "spike.dialogues=2",
-    "hydra.run.dir=run",
-]
 
 SAYS = """
 import json
@@ -68,8 +58,8 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_wheel_trains(python: Path, tmp_path: Path):
-    _run([python.with_name("bbq"), "train", *TINY], tmp_path)
-    assert json.loads((tmp_path / "run" / "result.json").read_text())["rounds"] == 1
+    _run([python.with_name("bbq"), "train", *TINY, "agent=dqn", "hydra.run.dir=run"], tmp_path)
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["rounds"] == 2
 
 
 @pytest.mark.slow

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
+import forked
 import pytest
 from prepared import prepare
+from tiny import TINY
 
 from bbq_torchrl.cli import store
 from bbq_torchrl.cli.messages import take_config_dir, train_command
 from bbq_torchrl.cli.resume import run_config, save_config
-from bbq_torchrl.cli.store import compose, options
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import (
     AgentOption,
     ConfigError,
@@ -26,9 +25,8 @@ from bbq_torchrl.options import (
     register,
     registry,
 )
+from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import COUNT, option, setting
-
-ROOT = Path(__file__).resolve().parents[2]
 
 STRATEGY = """
 from dataclasses import dataclass
@@ -257,29 +255,18 @@ def test_a_package_that_cannot_be_imported_is_named(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_commands_take_a_folder_in_processes_of_their_own(tmp_path):
     folder = folder_with(tmp_path / "own", narrow=STRATEGY)
-    small = (
-        "protocol.rounds=1", "protocol.dialogues=2", "protocol.capacity=100", "agent.hidden=[8]",
-        "protocol.eval_every=0", "protocol.eval_dialogues=2", "spike.dialogues=2",
-    )  # fmt: skip
+    train, own = forked.ROOT / "train.py", ("--config-dir", folder)
 
-    def python(*arguments, code=0):
-        done = subprocess.run(
-            [sys.executable, *map(str, arguments)],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == code, done.stderr
-        return done.stdout + done.stderr
+    def refused(*arguments):
+        return forked.python(*arguments, cwd=tmp_path, code=2)[1]
 
-    train, own = ROOT / "train.py", ("--config-dir", folder)
-    assert "narrow" in python(train, *own, "--help")
+    assert "narrow" in forked.python(train, *own, "--help", cwd=tmp_path)[0]
     # Two jobs side by side: their processes find the folder too.
-    python(train, *own, "-m", "explore=narrow", "seed=1,2", "hydra.sweep.dir=sweep", *small)
+    sweep = ("-m", "explore=narrow", "seed=1,2", "hydra.sweep.dir=sweep", *TINY)
+    forked.python(train, *own, *sweep, cwd=tmp_path)
     (one, _) = sorted(file.parent for file in (tmp_path / "sweep").rglob("result.json"))
-    again = ("resume=" + str(one), "protocol.rounds=2", "protocol.keep_checkpoints=last")
-    assert "with --config-dir <folder>" in python(train, *again, code=2)
+    assert "with --config-dir <folder>" in refused(train, f"resume={one}")
     evaluated = ("-m", "bbq_torchrl.evaluate", f"policy={one}", "dialogues=2")
-    assert "with --config-dir <folder>" in python(*evaluated, code=2)
-    assert json.loads(python(*evaluated[:2], *own, *evaluated[2:]))["dialogues"] == 2
+    assert "with --config-dir <folder>" in refused(*evaluated)
+    out, _ = forked.python(*evaluated[:2], *own, *evaluated[2:], cwd=tmp_path)
+    assert json.loads(out)["dialogues"] == 2

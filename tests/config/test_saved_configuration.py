@@ -36,79 +36,33 @@ def test_a_run_of_a_version_without_evaluation_and_intrinsic_rewards_has_none(tm
     assert (config.protocol.eval_every, config.intrinsic.name) == (0, "none")
 
 
-@pytest.fixture(scope="module")
-def five_rounds():
-    return compose(["agent=dqn", "protocol.rounds=5"])
-
-
-class TestResume:
-    @pytest.fixture
-    def folder(self, five_rounds, tmp_path):
-        save_config(five_rounds, tmp_path / "config.yaml")
-        return tmp_path
-
-    def resume(self, folder, *overrides):
-        command = [f"resume={folder}", *overrides]
-        return resumed_config(compose(command), command)
-
-    def test_takes_the_configuration_of_the_folder(self, folder):
-        config = self.resume(folder)
-        assert (config.agent.name, config.explore.name) == ("dqn", "epsilon_greedy")
-        assert config.protocol.rounds == 5
-
-    def test_may_train_longer_and_log_elsewhere(self, folder):
-        config = self.resume(folder, "protocol.rounds=9", "logger=tensorboard")
-        assert config.protocol.rounds == 9
-        assert config.logger.name == "tensorboard"
-
-    def test_may_repeat_what_the_run_has_anyway(self, folder):
-        assert self.resume(folder, "agent=dqn", "seed=0").agent.name == "dqn"
-
-    @pytest.mark.parametrize(
-        "override",
-        [
-            "agent=bbqn",
-            "seed=1",
-            "protocol.batch_size=8",
-            "+experiment=quick",
-            "hydra.run.dir=elsewhere",
-        ],
+def test_a_resumed_run_has_its_own_configuration_but_for_what_may_change(tmp_path):
+    save_config(compose(["agent=dqn", "protocol.rounds=5"]), tmp_path / "config.yaml")
+    same = [f"resume={tmp_path}", "agent=dqn", "seed=0"]
+    config = resumed_config(compose(same), same)
+    assert (config.explore.name, config.protocol.rounds) == ("epsilon_greedy", 5)
+    changes = ["protocol.rounds=9", "protocol.keep_checkpoints=all", "logger=wandb", "device=cuda"]
+    command = [f"resume={tmp_path}", *changes, "logger.project=mine"]
+    changed = resumed_config(compose(command), command)
+    assert (changed.agent, changed.resume) == (config.agent, str(tmp_path))
+    assert (changed.protocol.rounds, changed.protocol.keep_checkpoints) == (9, "all")
+    assert (changed.logger.name, changed.logger.project, changed.device) == (
+        "wandb",
+        "mine",
+        "cuda",
     )
-    def test_refuses_what_contradicts_the_run(self, folder, override):
-        with pytest.raises(ConfigError, match="contradicts the run"):
-            self.resume(folder, override)
 
-    def test_refuses_fewer_rounds(self, folder):
-        with pytest.raises(ConfigError, match=r"protocol\.rounds must be at least 5"):
-            self.resume(folder, "protocol.rounds=4")
 
-    def test_says_that_a_run_is_finished(self, folder):
-        (folder / "result.json").write_text('{"rounds": 5}')
-        (folder / "curve.png").touch()
-        with pytest.raises(ConfigError, match="is finished"):
-            self.resume(folder)
-
-    def test_extends_a_finished_run(self, folder):
-        (folder / "result.json").write_text('{"rounds": 5}')
-        (folder / "curve.png").touch()
-        assert self.resume(folder, "protocol.rounds=6").protocol.rounds == 6
-
-    def test_refuses_a_folder_that_is_no_run_folder(self, tmp_path):
-        with pytest.raises(ConfigError, match=r"is not a run folder: it has no config\.yaml"):
-            self.resume(tmp_path)
-        with pytest.raises(ConfigError, match="is not a run folder: there is no such folder"):
-            self.resume(tmp_path / "nowhere")
-
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ("agent: [", "is not a YAML file of a run"),
-            ("- 1", "must hold a mapping of groups, got a list"),
-            ("seed: 1", "agent must be given"),
-            ("agent:\n  name: nope", "agent must be one of bbqn, bootstrap, dqn, got 'nope'"),
-        ],
-    )
-    def test_refuses_a_folder_whose_configuration_is_damaged(self, folder, text, message):
-        (folder / "config.yaml").write_text(text)
-        with pytest.raises(ConfigError, match=message):
-            self.resume(folder)
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("agent: [", "is not a YAML file of a run"),
+        ("- 1", "must hold a mapping of groups, got a list"),
+        ("seed: 1", "agent must be given"),
+        ("agent:\n  name: nope", "agent must be one of bbqn, bootstrap, dqn, got 'nope'"),
+    ],
+)
+def test_a_saved_configuration_that_is_damaged_is_refused(tmp_path, text, message):
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_config(tmp_path / "config.yaml")

@@ -56,20 +56,19 @@ def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
     assert {row.index("agent") for row in rows[:3]} == {head.index("overrides")}
 
 
-@pytest.mark.parametrize("overrides", [["agent=dqn"], []])
-def test_a_single_run_shows_all_its_overrides(tmp_path, overrides):
-    make_run(tmp_path / "0", overrides, json.dumps({"success_rate": 0.5, "rounds": 5}))
+@pytest.mark.parametrize(
+    ("overrides", "rounds", "finished", "end"),
+    [
+        (["agent=dqn"], 5, 1, "agent=dqn  0.500          finished"),
+        ([], 5, 1, "0.500          finished"),
+        (["agent=dqn"], 3, 0, "not finished: train.log in it says why"),  # it is being extended
+    ],
+)
+def test_a_single_run_shows_all_its_overrides(tmp_path, overrides, rounds, finished, end):
+    make_run(tmp_path / "0", overrides, json.dumps({"success_rate": 0.5, "rounds": rounds}))
     title, _, row = table_of_runs(tmp_path, jobs=0).splitlines()
-    assert title.startswith("1 of 1 runs")
-    assert " ".join(overrides) in row
-    assert row.endswith("0.500          finished")
-
-
-def test_an_interrupted_extension_is_not_finished(tmp_path):
-    make_run(tmp_path / "0", ["agent=dqn"], json.dumps({"success_rate": 0.5, "rounds": 3}))
-    title, _, row = table_of_runs(tmp_path, jobs=1).splitlines()
-    assert title.startswith("0 of 1 runs")
-    assert row.endswith("not finished: train.log in it says why")
+    assert title.startswith(f"{finished} of 1 runs")
+    assert row.endswith(end)
 
 
 def test_a_sweep_of_which_nothing_started_has_a_table_too(tmp_path):

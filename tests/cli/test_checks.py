@@ -1,0 +1,36 @@
+"""What depends on the machine and the domain is checked before anything runs."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import pytest
+
+from bbq_torchrl.cli.checks import check
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.extras import install_command
+from bbq_torchrl.options import ConfigError
+
+
+def test_a_logger_whose_package_is_missing_is_refused_with_the_way_to_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, package=None: None)
+    message = f"logger=mlflow needs the package mlflow: {install_command('mlflow')}"
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        check(compose(["logger=mlflow"]))
+
+
+def test_a_buffer_may_have_room_for_one_more_than_the_spike():
+    check(compose(["spike.dialogues=100", "protocol.capacity=801"]))  # a rule dialogue has 8 turns
+
+
+def test_a_slot_with_actions_that_domain_extension_would_never_activate_is_refused(
+    restaurant_folder, tmp_path
+):
+    folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
+    file = folder / "domain.yaml"
+    file.write_text(file.read_text().replace("extension_order: [restaurant,", "extension_order: ["))
+    where = ("domain=folder", f"domain.path={folder}")
+    with pytest.raises(ValueError, match="domain extension would never activate restaurant"):
+        check(compose([*where, "env=domain_ext"]))
+    check(compose([*where, "env=full"]))

@@ -1,0 +1,34 @@
+"""Trainings of a second or two: their overrides, and what their tables are compared by."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TINY = (
+    "protocol.rounds=2",
+    "protocol.dialogues=4",
+    "protocol.capacity=200",
+    "protocol.eval_dialogues=6",
+    "protocol.eval_batch=6",
+    "protocol.eval_every=1",
+    "protocol.eval_every_dialogues=4",
+    "protocol.checkpoint_every=1",
+    "protocol.keep_checkpoints=last",
+    "spike.dialogues=4",
+    "agent.hidden=[8,8]",
+    "env.max_turn=8",
+)
+"""Where a key is given again after these, that is what counts."""
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    """The rows of a table such as metrics.csv, without their times."""
+    with file.open(newline="") as stream:
+        return [
+            {name: value for name, value in row.items() if not name.startswith("seconds")}
+            for row in csv.DictReader(stream)
+        ]
