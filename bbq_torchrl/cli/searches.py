@@ -18,7 +18,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from bbq_torchrl.cli.messages import unreadable
+from bbq_torchrl.cli.messages import too_large, unreadable
 from bbq_torchrl.cli.parameters import Parameter, as_entry, parse_parameter
 from bbq_torchrl.cli.store import compose_raw, session, to_config
 from bbq_torchrl.options import Config
@@ -157,6 +157,8 @@ def compose_search(arguments: Sequence[str]) -> Search:
         >>> list(search.space), search.settings.trials
         (['agent.mean_init', 'agent.std_init', 'agent.kl_temperature'], 9)
     """
+    if (refusal := too_large(arguments)) is not None:
+        raise ConfigError(refusal)
     chosen = [text.partition("=")[2] for text in arguments if text.partition("=")[0] == SEARCH]
     if len(chosen) != 1:
         raise ConfigError(f"{SEARCH} must be given once, as one of {', '.join(options(SEARCH))}")
@@ -192,7 +194,7 @@ def _refuse_several(key: str, override: str) -> None:
     """Refuses ``key=1,2``: what varies in a search is written as a choice."""
     try:
         several = OverridesParser.create().parse_override(override).is_sweep_override()
-    except (HydraException, RecursionError):
+    except HydraException:
         return  # refused with the others, when they are composed
     if several:
         raise ConfigError(
