@@ -84,8 +84,8 @@ def explorations_table() -> str:
     """Which strategies an agent can use, as text, one line an agent.
 
     Example:
-        >>> print(explorations_table().splitlines()[2])
-        agent=bootstrap  explore=bootstrap (default), epsilon_greedy, greedy
+        >>> next(line for line in explorations_table().splitlines() if "=bootstrap " in line)
+        'agent=bootstrap  explore=bootstrap (default), epsilon_greedy, greedy'
     """
     known = explorations()
     width = max(map(len, known))
