@@ -252,7 +252,8 @@ class _Recorder:
             "inserted": {},
             "requests": {},
         }
-        asked = {("requests", *path): pair for path, pair in self._asked.items()}
-        for (*above, last), number in sorted({**self._counted, **asked}.items()):
+        rows: dict[tuple[str, ...], Any] = dict(self._counted)
+        rows |= {("requests", *path): pair for path, pair in self._asked.items()}
+        for (*above, last), number in sorted(rows.items()):
             reduce(lambda found, key: found.setdefault(key, {}), above, counts)[last] = number
         return counts
