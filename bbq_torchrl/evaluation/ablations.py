@@ -25,11 +25,12 @@ Holm's method for the values of the key.
 
 
 class Ablations(NamedTuple):
-    """One setting, and those that change one key of it.
+    """One setting, and those that change one key of it, or keys of one group.
 
     Attributes:
-        reference: the runs that all others differ from in one key.
-        keys: dotted key -> value -> its runs, those of the reference among them; numbers in order.
+        reference: the runs that all others differ from so.
+        keys: dotted key (several: ``explore.per, explore.shared``) -> value -> its runs, those of
+            the reference among them; numbers in order.
     """
 
     reference: Group
@@ -40,30 +41,31 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
     """Finds the reference; where several groups could be it, it is the first.
 
     Raises:
-        ValueError: there is no group that every other one differs from in one key, or no other.
+        ValueError: there is no group that every other one differs from in one key or in keys of
+            one group of options, or no other.
     """
     if len(groups) < 2:
         raise ValueError(f"ablations need runs of two settings, got {len(groups)}")
     settings = [group.runs[0].setting for group in groups]
     changed = [[_changed(own, other) for other in settings] for own in settings]
-    reference = min(range(len(groups)), key=lambda number: max(map(len, changed[number])))
+    extents = [max((_groups(names), len(names)) for names in row) for row in changed]
+    reference = extents.index(min(extents))
     keys: dict[str, list[tuple[Any, Group]]] = {}
     for group, setting, names in zip(groups, settings, changed[reference], strict=True):
-        if len(names) > 1:
+        if _groups(names) > 1:
             raise ValueError(
-                "ablations must differ from one run in one key each, but "
+                "ablations must differ from one run in one key each, or in keys of one group, but "
                 f"{groups[reference].runs[0].folder} and {group.runs[0].folder} differ in "
                 f"{', '.join(names)}"
             )
-        for name in names:
-            own = settings[reference].get(name), groups[reference]
-            keys.setdefault(name, [own]).append((setting.get(name), group))
+        if names:
+            own = _value(settings[reference], names), groups[reference]
+            keys.setdefault(", ".join(names), [own]).append((_value(setting, names), group))
     return Ablations(
         groups[reference],
         {
             name.removesuffix(".name"): {
-                "null" if value is None else str(value): group
-                for value, group in sorted(values, key=_place)
+                _shown(value): group for value, group in sorted(values, key=_place)
             }
             for name, values in keys.items()
         },
@@ -72,6 +74,19 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
 
 def _changed(own: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     return telling(key for key in {**own, **other} if own.get(key) != other.get(key))
+
+
+def _groups(names: Sequence[str]) -> int:
+    return len({name.partition(".")[0] for name in names})
+
+
+def _value(setting: Mapping[str, Any], names: Sequence[str]) -> Any:
+    first, *more = (setting.get(name) for name in names)
+    return ", ".join(map(_shown, (first, *more))) if more else first
+
+
+def _shown(value: Any) -> str:
+    return "null" if value is None else str(value)
 
 
 def _place(entry: tuple[Any, Group]) -> tuple[bool, float]:

@@ -28,6 +28,7 @@ def runs(tmp_path):
     make_run(tmp_path / "4", SAME, changes={"spike.drop_above": 0.5})
     make_run(tmp_path / "5", SAME, explore="greedy", changes={"explore.per": None})
     make_run(tmp_path / "6", SAME, changes={"agent.hidden": [64]})
+    make_run(tmp_path / "7", SAME, changes={"explore.per": "round", "explore.shared": True})
     return tmp_path
 
 
@@ -36,7 +37,7 @@ def cells(text, start):
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_the_reference_is_what_all_others_differ_from_in_one_key(runs):
+def test_the_reference_is_what_all_others_differ_from_in_one_group(runs):
     reference, keys = find_ablations(read_groups(sorted(runs.iterdir())))
     assert reference.final == OWN
     assert {key: list(row) for key, row in keys.items()} == {
@@ -45,6 +46,7 @@ def test_the_reference_is_what_all_others_differ_from_in_one_key(runs):
         "spike.drop_above": ["null", "0.5"],
         "explore": ["thompson", "greedy"],
         "agent.hidden": ["null", "[64]"],
+        "explore.per, explore.shared": ["step, null", "round, True"],
     }
     assert all(reference in row.values() for row in keys.values())
 
@@ -65,7 +67,7 @@ def test_the_command_writes_tables_by_pairs_and_panels(runs, tmp_path, capsys):
     assert pictures[0].startswith(b"\x89PNG")
     assert b"svg" in pictures[1][:400]
     rows = list(csv.DictReader((out / "replicas.csv").read_text().splitlines()))
-    assert len(rows) == 7 * 5
+    assert len(rows) == 8 * 5
 
 
 def test_of_one_key_alone_the_reference_is_the_first_given(runs, capsys):
