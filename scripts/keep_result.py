@@ -1,8 +1,8 @@
 """Keeps what the documentation needs of a finished run, in results/.
 
-    python scripts/keep_result.py <run folder> learning_movie/bbqn_map
+    python scripts/keep_result.py <run folder> ablations/reference
 
-copies configuration, command line, metrics and result to ``results/learning_movie/bbqn_map``. Paths
+copies configuration, command line, metrics and result to ``results/ablations/reference``. Paths
 of this machine are left out.
 """
 

@@ -86,7 +86,9 @@ def _value(setting: Mapping[str, Any], names: Sequence[str]) -> Any:
 
 
 def _shown(value: Any) -> str:
-    return "null" if value is None else str(value)
+    """Returns a value as it is written on a command line."""
+    text = "null" if value is None else str(value)
+    return text.lower() if isinstance(value, bool) else text
 
 
 def _place(entry: tuple[Any, Group]) -> tuple[bool, float]:

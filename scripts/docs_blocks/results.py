@@ -5,18 +5,24 @@
 
 from __future__ import annotations
 
+import json
 from statistics import fmean
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation import pairs, report, table1
+from bbq_torchrl.evaluation.ablations import ablations_text, find_ablations
 from bbq_torchrl.evaluation.csv_tables import write_replicas
-from bbq_torchrl.evaluation.figures import draw_comparison
+from bbq_torchrl.evaluation.figures import draw_ablations, draw_comparison
 from bbq_torchrl.evaluation.grid import grid_text
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.learning import rounds_to_reach
 from bbq_torchrl.evaluation.statistics import estimate
 from scripts.docs_blocks import common
-from scripts.docs_blocks.common import block, command, read_csv, table
+from scripts.docs_blocks.common import block, code, command, paired, read_csv, table
 from scripts.docs_blocks.tables import measured
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
 """Environment -> what it is called."""
@@ -24,9 +30,7 @@ DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
 EXPERIMENTS = {
     "tcbot": ("The public setting, 2,000 dialogues", "miulab", "v1, no error"),
     "quick": ("The quick form, our corpus", "movie", "reference"),
-    "learning_movie": ("Full domain, our corpus, first defaults", "movie", "reference"),
-    "learning_miulab": ("Full domain, MiuLab's corpus, first defaults", "miulab", "reference"),
-    "extension_movie": ("Domain extension, our corpus, first defaults", "movie", "reference"),
+    "miulab": ("Full domain, MiuLab's corpus, batches of 128", "miulab", "reference"),
     "no_spike_movie": ("Without spiking, our corpus, first defaults", "movie", "reference"),
 }
 """Folder in results/ -> what was trained on; corpus and setting of results/policies.json."""
@@ -35,7 +39,7 @@ MAIN = {
     "Full domain, our corpus": ("table1/full/bbqn_map", "table1/full/dqn"),
     "Domain extension, our corpus": ("table1/extension/bbqn_map", "table1/extension/dqn"),
     EXPERIMENTS["tcbot"][0]: ("tcbot/bbqn_map", "tcbot/dqn"),
-    EXPERIMENTS["learning_miulab"][0]: ("learning_miulab/bbqn_map", "learning_miulab/dqn"),
+    EXPERIMENTS["miulab"][0]: ("miulab/bbqn_map", "miulab/dqn"),
 }
 """What BBQN-MAP and DQN were trained on -> the folders of their runs."""
 
@@ -54,8 +58,47 @@ VERBS = {"final_success": "ends higher than", "training_success": "learns faster
 RIVALS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
 """Whom BBQN-MAP is claimed to be ahead of: in the paper's Table 1, or in what it says of it."""
 
-EARLIER = ("tcbot", "learning_movie", "learning_miulab", "extension_movie")
-"""Experiments of BBQN-MAP and DQN beside Table 1."""
+_SPIKED = ("BBQN-MAP with 100 spiked dialogues", "ablations/reference")
+
+CLAIMED = {
+    "Table 1, full domain": [
+        ("DQN-VIME-MAP", "table1/full/dqn_vime_map", "DQN", "table1/full/dqn"),
+    ],
+    "Table 1, domain extension": [
+        ("DQN-VIME-MAP", "table1/extension/dqn_vime_map", "DQN", "table1/extension/dqn"),
+    ],
+    EXPERIMENTS["tcbot"][0]: [("BBQN-MAP", "tcbot/bbqn_map", "DQN", "tcbot/dqn")],
+    EXPERIMENTS["miulab"][0]: [
+        ("BBQN-MAP", "miulab/bbqn_map", name, f"miulab/{folder}")
+        for name, folder in (
+            ("DQN", "dqn"),
+            ("DQN-Boltzmann", "dqn_boltzmann"),
+            ("DQN-Bootstrap", "dqn_bootstrap"),
+            ("BBQN-MC", "bbqn_mc"),
+        )
+    ],
+    "[Who explores?](#who-explores)": [
+        (
+            "BBQN-MAP by Thompson sampling",
+            "explorers/bbqn/0_thompson",
+            name,
+            f"explorers/bbqn/{folder}",
+        )
+        for name, folder in (
+            ("its mean greedily", "1_greedy"),
+            ("its mean by ε", "2_epsilon_greedy"),
+            ("its mean by Boltzmann", "3_boltzmann"),
+            ("with ε on top", "4_thompson_epsilon"),
+        )
+    ],
+    "[Ablations](#ablations)": [
+        (*_SPIKED, "with 20", "ablations/spike_20"),
+        (*_SPIKED, "with 1,000", "ablations/spike_1000"),
+    ],
+    "[Without spiking](#without-spiking)": [(*_SPIKED, "without", "ablations/spike_none")],
+}
+"""What was trained on -> who is claimed to be ahead of whom, and their folders; beside Table 1's
+comparisons with BBQN-MAP."""
 
 
 def groups(*folders: str) -> list[Group]:
@@ -75,6 +118,8 @@ def draw_figures() -> None:
     for env in table1.PAPER:
         report.draw_table1(of_table1, env, common.FIGURES / f"table1_{env}.png")
     write_replicas(table1.cells_of_table1(of_table1), common.RESULTS / "table1.csv")
+    if ablated := groups("ablations"):
+        draw_ablations(common.FIGURES / "ablations.png", find_ablations(ablated))
     for name, (title, *played_in) in EXPERIMENTS.items():
         ceiling = {"clairvoyant": measured()[(*played_in, "clairvoyant")]["success_rate"]}
         draw_comparison(
@@ -94,11 +139,23 @@ def _table1() -> str:
     return f"{text}\n\n{_commands(kept)}"
 
 
-@block("results.explorers")
-def _explorers() -> str:
-    """Returns the grid of learner x explorer, without its heading."""
-    text = grid_text(groups("explorers")).partition("\n\n")[2].strip()
-    return text.replace("## ", "### ")
+@block("results.explorers", grid_text, "explorers")
+@block("results.ablations", ablations_text, "ablations")
+def _report(made: Callable[[Sequence[Group]], str], folder: str) -> str:
+    """Returns a report on the runs of a folder, without its heading."""
+    return made(groups(folder)).partition("\n\n")[2].strip().replace("## ", "### ")
+
+
+@block("results.modes")
+def _modes() -> str:
+    """Returns the success of one posterior's policies, and by pairs what each adds to its mean."""
+    lines = (common.RESULTS / "modes.jsonl").read_text(encoding="utf-8").splitlines()
+    played = {entry["mode"]: entry["success_rate_per_replica"] for entry in map(json.loads, lines)}
+    rows = [
+        (code(mode), estimate(rates), "–" if mode == "mean" else paired(rates, played["mean"]))
+        for mode, rates in played.items()
+    ]
+    return table(("evaluated by", "success", "minus the mean's"), rows, numbers=2)
 
 
 def _experiment(name: str) -> str:
@@ -169,23 +226,31 @@ def compared(folders: dict[str, tuple[str, str]], *head: str) -> str:
 @block("results.claims")
 def _claims() -> str:
     """Returns the claims as Markdown: what contradicts the paper first, what was not run last."""
+    table1_of = {f"Table 1, {title.lower()}": env for env, title in DOMAINS.items()}
     rows = []
     for quantity, verb in VERBS.items():
         found = [
-            (f"Table 1, {title.lower()}", env, item)
-            for env, title in DOMAINS.items()
+            (setting, item)
+            for setting, env in table1_of.items()
             for item in table1.comparisons(groups("table1"), env, quantity)
             if item.other in RIVALS
         ]
-        for name in EARLIER:
-            # Of several DQN the first.
-            kept = {group.runs[0].agent: group for group in reversed(groups(name))}
-            declared = pairs.compare(kept, [("BBQN-MAP", "DQN")], quantity)
-            found += [(EXPERIMENTS[name][0], "", item) for item in declared]
-        for setting, env, item in found:
-            cells = table1.PAPER.get(env) if quantity == "final_success" else None
-            rate = cells and cells[item.one].success_rate - cells[item.other].success_rate
-            paper = f"{rate:+.3f}" if rate else "–"
+        for setting, claimed in CLAIMED.items():
+            folders = {
+                name: folder
+                for one, own, other, theirs in claimed
+                for name, folder in ((one, own), (other, theirs))
+            }
+            kept = {name: group for name, folder in folders.items() for group in groups(folder)}
+            declared = [(one, other) for one, _, other, _ in claimed]
+            compared = pairs.compare(kept, declared, quantity, same_dialogues=False)
+            found += [(setting, item) for item in compared]
+        for setting, item in found:
+            paper = "–"
+            if quantity == "final_success" and setting in table1_of:
+                cells = table1.PAPER[table1_of[setting]]
+                rate = cells[item.one].success_rate - cells[item.other].success_rate
+                paper = f"{rate:+.3f}"
             *numbers, answer = item.cells()
             claim = f"{item.one} {verb} {item.other}"
             rows.append((claim, setting, answer, *numbers, paper))

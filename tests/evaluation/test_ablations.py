@@ -46,7 +46,7 @@ def test_the_reference_is_what_all_others_differ_from_in_one_group(runs):
         "spike.drop_above": ["null", "0.5"],
         "explore": ["thompson", "greedy"],
         "agent.hidden": ["null", "[64]"],
-        "explore.per, explore.shared": ["step, null", "round, True"],
+        "explore.per, explore.shared": ["step, null", "round, true"],
     }
     assert all(reference in row.values() for row in keys.values())
 
