@@ -89,12 +89,13 @@ def load_miulab(
     }
     ticket = specification["ticket_slot"]
     acts = specification["acts"]
-    listed = _expect(folder / goals, read_plain_pickle(folder / goals))
     whole: _Corpus = {
         "records": _records(folder / kb),
         "goals": {
             number: _goal(f"{folder / goals}: goal {number}", entry, acts, ticket)
-            for number, entry in enumerate(listed)
+            for number, entry in enumerate(
+                _expect(folder / goals, read_plain_pickle(folder / goals))
+            )
         },
         "error_values": _values(folder / values),
     }
