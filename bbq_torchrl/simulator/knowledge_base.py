@@ -173,13 +173,22 @@ class KnowledgeBase(Movable):
         values, has_match = [], []
         for block, slots in blocks:
             counts, total = self.counts_by_value(block, slots)
-            # argmax gives the first of equal counts, and values are in the order of their ids.
-            best = counts.argmax(-1, keepdim=True)
-            is_found = counts.gather(-1, best).squeeze(-1) > 0
-            place = self.order_of_slot.take(slots) * self.max_counts + best.squeeze(-1)
-            values.append(torch.where(is_found, self.counted.take(place), NO_MATCH))
+            values.append(self.most_frequent(counts, slots))
             has_match.append(total > 0)
         return torch.cat(values).view(slot.shape), torch.cat(has_match).view(slot.shape)
+
+    def most_frequent(self, counts: torch.Tensor, slot: torch.Tensor) -> torch.Tensor:
+        """Returns the value ids, long ``[*B]``, of the largest of :meth:`counts_by_value`.
+
+        Args:
+            counts: long ``[*B, C]``, its first result; where all are 0 there is "no match".
+            slot: long ``[*B]``, as there.
+        """
+        # argmax gives the first of equal counts, and values are in the order of their ids.
+        best = counts.argmax(-1, keepdim=True)
+        is_found = counts.gather(-1, best).squeeze(-1) > 0
+        place = self.order_of_slot.take(slot) * self.max_counts + best.squeeze(-1)
+        return torch.where(is_found, self.counted.take(place), NO_MATCH)
 
 
 def _allowed_records(domain: DomainTensors, slots: Sequence[int]) -> torch.Tensor:
