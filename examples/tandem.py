@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 AGENTS = ("bbqn_map", "dqn")
 PROTOCOL = "paper_full,large_batches"
-DEFAULTS = ("protocol.rounds=100",)
+DEFAULTS = ("protocol.rounds=100", "replicas=10")
 
 Row = tuple[str, int, int, float]
 

@@ -30,7 +30,7 @@ DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
 EXPERIMENTS = {
     "tcbot": ("The public setting, 2,000 dialogues", "miulab", "v1, no error"),
     "quick": ("The quick form, our corpus", "movie", "reference"),
-    "miulab": ("Full domain, MiuLab's corpus, batches of 128", "miulab", "reference"),
+    "miulab": ("Full domain, MiuLab's corpus", "miulab", "reference"),
     "no_spike_movie": ("Without spiking, our corpus, first defaults", "movie", "reference"),
 }
 """Folder in results/ -> what was trained on; corpus and setting of results/policies.json."""
@@ -45,11 +45,11 @@ MAIN = {
 
 
 def falling(domain: str) -> dict[str, tuple[str, str]]:
-    """Returns whose learning rate falls in a domain of Table 1 -> the folders of their runs."""
+    """Returns whose learning rate falls in a domain -> the folders of their runs."""
     bbqn, dqn = f"lr_falls/{domain}/bbqn_map", f"lr_falls/{domain}/dqn"
     return {
-        "BBQN-MAP: falling and constant": (bbqn, f"table1/{domain}/bbqn_map"),
-        "DQN: falling and constant": (dqn, f"table1/{domain}/dqn"),
+        "BBQN-MAP: falling and constant": (bbqn, f"paper_batches/{domain}/bbqn_map"),
+        "DQN: falling and constant": (dqn, f"paper_batches/{domain}/dqn"),
         "falling: BBQN-MAP and DQN": (bbqn, dqn),
     }
 
@@ -114,10 +114,10 @@ def _commands(kept: list[Group]) -> str:
 
 def draw_figures() -> None:
     """Draws the learning curves of every experiment, and writes table1.csv."""
-    of_table1 = groups("table1")
-    for env in table1.PAPER:
-        report.draw_table1(of_table1, env, common.FIGURES / f"table1_{env}.png")
-    write_replicas(table1.cells_of_table1(of_table1), common.RESULTS / "table1.csv")
+    for folder in ("table1", "paper_batches"):
+        for env in table1.PAPER:
+            report.draw_table1(groups(folder), env, common.FIGURES / f"{folder}_{env}.png")
+    write_replicas(table1.cells_of_table1(groups("table1")), common.RESULTS / "table1.csv")
     if ablated := groups("ablations"):
         draw_ablations(common.FIGURES / "ablations.png", find_ablations(ablated))
     for name, (title, *played_in) in EXPERIMENTS.items():
@@ -127,15 +127,16 @@ def draw_figures() -> None:
         )
 
 
-@block("results.table1")
-def _table1() -> str:
+@block("results.table1", "table1")
+@block("results.paper_batches", "paper_batches")
+def _table1(folder: str) -> str:
     """Returns the report on Table 1, its figures, and the commands of what was run."""
-    kept = groups("table1")
+    kept = groups(folder)
     text = table1.table1_text(kept).partition("\n\n")[2].strip()  # without its heading
     for env, title in DOMAINS.items():
         text = text.replace(f"## env={env}\n", f"### {title}\n")
         if table1.find_cells(kept, env):
-            text += f"\n\n![{title}: learning curves](figures/table1_{env}.png)"
+            text += f"\n\n![{title}: learning curves](figures/{folder}_{env}.png)"
     return f"{text}\n\n{_commands(kept)}"
 
 

@@ -102,7 +102,7 @@ def test_two_agents_are_compared_by_pairs(kept: Path) -> None:
 def test_claims_are_judged_by_what_is_there_and_the_rest_is_not_run(kept: Path) -> None:
     lines = BLOCKS["results.claims"]().splitlines()[2:]
     ends, learns, *rest = lines
-    where = "| Full domain, MiuLab's corpus, batches of 128 | yes |"
+    where = "| Full domain, MiuLab's corpus | yes |"
     assert ends.startswith(f"| BBQN-MAP ends higher than DQN {where} +0.250 [")
     assert learns.startswith(f"| BBQN-MAP learns faster than DQN {where} +0.125 [")
     assert len(rest) > 20
