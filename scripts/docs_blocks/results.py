@@ -114,10 +114,11 @@ def _commands(kept: list[Group]) -> str:
 
 def draw_figures() -> None:
     """Draws the learning curves of every experiment, and writes table1.csv."""
-    for folder in ("table1", "paper_batches"):
+    tables = {folder: groups(folder) for folder in ("table1", "paper_batches")}
+    for folder, kept in tables.items():
         for env in table1.PAPER:
-            report.draw_table1(groups(folder), env, common.FIGURES / f"{folder}_{env}.png")
-    write_replicas(table1.cells_of_table1(groups("table1")), common.RESULTS / "table1.csv")
+            report.draw_table1(kept, env, common.FIGURES / f"{folder}_{env}.png")
+    write_replicas(table1.cells_of_table1(tables["table1"]), common.RESULTS / "table1.csv")
     if ablated := groups("ablations"):
         draw_ablations(common.FIGURES / "ablations.png", find_ablations(ablated))
     for name, (title, *played_in) in EXPERIMENTS.items():
@@ -228,12 +229,13 @@ def compared(folders: dict[str, tuple[str, str]], *head: str) -> str:
 def _claims() -> str:
     """Returns the claims as Markdown: what contradicts the paper first, what was not run last."""
     table1_of = {f"Table 1, {title.lower()}": env for env, title in DOMAINS.items()}
+    of_table1 = groups("table1")
     rows = []
     for quantity, verb in VERBS.items():
         found = [
             (setting, item)
             for setting, env in table1_of.items()
-            for item in table1.comparisons(groups("table1"), env, quantity)
+            for item in table1.comparisons(of_table1, env, quantity)
             if item.other in RIVALS
         ]
         for setting, claimed in CLAIMED.items():
