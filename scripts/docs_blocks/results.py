@@ -31,7 +31,7 @@ EXPERIMENTS = {
     "tcbot": ("The public setting, 2,000 dialogues", "miulab", "v1, no error"),
     "quick": ("The quick form, our corpus", "movie", "reference"),
     "miulab": ("Full domain, MiuLab's corpus", "miulab", "reference"),
-    "no_spike_movie": ("Without spiking, our corpus, first defaults", "movie", "reference"),
+    "no_spike": ("Without spiking, our corpus", "movie", "reference"),
 }
 """Folder in results/ -> what was trained on; corpus and setting of results/policies.json."""
 
