@@ -1,13 +1,14 @@
 """Is it the dialogues, or what is learned from them? An agent that learns from another one's.
 
     python examples/tandem.py                                     # DQN beside BBQN-MAP, 100 rounds
-    python examples/tandem.py --active dqn --passive bbqn_map --file results/tandem_dqn.csv
+    python examples/tandem.py --active dqn --passive bbqn_map --file tandem.csv
+    python examples/tandem.py --active dqn --passive dqn --passive-seed 100000    # another DQN's
 
 After every round of the active agent the passive one learns from the same buffer, by its own loss,
 the same number of epochs in the same order, and never plays but in evaluations (the tandem setting
-of Ostrovski et al. 2021, "The Difficulty of Passive Learning in Deep Reinforcement Learning"). If
-BBQN's dialogues are what makes the difference, a DQN that learns from them does better than one
-that plays for itself; if not, the difference is BBQN's way of learning.
+of Ostrovski et al. 2021, "The Difficulty of Passive Learning in Deep Reinforcement Learning").
+They found that who never plays what it believes in learns worse from the same data. So what BBQN's
+dialogues are worth to a DQN is told by a DQN that learns from another DQN's.
 
 The active agent does not notice: its rounds are bitwise those of an ordinary run of that seed. So
 are the users in the evaluations, and agents can be compared by pairs with any other run's.
@@ -33,6 +34,8 @@ from bbq_torchrl.trainers.learn import Learner
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from bbq_torchrl.trainers import RoundTrainer
+
 AGENTS = ("bbqn_map", "dqn")
 PROTOCOL = "paper_full,large_batches"
 DEFAULTS = ("protocol.rounds=100", "replicas=10")
@@ -40,26 +43,45 @@ DEFAULTS = ("protocol.rounds=100", "replicas=10")
 Row = tuple[str, int, int, float]
 
 
-def tandem(
-    active: str, passive: str, overrides: Sequence[str], folder: Path
-) -> Iterator[list[Row]]:
-    """Trains both, and yields after each evaluation every agent's success in it.
+def make_trainers(
+    active: str,
+    passive: str,
+    overrides: Sequence[str],
+    folder: Path,
+    passive_seed: int | None = None,
+) -> tuple[RoundTrainer, RoundTrainer]:
+    """Returns the trainer of who plays and learns, and that of who learns only.
 
     Args:
         active: the agent whose dialogues are learned from, one of ``AGENTS``.
         passive: the other one, which may be the same.
         overrides: of both configurations.
-        folder: for the two trainers' files.
+        folder: for the trainers' files.
+        passive_seed: of the passive one's first weights, instead of the run's own. Two agents of
+            one kind and one seed would stay alike.
+    """
+
+    def make(role: str, name: str, *more: str) -> RoundTrainer:
+        chosen = [f"+experiment=[agents/{name},{PROTOCOL}]", *overrides, *more]
+        return build_trainer(compose(chosen), folder / role)[0]
+
+    leader, follower = make("active", active), make("passive", passive)
+    if passive_seed is not None:
+        fresh = make("weights", passive, f"seed={passive_seed}").loss
+        follower.loss.load_state_dict(fresh.state_dict())
+    return leader, follower
+
+
+def tandem(leader: RoundTrainer, follower: RoundTrainer) -> Iterator[list[Row]]:
+    """Trains both, and yields after each evaluation every agent's success in it.
+
+    Args:
+        leader: the trainer of the active agent.
+        follower: that of the passive one; its loss, optimizer and evaluations are all that is used.
 
     Yields:
         (role, rounds so far, replica, evaluation success) for each role and replica.
     """
-    leader, follower = (
-        build_trainer(
-            compose([f"+experiment=[agents/{name},{PROTOCOL}]", *overrides]), folder / role
-        )[0]
-        for role, name in (("active", active), ("passive", passive))
-    )
     if follower.evaluator is None:
         raise ValueError("protocol.eval_every must be positive: evaluations are the result")
     leader.progress = False
@@ -94,6 +116,9 @@ def main() -> None:
     )
     parser.add_argument("--active", choices=AGENTS, default="bbqn_map", help="plays and learns")
     parser.add_argument("--passive", choices=AGENTS, default="dqn", help="learns only")
+    parser.add_argument(
+        "--passive-seed", type=int, help="of its first weights; the run's by default"
+    )
     parser.add_argument("--file", type=Path, help="CSV file to write; the screen by default")
     parser.add_argument(
         "overrides", nargs="*", default=DEFAULTS, help=f"of both; else {' '.join(DEFAULTS)}"
@@ -109,7 +134,10 @@ def main() -> None:
         lines = csv.writer(stream, lineterminator="\n")
         lines.writerow(["role", "agent", "rounds", "replica", "success_rate"])
         agents = {"active": options.active, "passive": options.passive}
-        for rows in tandem(options.active, options.passive, options.overrides, folder):
+        trainers = make_trainers(
+            options.active, options.passive, options.overrides, folder, options.passive_seed
+        )
+        for rows in tandem(*trainers):
             lines.writerows((role, agents[role], *rest) for role, *rest in rows)
             stream.flush()
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import sys
 
+import torch
 from extended import EXAMPLES
 
 from bbq_torchrl.cli.store import compose
@@ -25,8 +27,14 @@ TINY = (
 )
 
 
+def same_weights(trainer, weights):
+    """Whether a trainer's loss has these weights."""
+    return all(torch.equal(value, weights[key]) for key, value in trainer.loss.state_dict().items())
+
+
 def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path):
-    rows = [row for part in example["tandem"]("bbqn_map", "dqn", TINY, tmp_path) for row in part]
+    trainers = example["make_trainers"]("bbqn_map", "dqn", TINY, tmp_path)
+    rows = [row for part in example["tandem"](*trainers) for row in part]
     protocol = example["PROTOCOL"]
     config = compose([f"+experiment=[agents/bbqn_map,{protocol}]", *TINY])
     alone = build_trainer(config, tmp_path / "alone")[0].train()
@@ -39,9 +47,21 @@ def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path
 
 
 def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example, tmp_path):
-    for rows in example["tandem"]("dqn", "dqn", TINY, tmp_path):
+    active, passive = example["make_trainers"]("dqn", "dqn", TINY, tmp_path)
+    begun = copy.deepcopy(active.loss.state_dict())
+    for rows in example["tandem"](active, passive):
         rates = {role: [row[3] for row in rows if row[0] == role] for role in ("active", "passive")}
         assert rates["active"] == rates["passive"]
+    assert same_weights(active, passive.loss.state_dict())
+    assert not same_weights(active, begun)
+
+
+def test_a_passive_agent_begins_with_the_weights_of_its_seed(example, tmp_path):
+    active, passive = example["make_trainers"]("dqn", "dqn", TINY, tmp_path, 7)
+    config = compose([f"+experiment=[agents/dqn,{example['PROTOCOL']}]", *TINY, "seed=7"])
+    own = build_trainer(config, tmp_path / "own")[0].loss.state_dict()
+    assert same_weights(passive, own)
+    assert not same_weights(active, own)
 
 
 def test_the_file_has_a_line_for_each_agent_evaluation_and_replica(example, tmp_path, monkeypatch):
