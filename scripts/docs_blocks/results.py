@@ -31,6 +31,7 @@ EXPERIMENTS = {
     "tcbot": ("The public setting, 2,000 dialogues", "miulab", "v1, no error"),
     "quick": ("The quick form, our corpus", "movie", "reference"),
     "miulab": ("Full domain, MiuLab's corpus", "miulab", "reference"),
+    "long": ("Full domain, 400 rounds, our corpus", "movie", "reference"),
     "no_spike": ("Without spiking, our corpus", "movie", "reference"),
 }
 """Folder in results/ -> what was trained on; corpus and setting of results/policies.json."""
@@ -38,8 +39,10 @@ EXPERIMENTS = {
 MAIN = {
     "Full domain, our corpus": ("table1/full/bbqn_map", "table1/full/dqn"),
     "Domain extension, our corpus": ("table1/extension/bbqn_map", "table1/extension/dqn"),
-    EXPERIMENTS["tcbot"][0]: ("tcbot/bbqn_map", "tcbot/dqn"),
-    EXPERIMENTS["miulab"][0]: ("miulab/bbqn_map", "miulab/dqn"),
+    **{
+        EXPERIMENTS[folder][0]: (f"{folder}/bbqn_map", f"{folder}/dqn")
+        for folder in ("long", "tcbot", "miulab")
+    },
 }
 """What BBQN-MAP and DQN were trained on -> the folders of their runs."""
 
@@ -67,16 +70,19 @@ CLAIMED = {
     "Table 1, domain extension": [
         ("DQN-VIME-MAP", "table1/extension/dqn_vime_map", "DQN", "table1/extension/dqn"),
     ],
-    EXPERIMENTS["tcbot"][0]: [("BBQN-MAP", "tcbot/bbqn_map", "DQN", "tcbot/dqn")],
-    EXPERIMENTS["miulab"][0]: [
-        ("BBQN-MAP", "miulab/bbqn_map", name, f"miulab/{folder}")
-        for name, folder in (
-            ("DQN", "dqn"),
-            ("DQN-Boltzmann", "dqn_boltzmann"),
-            ("DQN-Bootstrap", "dqn_bootstrap"),
-            ("BBQN-MC", "bbqn_mc"),
-        )
-    ],
+    EXPERIMENTS["long"][0]: [("BBQN-MAP", "long/bbqn_map", "DQN", "long/dqn")],
+    **{
+        EXPERIMENTS[folder][0]: [
+            ("BBQN-MAP", f"{folder}/bbqn_map", name, f"{folder}/{theirs}")
+            for name, theirs in (
+                ("DQN", "dqn"),
+                ("DQN-Boltzmann", "dqn_boltzmann"),
+                ("DQN-Bootstrap", "dqn_bootstrap"),
+                ("BBQN-MC", "bbqn_mc"),
+            )
+        ]
+        for folder in ("tcbot", "miulab")
+    },
     "[Who explores?](#who-explores)": [
         (
             "BBQN-MAP by Thompson sampling",
