@@ -11,7 +11,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import Understander, read_lines
 from bbq_torchrl.language.labeled import LEARNED_FILE
@@ -24,18 +24,18 @@ RESULT = Path(__file__).parents[1] / "results" / "new_hands.json"
 
 def main() -> None:
     """Trains without the hands, and writes what is understood of each."""
-    domain = movie_domain()
     hands = (MOVIE_FOLDER / LEARNED_FILE).read_text("utf-8").split(_BEGINS)
     found = {}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "movie"
         shutil.copytree(MOVIE_FOLDER, folder)
         file = folder / LEARNED_FILE
+        domain = load_domain(folder)
         for start in (0, 1):
             left_out = range(len(hands) - _NEW + start, len(hands), 2)
             kept = [hand for at, hand in enumerate(hands) if at not in left_out]
             file.write_text(_BEGINS.join(kept), encoding="utf-8")
-            understand = Understander.train(domain, folder)
+            understand = Understander.train(domain)
             for at in left_out:
                 file.write_text(hands[at], encoding="utf-8")
                 own = figures(score(understand, read_lines(file, domain)))

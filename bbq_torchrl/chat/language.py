@@ -48,9 +48,9 @@ def make_ears(
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
     if file is not None:
-        own = Understander.load(file, domain, domain.folder)
+        own = Understander.load(file, domain)
     else:
-        own = kept_understander(domain, domain.folder, labeled, tell)
+        own = kept_understander(domain, labeled, tell)
     return own if endpoint is None else EndpointUnderstander(endpoint, own)
 
 
@@ -61,10 +61,10 @@ def make_mouth(domain: Domain, endpoint: Endpoint | None = None) -> Mouth:
         domain: as of :func:`make_ears`.
         endpoint: who is asked first.
     """
-    own = Generator.of(domain, domain.folder)
+    own = Generator(domain)
     return own if endpoint is None else EndpointGenerator(endpoint, own)
 
 
 def slot_names(domain: Domain) -> dict[str, str]:
     """Returns how people call the slots of a domain."""
-    return {slot: entry.name for slot, entry in load_phrases(domain, domain.folder).slots.items()}
+    return {slot: entry.name for slot, entry in load_phrases(domain).slots.items()}

@@ -132,7 +132,7 @@ def make_users(study: Study) -> Callable[[int, int], SimulatedUser]:
     """Returns what makes a user of a study from the number of its goal, from 1, and a seed."""
     spelling = Spelling(study.domain)
     simulator = Simulator(tensorize(spelling.domain))
-    speak = Generator.of(study.domain, study.domain.folder)
+    speak = Generator(study.domain)
 
     def user(goal: int, seed: int) -> SimulatedUser:
         return SimulatedUser(simulator, speak, goal, seed, spelling.of)

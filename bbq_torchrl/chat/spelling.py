@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language import load_phrases
 from bbq_torchrl.language.lexicon import Lexicon
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ class Spelling:
     """
 
     def __init__(self, domain: Domain) -> None:
-        self._lexicon = Lexicon(domain, load_phrases(domain, domain.folder))
+        self._lexicon = Lexicon(domain)
         self.domain = replace(
             domain,
             records=tuple(map(self.of, domain.records)),

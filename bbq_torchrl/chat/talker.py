@@ -102,5 +102,5 @@ def make_talker(study: Study) -> AgentTalker:
     """
     torch.set_num_threads(1)
     domain = study.domain
-    language = language_key(domain, domain.folder)
+    language = language_key(domain)
     return AgentTalker(study, make_ears(domain), make_mouth(domain), language=language)

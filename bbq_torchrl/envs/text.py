@@ -167,6 +167,6 @@ def text_channel(domain: Domain, ask_below: float | None = None) -> TextChannel:
     Raises:
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
-    understand = kept_understander(domain, domain.folder)
-    speak = Generator.of(domain, domain.folder)
+    understand = kept_understander(domain)
+    speak = Generator(domain)
     return TextChannel(tensorize(domain), understand, speak, ask_below)

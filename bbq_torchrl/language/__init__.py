@@ -5,7 +5,7 @@ from __future__ import annotations
 from bbq_torchrl.language.endpoint import Endpoint, EndpointGenerator, EndpointUnderstander
 from bbq_torchrl.language.frames import ANY, Frame, Unclear, Understood
 from bbq_torchrl.language.generate import Generator
-from bbq_torchrl.language.labeled import as_examples, read_lines
+from bbq_torchrl.language.labeled import read_lines
 from bbq_torchrl.language.phrases import PhrasesError, load_phrases
 from bbq_torchrl.language.understand import Understander
 from bbq_torchrl.language.words import MAX_CHARACTERS, TextError
@@ -23,7 +23,6 @@ __all__ = [
     "Unclear",
     "Understander",
     "Understood",
-    "as_examples",
     "load_phrases",
     "read_lines",
 ]

@@ -14,10 +14,8 @@ from bbq_torchrl import output
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language.generate import Generator
-from bbq_torchrl.language.labeled import as_examples, read_lines
-from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language.labeled import read_lines
 from bbq_torchrl.language.measure import measure_lines, measure_round_trip
-from bbq_torchrl.language.phrases import load_phrases
 from bbq_torchrl.language.simulated import play
 from bbq_torchrl.language.understand import SENTENCES, Understander
 from bbq_torchrl.text import sentence
@@ -66,7 +64,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.command == "count":
             _count(given, domain)
             return 0
-        understand, seconds = _trained(given, domain)
+        labeled = [] if given.labeled is None else read_lines(given.labeled, domain)
+        started = time.process_time()
+        understand = Understander.train(
+            domain, sentences=given.sentences, seed=given.seed, labeled=labeled
+        )
+        seconds = time.process_time() - started
         file = given.file or Path(f"{domain.name}.language.npz")
         understand.save(file)
         if given.command == "measure":
@@ -114,27 +117,14 @@ def _agent(name: str, domain: Domain) -> TensorDictModuleBase:
     return run.policy
 
 
-def _trained(given: argparse.Namespace, domain: Domain) -> tuple[Understander, float]:
-    labeled = []
-    if given.labeled is not None:
-        lexicon = Lexicon(domain, load_phrases(domain, given.domain))
-        labeled = as_examples(read_lines(given.labeled, domain), lexicon)
-    started = time.process_time()
-    understand = Understander.train(
-        domain, given.domain, sentences=given.sentences, seed=given.seed, labeled=labeled
-    )
-    return understand, time.process_time() - started
-
-
 def _measured(
     given: argparse.Namespace, domain: Domain, understand: Understander
 ) -> dict[str, Any]:
-    generator = Generator.of(domain, given.domain)
     found = play(domain, given.dialogues, seed=given.seed)
     turns = [(agent, user) for agent, _, user in found.turns][:3_000]
     return {
         **measure_lines(understand, given.data),
-        **measure_round_trip(understand, generator, turns),
+        **measure_round_trip(understand, Generator(domain), turns),
         "patterns": len(found.patterns),
     }
 

@@ -22,7 +22,6 @@ from bbq_torchrl.language.words import compact
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.lexicon import Lexicon, Link
     from bbq_torchrl.language.model import Reading
 
@@ -96,7 +95,6 @@ def assemble(
     words: Sequence[str],
     reading: Reading,
     question: Frame | None,
-    domain: Domain,
     lexicon: Lexicon,
 ) -> tuple[Frame, tuple[Unclear, ...]]:
     """Returns the frame of a reading, and what is unclear.
@@ -105,7 +103,6 @@ def assemble(
         words: of the sentence.
         reading: what the learned parts say.
         question: the agent's last act.
-        domain: whose acts and slots.
         lexicon: the domain's values.
     """
     if question is not None and question.requests and _NO_MATCH in " ".join(words):
@@ -114,7 +111,7 @@ def assemble(
     offered = chosen(words, question, lexicon)
     if offered is not None and question is not None:
         return Frame("inform", {question.requests[0]: offered}), ()
-    act = domain.acts[int(reading.acts.argmax())]
+    act = lexicon.domain.acts[int(reading.acts.argmax())]
     informs, unclear = _values(words, reading, question, lexicon)
     asks = act == "request" and "?" in words  # "comedies?" is more than a name
     if not asks and (short := _short_answer(words, reading, question, lexicon)) is not None:
@@ -130,19 +127,19 @@ def assemble(
     if is_strange and act not in _ABOUT_VALUES and question is not None and question.requests:
         # Words that nobody has heard of answer the question: a name that is not known.
         return Frame("inform"), (Unclear(question.requests[0], " ".join(words)),)
-    return _decided(words, reading, question, domain, lexicon, informs, unclear), unclear
+    return _decided(words, reading, question, lexicon, informs, unclear), unclear
 
 
 def _decided(
     words: Sequence[str],
     reading: Reading,
     question: Frame | None,
-    domain: Domain,
     lexicon: Lexicon,
     told: dict[str, str],
     unclear: tuple[Unclear, ...],
 ) -> Frame:
     """Returns the likeliest frame that the labeling guide allows, given the values told."""
+    domain = lexicon.domain
     asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
     cares = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
     requests = tuple(s for s, chance in asked.items() if chance > (_ALSO if s in told else 0.5))
@@ -175,7 +172,7 @@ def _decided(
         told = {}
     if act == "request":
         requests = requests or (likely,)
-        if not told and _accepts(words, question, domain):
+        if not told and _accepts(words, question, domain.complete_slot):
             act = "thanks"
     elif act != "inform" and act not in keeps:
         requests = ()
@@ -245,9 +242,9 @@ def _named(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> di
     return {}
 
 
-def _accepts(words: Sequence[str], question: Frame | None, domain: Domain) -> bool:
+def _accepts(words: Sequence[str], question: Frame | None, offer: str) -> bool:
     """Returns whether a booking is offered, and the sentence begins by agreeing to it."""
-    if question is None or question.informs.get(domain.complete_slot, _NO_MATCH) == _NO_MATCH:
+    if question is None or question.informs.get(offer, _NO_MATCH) == _NO_MATCH:
         return False
     return words[0] in _YES
 

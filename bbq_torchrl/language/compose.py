@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Callable, Mapping, Sequence
 
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.language.phrases import Phrases
+    from bbq_torchrl.language.lexicon import Lexicon
 
 __all__ = ["Composer"]
 
@@ -44,19 +43,15 @@ class Composer:
     """Makes sentences of users.
 
     Args:
-        domain: what is spoken of.
-        phrases: how.
-        owners: for values, in letters and digits, that several slots have: whose they are where
-            nothing else is said.
+        lexicon: the domain's phrases and values.
+        simulated: whether the users are simulated: a value that several slots have is theirs who
+            own it, where nothing else is said.
     """
 
-    def __init__(
-        self, domain: Domain, phrases: Phrases, owners: Mapping[str, str] | None = None
-    ) -> None:
-        self._domain = domain
-        self._phrases = phrases
-        self._owners = owners or {}
-        self._rules = {**phrases.rules, "thing": phrases.user["thing"]}
+    def __init__(self, lexicon: Lexicon, *, simulated: bool = False) -> None:
+        self._domain, self._phrases = lexicon.domain, lexicon.phrases
+        self._owners = lexicon.owners if simulated else {}
+        self._rules = {**self._phrases.rules, "thing": self._phrases.user["thing"]}
 
     def compose(
         self,

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.lexicon import Lexicon
-    from bbq_torchrl.language.phrases import Phrases
     from bbq_torchrl.language.templates import Piece
 
 __all__ = ["Example", "make_examples", "spoiled", "tag"]
@@ -66,8 +65,6 @@ def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
 
 
 def make_examples(
-    domain: Domain,
-    phrases: Phrases,
     lexicon: Lexicon,
     count: int,
     seed: int,
@@ -78,18 +75,16 @@ def make_examples(
     """Returns sentences of the domain's own grammar.
 
     Args:
-        domain: what is spoken of.
-        phrases: how.
-        lexicon: the domain's values.
+        lexicon: the domain's phrases and values.
         count: how many.
         seed: chooses all.
         noise: scales how often sentences are spoiled.
         simulated: whether the acts are those of simulated users, who ask several things at once.
     """
     rng = random.Random(seed)
-    draw = _played(domain, seed) if simulated else _Frames(domain, phrases, lexicon).draw
-    composer = Composer(domain, phrases, lexicon.owners if simulated else None)
-    surfaces = Surfaces(lexicon, domain.free_slots)
+    draw = _played(lexicon.domain, seed) if simulated else _Frames(lexicon).draw
+    composer = Composer(lexicon, simulated=simulated)
+    surfaces = Surfaces(lexicon)
     examples: list[Example] = []
     while len(examples) < count:
         question, frame = draw(rng)
@@ -151,10 +146,10 @@ def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
 class _Frames:
     """Draws what agents ask and users mean."""
 
-    def __init__(self, domain: Domain, phrases: Phrases, lexicon: Lexicon) -> None:
-        self._domain = domain
-        self._lexicon = lexicon
-        acts = {act for act in phrases.user if act in domain.acts}
+    def __init__(self, lexicon: Lexicon) -> None:
+        domain = lexicon.domain
+        self._domain, self._lexicon = domain, lexicon
+        acts = {act for act in lexicon.phrases.user if act in domain.acts}
         self._slotless = [act for act in _NO_CONTENT if act in acts]
         requested = [s for goal in domain.goals for s in goal.requests]
         told = [a.slot for a in domain.actions if a.kind == "inform" and a.slot]

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.language.frames import Frame
     from bbq_torchrl.language.lexicon import Lexicon
-    from bbq_torchrl.language.phrases import Phrases
     from bbq_torchrl.language.quantities import Kind
 
 __all__ = ["Features"]
@@ -39,17 +38,14 @@ class Features:
     """Names of features, as text, for words and for whole sentences.
 
     Args:
-        lexicon: whose names are looked for, at every place the longest.
-        phrases: whose nouns of slots are looked for.
+        lexicon: whose names are looked for, at every place the longest, and whose phrases' nouns
+            of slots.
         known: the words that training sentences have; others are corrected to the nearest of
             them by one letter, or unknown.
-        offer: the slot whose inform offers a booking.
     """
 
-    def __init__(
-        self, lexicon: Lexicon, phrases: Phrases, known: Iterable[str], offer: str = ""
-    ) -> None:
-        self._offer = offer
+    def __init__(self, lexicon: Lexicon, known: Iterable[str]) -> None:
+        self._offer = lexicon.domain.complete_slot
         self._names: dict[str, dict[str, set[str]]] = {}
         self._part: dict[str, set[str]] = {}
         for slot, names in lexicon.names.items():
@@ -62,7 +58,7 @@ class Features:
                 for word in {word for name in names for word in name if len(word) > 2}:
                     self._part.setdefault(word, set()).add(slot)
         self._nouns: dict[str, list[str]] = {}
-        for slot, entry in phrases.slots.items():
+        for slot, entry in lexicon.phrases.slots.items():
             for noun in entry.nouns:
                 self._nouns.setdefault(noun, []).append(slot)
         self.known = frozenset(word.replace("'", "") for word in known)

@@ -12,12 +12,10 @@ from bbq_torchrl.domains import AVAILABLE, NO_MATCH, RESERVED_TEXT, fold
 from bbq_torchrl.language.compose import Composer
 from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.language.lexicon import Lexicon
-from bbq_torchrl.language.phrases import Phrases, load_phrases
 from bbq_torchrl.language.templates import Piece, expand, is_possible, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.frames import Understood
@@ -52,29 +50,23 @@ class Generator:
     """Turns acts into sentences, by the phrases of a domain.
 
     Args:
-        domain: what is spoken of.
-        phrases: how; ``None`` for the generic phrases.
+        domain: what is spoken of, with its ``language.yaml`` in its folder; of none, by the
+            generic phrases.
 
     Example:
         >>> from bbq_torchrl.domains import movie_domain
-        >>> from bbq_torchrl.domains.folder import MOVIE_FOLDER
-        >>> speak = Generator.of(movie_domain(), MOVIE_FOLDER)
+        >>> speak = Generator(movie_domain())
         >>> speak.agent(Frame("inform", {"city": "reno"}), session=1, turn=2)
         '...'
     """
 
-    def __init__(self, domain: Domain, phrases: Phrases | None = None) -> None:
-        self._domain = domain
-        self._phrases = load_phrases(domain) if phrases is None else phrases
+    def __init__(self, domain: Domain) -> None:
+        lexicon = Lexicon(domain)
+        self._domain, self._phrases = domain, lexicon.phrases
         self._records = [
             {slot: fold(value) for slot, value in record.items()} for record in domain.records
         ]
-        self._composer = Composer(domain, self._phrases, Lexicon(domain, self._phrases).owners)
-
-    @classmethod
-    def of(cls, domain: Domain, folder: str | Path | None = None) -> Generator:
-        """Returns the generator by the ``language.yaml`` in ``folder``, where there is one."""
-        return cls(domain, load_phrases(domain, folder))
+        self._composer = Composer(lexicon, simulated=True)
 
     def user(
         self, frame: Frame, question: Frame | None = None, *, session: str | int = 0, turn: int = 0

@@ -20,6 +20,8 @@ _WIDTH = 48
 _BATCH = 512
 _RATE = 0.012
 _LEFT_OUT = 0.4
+_EPOCHS = 10
+_MOST = 16_000  # features that are kept, those that most sentences have
 
 
 class IntentNet(nn.Module):
@@ -98,8 +100,6 @@ def train_intents(
     names: tuple[Sequence[str], Sequence[str]],
     *,
     seed: int,
-    epochs: int,
-    most: int = 16_000,
 ) -> IntentNet:
     """Returns a net fitted to sentences.
 
@@ -110,8 +110,6 @@ def train_intents(
         dont_care: float ``[N, S + 1]``.
         names: the acts and the slots.
         seed: draws the first weights, the order and the features left out.
-        epochs: passes over the sentences.
-        most: how many features are kept, those that most sentences have.
     """
     count = Counter(chain.from_iterable(map(set, sentences)))
     ranked = sorted(
@@ -119,16 +117,16 @@ def train_intents(
     )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        net = IntentNet([name for name, _ in ranked[:most]], *names)
+        net = IntentNet([name for name, _ in ranked[:_MOST]], *names)
         bags = [net.encode(sentence) for sentence in sentences]
         flat = torch.tensor(list(chain.from_iterable(bags)), dtype=torch.long)
         sizes = torch.tensor([len(bag) for bag in bags])
         starts = sizes.cumsum(0) - sizes
         target = torch.tensor(acts)
         optimizer = torch.optim.Adam(net.parameters(), lr=_RATE, fused=True)
-        steps = epochs * (-(-len(bags) // _BATCH))
+        steps = _EPOCHS * (-(-len(bags) // _BATCH))
         schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, steps)
-        for _ in range(epochs):
+        for _ in range(_EPOCHS):
             for rows in torch.randperm(len(bags)).split(_BATCH):
                 own = sizes[rows]
                 shift = starts[rows] - own.cumsum(0) + own

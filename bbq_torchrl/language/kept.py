@@ -8,9 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language.labeled import DRILLED_FILE, LEARNED_FILE, as_examples, read_lines
-from bbq_torchrl.language.lexicon import Lexicon
-from bbq_torchrl.language.phrases import LANGUAGE_FILE, load_phrases
+from bbq_torchrl.language.labeled import DRILLED_FILE, LEARNED_FILE, read_lines
+from bbq_torchrl.language.phrases import LANGUAGE_FILE
 from bbq_torchrl.language.understand import Understander
 
 if TYPE_CHECKING:
@@ -23,7 +22,6 @@ __all__ = ["kept_understander", "language_key"]
 
 def kept_understander(
     domain: Domain,
-    folder: Path | None,
     labeled: Path | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Understander:
@@ -32,8 +30,7 @@ def kept_understander(
     It is kept under a name that is a hash of all it was made of.
 
     Args:
-        domain: what is spoken of.
-        folder: where its phrases are; ``None`` for the generic ones.
+        domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
         labeled: own labeled lines to learn from as well.
         tell: is told when training begins, which takes half a minute.
 
@@ -41,36 +38,28 @@ def kept_understander(
         ValueError or OSError: a file that cannot be used.
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
-    kept = _kept(language_key(domain, folder, labeled))
+    kept = _kept(language_key(domain, labeled))
     try:
-        return Understander.load(kept, domain, folder)
+        return Understander.load(kept, domain)
     except (OSError, ValueError):
         tell("Learning the language of the domain, once; it takes about a minute ...")
-        own = _trained(domain, folder, labeled)
+        lines = [] if labeled is None else read_lines(labeled, domain)
+        own = Understander.train(domain, labeled=lines)
         _keep(own, kept)
         return own
 
 
-def _trained(domain: Domain, folder: Path | None, labeled: Path | None) -> Understander:
-    examples = []
-    if labeled is not None:
-        lexicon = Lexicon(domain, load_phrases(domain, folder))
-        examples = as_examples(read_lines(labeled, domain), lexicon)
-    return Understander.train(domain, folder, labeled=examples)
-
-
-def language_key(domain: Domain, folder: Path | None, labeled: Path | None = None) -> str:
+def language_key(domain: Domain, labeled: Path | None = None) -> str:
     """Returns a hash of all that an understander is made of, and that sentences are made of.
 
     Args:
         domain: what is spoken of.
-        folder: where its phrases are; ``None`` for the generic ones.
         labeled: own labeled lines.
     """
     digest = hashlib.sha256(f"{version('bbq-torchrl')} {domain!r}".encode())
     sources = sorted(Path(__file__).parent.glob("*.*"))
     files = (LANGUAGE_FILE, LEARNED_FILE, DRILLED_FILE)
-    own = [] if folder is None else [folder / name for name in files]
+    own = [] if domain.folder is None else [domain.folder / name for name in files]
     for path in (*sources, *own, *([labeled] if labeled is not None else [])):
         if path.is_file():
             digest.update(path.read_bytes())

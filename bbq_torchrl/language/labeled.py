@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from bbq_torchrl.language.corpus import Example
 from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.language.tagger import OUTSIDE, spans_of
-from bbq_torchrl.language.words import TextError, clean, compact, tokenize
+from bbq_torchrl.language.words import clean, compact, tokenize
 from bbq_torchrl.text import FaultsError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ __all__ = [
     "LEARNED_FILE",
     "Line",
     "as_examples",
-    "domain_lines",
+    "lines_of",
     "read_lines",
     "varied",
 ]
@@ -82,22 +82,16 @@ def read_lines(path: str | Path, domain: Domain) -> list[Line]:
             clean(parts[1])
             question = Frame.parse(parts[0], domain) if parts[0] else None
             lines.append(Line(question, parts[1], Frame.parse(parts[2], domain)))
-        except (ValueError, TextError) as error:
+        except ValueError as error:
             faults.append(f"line {number}: {error}")
     if faults:
         raise FaultsError(str(path), faults)
     return lines
 
 
-def domain_lines(domain: Domain, folder: str | Path | None, name: str = LEARNED_FILE) -> list[Line]:
-    """Returns the labeled lines of a file in a domain's folder, none where it has no such file.
-
-    Args:
-        domain: whose acts and slots the labels may name.
-        folder: where the file is looked for.
-        name: of the file.
-    """
-    path = None if folder is None else Path(folder).expanduser() / name
+def lines_of(domain: Domain, name: str) -> list[Line]:
+    """Returns the labeled lines of a file in a domain's folder, none where it has no such file."""
+    path = None if domain.folder is None else domain.folder / name
     return read_lines(path, domain) if path is not None and path.is_file() else []
 
 

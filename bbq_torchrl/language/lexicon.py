@@ -1,4 +1,4 @@
-"""The values of a domain, and what people call them."""
+"""The language of a domain: its phrases, its values, and what people call them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import math
 import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
 from bbq_torchrl.language.extra import needed
+from bbq_torchrl.language.phrases import load_phrases
 from bbq_torchrl.language.quantities import READERS, Kind, kind_of
 from bbq_torchrl.language.words import compact, tokenize
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.language.phrases import Phrases
 
 __all__ = ["Lexicon", "Link"]
 
@@ -53,11 +53,18 @@ class Lexicon:
     """A domain's values by slot, with one canonical key for all spellings of a value.
 
     Args:
-        domain: whose values.
-        phrases: for other names of values, and the kinds of slots.
+        domain: whose values; its phrases have other names of them, and the kinds of slots.
+
+    Attributes:
+        domain: the same.
+        phrases: of the domain, see :func:`~bbq_torchrl.language.phrases.load_phrases`.
+
+    Raises:
+        PhrasesError: if the domain's phrases do not fit it.
     """
 
-    def __init__(self, domain: Domain, phrases: Phrases | None = None) -> None:
+    def __init__(self, domain: Domain) -> None:
+        self.domain, self.phrases = domain, load_phrases(domain)
         self._values = {
             slot: texts[FIRST_VALUE:]
             for slot, texts in zip(domain.slots, build_vocabulary(domain), strict=True)
@@ -71,9 +78,9 @@ class Lexicon:
         self.kinds: dict[str, Kind] = {}
         self.aliases: dict[str, Mapping[str, tuple[str, ...]]] = {}
         for slot, values in self._values.items():
-            entry = phrases.slots[slot] if phrases is not None else None
-            self.kinds[slot] = entry.kind if entry is not None and entry.kind else kind_of(values)  # type: ignore[assignment]
-            self.aliases[slot] = entry.aliases if entry is not None else {}
+            entry = self.phrases.slots[slot]
+            self.kinds[slot] = entry.kind or kind_of(values)
+            self.aliases[slot] = entry.aliases
         self._group = {slot: self._groups(slot) for slot in self._values}
         self._by_key: dict[str, dict[str, list[str]]] = {}
         self._names: dict[str, dict[str, str]] = {}
@@ -91,6 +98,7 @@ class Lexicon:
             for slot, values in self._values.items()
         }
         self.link = lru_cache(maxsize=50_000)(self._link)
+        self._near_names = cache(partial(_Names, self))
 
     @property
     def slots(self) -> tuple[str, ...]:
@@ -196,10 +204,8 @@ class Lexicon:
             if hour == "12" and read.endswith("?"):
                 tries.reverse()
                 tries.append(tries.pop(0))
-            if relation == "at":
-                pass
-            else:
-                tries += [f"at {t.split()[1]}" for t in tries] if relation == "around" else []
+            if relation == "around":
+                tries += [f"at {t.split()[1]}" for t in tries]
         if kind == "date" and " " in tries[0]:
             head, _, part = tries[0].rpartition(" ")
             if part in ("morning", "afternoon", "evening", "night", "noon"):
@@ -213,7 +219,7 @@ class Lexicon:
 
     def _nearest(self, slot: str, text: str) -> Link:
         """Returns the names that share most of what is telling, typos allowed for."""
-        scored = _Names.of(self, slot).scores(text)
+        scored = self._near_names(slot).scores(text)
         ranked = sorted(scored.items(), key=lambda item: -item[1])
         if not ranked or ranked[0][1] < _LEAST:
             return Link((), ranked[0][1] if ranked else 0.0)
@@ -246,14 +252,6 @@ class _Names:
             for word in words:
                 self._having[word].append(index)
         self._named = [sum(self._weight[word] for word in words) for words in self._words]
-
-    @classmethod
-    def of(cls, lexicon: Lexicon, slot: str) -> _Names:
-        """Returns the names of a slot, made once."""
-        made: dict[str, _Names] = lexicon.__dict__.setdefault("_made", {})
-        if slot not in made:
-            made[slot] = cls(lexicon, slot)
-        return made[slot]
 
     def scores(self, text: str) -> dict[str, float]:
         """Returns how well each key fits, from 0 to 1; those that fit badly are left out."""

@@ -18,10 +18,8 @@ from bbq_torchrl.language.words import BREAKS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.corpus import Example
     from bbq_torchrl.language.lexicon import Lexicon
-    from bbq_torchrl.language.phrases import Phrases
 
 __all__ = ["Model", "Reading", "fit"]
 
@@ -126,33 +124,28 @@ def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:
 
 
 def fit(
-    domain: Domain,
-    phrases: Phrases,
     lexicon: Lexicon,
     examples: Sequence[Example],
     simulated: Sequence[Example] = (),
     *,
     seed: int,
     steps: int,
-    epochs: int,
 ) -> Model:
     """Returns a model fitted to sentences; equal arguments give equal bits.
 
     Args:
-        domain: whose acts and slots.
-        phrases: whose nouns help.
-        lexicon: whose names help.
+        lexicon: whose names help, of the domain whose acts and slots are read.
         examples: the sentences.
         simulated: sentences that the net learns from as well, but the tagger does not.
         seed: of the net.
         steps: of the tagger's optimizer.
-        epochs: of the net.
     """
+    domain = lexicon.domain
     words = Counter(
         w for e in examples for w, t in zip(e.words, e.tags, strict=True) if t == OUTSIDE
     )
     known = [word for word, count in words.items() if count > 1]
-    features = Features(lexicon, phrases, known, domain.complete_slot)
+    features = Features(lexicon, known)
     # "Friday or Saturday" informs of neither, which is not to be learned of the names.
     named = [e for e in examples if e.frame != Frame("inform")]
     tagger = Tagger.train(
@@ -180,6 +173,5 @@ def fit(
         dont_care,
         (domain.acts, slots),
         seed=seed,
-        epochs=epochs,
     )
     return Model(features, tagger, net)

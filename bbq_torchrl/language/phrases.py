@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.language.quantities import KINDS
+from bbq_torchrl.language.quantities import KINDS, Kind
 from bbq_torchrl.language.templates import Template, TemplateError, parse
 from bbq_torchrl.text import FaultsError, shown
 
@@ -28,20 +28,6 @@ __all__ = [
 LANGUAGE_FILE = "language.yaml"
 _GENERIC = Path(__file__).with_name("generic.yaml")
 _SECTIONS = ("rules", "user", "agent", "slots")
-_SLOT_KEYS = (
-    "ask",
-    "tell",
-    "none",
-    "care",
-    "want",
-    "options",
-    "say",
-    "with",
-    "any",
-    "wish",
-    "check",
-    "clear",
-)
 _DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
 """Rules that are filled in while a sentence is made."""
 
@@ -64,7 +50,7 @@ class SlotPhrases:
 
     name: str
     nouns: tuple[str, ...]
-    kind: str | None
+    kind: Kind | None
     aliases: Mapping[str, tuple[str, ...]]
     phrases: Mapping[str, tuple[Template, ...]]
 
@@ -86,13 +72,12 @@ class Phrases:
     slots: Mapping[str, SlotPhrases]
 
 
-def load_phrases(domain: Domain, folder: str | Path | None = None) -> Phrases:
+def load_phrases(domain: Domain) -> Phrases:
     """Returns the phrases of a domain.
 
     Args:
-        domain: whose slots the phrases may name.
-        folder: where its ``language.yaml`` is looked for; without one, and without the file,
-            the generic phrases are all there is.
+        domain: whose slots the phrases may name. Its ``language.yaml`` is looked for in its
+            folder; without one, and without the file, the generic phrases are all there is.
 
     Raises:
         PhrasesError: if the file is no YAML, or names what the domain does not have.
@@ -100,7 +85,7 @@ def load_phrases(domain: Domain, folder: str | Path | None = None) -> Phrases:
     generic = yaml.safe_load(_GENERIC.read_text(encoding="utf-8"))
     own: Any = {}
     source = LANGUAGE_FILE
-    path = None if folder is None else Path(folder).expanduser() / LANGUAGE_FILE
+    path = None if domain.folder is None else domain.folder / LANGUAGE_FILE
     if path is not None and path.is_file():
         source = str(path)
         try:
@@ -139,7 +124,8 @@ class _Reader:
 
     def _slot(self, slot: str, content: object, generic: dict[str, Any]) -> SlotPhrases:
         where = f"slots.{slot}"
-        own = self._mapping(where, content, ("name", "nouns", "kind", "aliases", *_SLOT_KEYS))
+        fallback = dict(generic["slot"])
+        own = self._mapping(where, content, ("name", "nouns", "kind", "aliases", *fallback))
         name = own.get("name", slot.replace("_", " "))
         if not isinstance(name, str) or not name.strip():
             self.faults.append(f"{where}.name must be a text, got {shown(name)}")
@@ -154,13 +140,12 @@ class _Reader:
             ).items()
         }
         is_offer = slot == self._domain.complete_slot
-        fallback = dict(generic["slot"])
         if slot in self._domain.special_slots:
             fallback["tell"] = generic["agent"]["offer" if is_offer else "ticket"]
             fallback["none"] = generic["agent"]["no_offer" if is_offer else "no_ticket"]
         phrases = {
             key: self._templates(f"{where}.{key}", own.get(key, fallback[key]), slot)
-            for key in _SLOT_KEYS
+            for key in fallback
         }
         nouns = self._texts(f"{where}.nouns", own.get("nouns", name.lower().split()))
         return SlotPhrases(name, nouns, kind, aliases, phrases)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import calendar
 import re
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from bbq_torchrl.language.counts import read_count
 from bbq_torchrl.language.number_words import ORDINALS, TEN_WORDS, number_of
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 Kind = Literal["text", "time", "date", "count", "price"]
-KINDS: tuple[Kind, ...] = ("text", "time", "date", "count", "price")
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 _ORDINALS = {word: number for number, word in enumerate(ORDINALS, 1)} | {"thirtieth": 30}
 _DAYS = tuple(day.lower() for day in calendar.day_name)

@@ -12,7 +12,7 @@ from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
     import random
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable
 
     from bbq_torchrl.language.lexicon import Lexicon
 
@@ -31,12 +31,10 @@ class Surfaces:
 
     Args:
         lexicon: the values; a way to write one is used only where it is read as the same.
-        people: the slots that count people, so that "me and my wife" is a value.
     """
 
-    def __init__(self, lexicon: Lexicon, people: Collection[str] = ()) -> None:
+    def __init__(self, lexicon: Lexicon) -> None:
         self._lexicon = lexicon
-        self._people = people
         self._is_read: dict[tuple[str, str, str], bool] = {}
 
     def __call__(self, slot: str, value: str, rng: random.Random) -> str:
@@ -222,7 +220,7 @@ class Surfaces:
         number = int(key)
         mate = rng.choice(_MATES)
         options = [str(number), UNITS[number], f"{number} ", UNITS[number]]
-        if slot not in self._people:
+        if slot not in self._lexicon.domain.free_slots:  # those count people: "me and my wife"
             return rng.choice(options).strip()
         if number == 1:
             options += [

@@ -17,11 +17,10 @@ from bbq_torchrl.language.corpus import make_examples, spoiled
 from bbq_torchrl.language.features import Features
 from bbq_torchrl.language.frames import Understood
 from bbq_torchrl.language.intents import IntentNet
-from bbq_torchrl.language.labeled import DRILLED_FILE, as_examples, domain_lines, varied
+from bbq_torchrl.language.labeled import DRILLED_FILE, LEARNED_FILE, as_examples, lines_of, varied
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.model import Model, fit
 from bbq_torchrl.language.noise import DROPPED
-from bbq_torchrl.language.phrases import load_phrases
 from bbq_torchrl.language.surfaces import Surfaces
 from bbq_torchrl.language.tagger import OUTSIDE, Tagger
 from bbq_torchrl.language.words import clean, tokenize
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.corpus import Example
     from bbq_torchrl.language.frames import Frame, Unclear
-    from bbq_torchrl.language.phrases import Phrases
+    from bbq_torchrl.language.labeled import Line
 
 __all__ = ["SENTENCES", "THRESHOLD", "Understander"]
 
@@ -56,31 +55,26 @@ class Understander:
     """Understands users of a domain.
 
     Args:
-        domain: what is spoken of.
-        phrases: how.
+        lexicon: the phrases and values of what is spoken of.
         model: the learned parts.
         calibration: weights ``[CUES]`` from cues to the log-odds that a frame is right.
         threshold: the confidence below which the caller should ask again.
 
     Example:
         >>> from bbq_torchrl.domains import movie_domain
-        >>> from bbq_torchrl.domains.folder import MOVIE_FOLDER
-        >>> understand = Understander.train(movie_domain(), MOVIE_FOLDER)  # doctest: +SKIP
+        >>> understand = Understander.train(movie_domain())  # doctest: +SKIP
         >>> str(understand("two tickets for wonka please").frame)  # doctest: +SKIP
         'request(ticket) inform(numberofpeople=2, moviename=wonka)'
     """
 
     def __init__(
         self,
-        domain: Domain,
-        phrases: Phrases,
+        lexicon: Lexicon,
         model: Model,
         calibration: Sequence[float] | np.ndarray,
         threshold: float = THRESHOLD,
     ) -> None:
-        self.domain = domain
-        self.phrases = phrases
-        self.lexicon = Lexicon(domain, phrases)
+        self.domain, self.lexicon = lexicon.domain, lexicon
         self.threshold = threshold
         self._model = model
         self._calibration = np.array(calibration, dtype=np.float64)
@@ -89,11 +83,10 @@ class Understander:
     def train(
         cls,
         domain: Domain,
-        folder: str | Path | None = None,
         *,
         sentences: int = SENTENCES,
         seed: int = 0,
-        labeled: Sequence[Example] = (),
+        labeled: Sequence[Line] = (),
         threshold: float = THRESHOLD,
     ) -> Understander:
         """Returns an understander that has learned from sentences of the domain's own grammar.
@@ -101,16 +94,16 @@ class Understander:
         Equal arguments give equal bits. Torch runs on one thread meanwhile.
 
         Args:
-            domain: what is spoken of.
-            folder: where the domain's ``language.yaml`` is, if it has one, with labeled lines of
-                people, which are learned beside the own sentences: ``learned.txt``, as people type,
-                and ``drilled.txt``, written for what is hard. The confidence is fitted to a quarter
-                of the former, as a smaller model understands them that has learned from half of it.
+            domain: what is spoken of. Its folder may have its ``language.yaml``, and labeled lines
+                of people, which are learned beside the own sentences: ``learned.txt``, as people
+                type, and ``drilled.txt``, written for what is hard. The confidence is fitted to a
+                quarter of the former, as a smaller model understands them that has learned from
+                half of it.
             sentences: how many of people's to learn from, at most. The grammar's own fill them up
                 and are a quarter as many at least; those of simulated users are four times as many,
                 and most of them for the net alone.
             seed: chooses them, and the net's first weights.
-            labeled: sentences of people, learned beside the own ones.
+            labeled: lines of people's, learned as ``learned.txt``.
             threshold: the confidence below which the caller should ask again.
 
         Raises:
@@ -118,22 +111,18 @@ class Understander:
         """
         if sentences < 1:
             raise ValueError(f"sentences must be at least 1, got {sentences}")
-        phrases = load_phrases(domain, folder)
-        lexicon = Lexicon(domain, phrases)
+        lexicon = Lexicon(domain)
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            lines = domain_lines(domain, folder)
-            drilled = domain_lines(domain, folder, DRILLED_FILE)
+            lines, drilled = lines_of(domain, LEARNED_FILE), lines_of(domain, DRILLED_FILE)
             step = math.ceil((len(lines) + len(drilled)) / sentences) or 1
-            people = [*as_examples(lines[::step], lexicon), *labeled]
+            people = as_examples([*lines[::step], *labeled], lexicon)
             hard = as_examples(drilled[::step], lexicon)
             own = max(sentences - len(people) - len(hard), -(-sentences // _OWN))
-            said = make_examples(domain, phrases, lexicon, own, seed)
-            played = make_examples(
-                domain, phrases, lexicon, _PLAYED * sentences, seed, simulated=True
-            )
-            surfaces = Surfaces(lexicon, domain.free_slots)
+            said = make_examples(lexicon, own, seed)
+            played = make_examples(lexicon, _PLAYED * sentences, seed, simulated=True)
+            surfaces = Surfaces(lexicon)
             copies = min(_COPIES, round(sentences / max(len(people) + len(hard), 1)))
 
             def learned(examples: Sequence[Example], share: int, steps: int) -> Model:
@@ -141,25 +130,20 @@ class Understander:
                 lines = varied([*examples, *hard], lexicon, surfaces, copies, seed)
                 lines = spoiled(lines, seed)
                 given = [*said[::share], *lines, *played[:: _TAGGED * share]]
-                users = played[:: share * share]
-                return fit(
-                    domain, phrases, lexicon, given, users, seed=seed, steps=steps, epochs=10
-                )
+                return fit(lexicon, given, played[:: share * share], seed=seed, steps=steps)
 
             model = learned(people, 1, steps=40)
-            others = make_examples(
-                domain, phrases, lexicon, max(sentences // 20, 200), seed + 1, noise=_CALM
-            )
+            others = make_examples(lexicon, max(sentences // 20, 200), seed + 1, noise=_CALM)
             start = np.zeros(CUES)
-            judged, apart = cls(domain, phrases, model, start)._judged(others), None
+            judged, apart = cls(lexicon, model, start)._judged(others), None
             if people[1::2]:
                 # How sure to be is learned of people's sentences that the model has not seen.
-                blind = cls(domain, phrases, learned(people[::2], _SHARE, steps=30), start)
+                blind = cls(lexicon, learned(people[::2], _SHARE, steps=30), start)
                 apart = blind._judged(people[1::4])
             calibration = fit_confidence(judged, apart)
         finally:
             torch.set_num_threads(threads)
-        return cls(domain, phrases, model, calibration, threshold)
+        return cls(lexicon, model, calibration, threshold)
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
         """Returns what ``text`` means.
@@ -185,14 +169,14 @@ class Understander:
     ) -> tuple[Frame, tuple[Unclear, ...], np.ndarray]:
         """Returns the frame of some words, what is unclear, and the cues of how sure that is."""
         reading = self._model.read(words, question)
-        frame, unclear = assemble(words, reading, question, self.domain, self.lexicon)
+        frame, unclear = assemble(words, reading, question, self.lexicon)
         chance = reading.acts[self.domain.acts.index(frame.act)].exp().item()
         tagged = zip(words, reading.tags, strict=True)
         shorter = [word for word, tag in tagged if tag != OUTSIDE or word not in DROPPED]
         is_steady = True
         if shorter and len(shorter) < len(words):
             again = self._model.read(shorter, question)
-            other, _ = assemble(shorter, again, question, self.domain, self.lexicon)
+            other, _ = assemble(shorter, again, question, self.lexicon)
             is_steady = same_frame(frame, other, self.lexicon)
         cues = cues_of(words, reading, frame, unclear, chance=chance, is_steady=is_steady)
         return frame, unclear, cues
@@ -230,15 +214,12 @@ class Understander:
         Path(path).write_bytes(buffer.getvalue())
 
     @classmethod
-    def load(
-        cls, path: str | Path, domain: Domain, folder: str | Path | None = None
-    ) -> Understander:
+    def load(cls, path: str | Path, domain: Domain) -> Understander:
         """Returns the understander that :meth:`save` wrote.
 
         Args:
             path: the file.
             domain: what is spoken of; its acts and slots must be those it was trained for.
-            folder: where the domain's ``language.yaml`` is, if it has one.
 
         Raises:
             FileNotFoundError: if there is no such file.
@@ -250,12 +231,12 @@ class Understander:
                 f"{path} understands the domain {about['domain']!r}, whose acts and slots differ "
                 f"from those of {domain.name!r}"
             )
-        phrases = load_phrases(domain, folder)
+        lexicon = Lexicon(domain)
         net = IntentNet(about["features"], domain.acts, domain.slots)
         net.load(arrays)
-        features = Features(Lexicon(domain, phrases), phrases, about["known"], domain.complete_slot)
-        model = Model(features, Tagger(arrays["tagger"].tobytes()), net.eval())
-        return cls(domain, phrases, model, arrays["calibration"], about["threshold"])
+        tagger = Tagger(arrays["tagger"].tobytes())
+        model = Model(Features(lexicon, about["known"]), tagger, net.eval())
+        return cls(lexicon, model, arrays["calibration"], about["threshold"])
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -7,7 +7,6 @@ import pytest
 from bbq_torchrl.chat import Partner, TrainedAgent
 from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.cli.store import compose
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import Frame, Generator, TextError, Unclear, Understood
 from bbq_torchrl.run import run
 
@@ -69,7 +68,7 @@ class Acts:
 
 @pytest.fixture(scope="session")
 def mouth(movie):
-    return Generator.of(movie, MOVIE_FOLDER)
+    return Generator(movie)
 
 
 @pytest.fixture(scope="session")

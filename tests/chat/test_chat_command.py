@@ -12,7 +12,6 @@ from bbq_torchrl.chat import Partner, __main__
 from bbq_torchrl.chat.goals import choose_goal
 from bbq_torchrl.chat.terminal import Chat
 from bbq_torchrl.domains import Goal
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import Understander
 from bbq_torchrl.study.outcome import Judge
 
@@ -99,7 +98,7 @@ HOSTILE = [
 def understander(movie, tmp_path_factory):
     """A file of an understander that has learned from few sentences."""
     file = tmp_path_factory.mktemp("language") / "few.npz"
-    Understander.train(movie, MOVIE_FOLDER, sentences=300).save(file)
+    Understander.train(movie, sentences=300).save(file)
     return file
 
 

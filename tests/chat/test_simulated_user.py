@@ -101,7 +101,7 @@ def test_a_user_who_is_asked_again_says_it_again(movie, simulator):
 
 
 def test_simulated_users_take_part_in_a_study_of_trained_agents(runs, mouth, monkeypatch):
-    monkeypatch.setattr(simulated_user.Generator, "of", lambda *_: Letters())
+    monkeypatch.setattr(simulated_user, "Generator", lambda _: Letters())
     file = runs / "rehearsal.yaml"
     file.write_text(STUDY, encoding="utf-8")
     study = load_study(file)

@@ -9,8 +9,7 @@ import pytest
 
 from bbq_torchrl.chat import simulated_user
 from bbq_torchrl.domains import Goal, build_vocabulary
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
-from bbq_torchrl.language import Frame, load_phrases
+from bbq_torchrl.language import Frame
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.study.talk import Frame as Act
 
@@ -19,7 +18,7 @@ from .test_simulated_user import Letters
 
 
 def test_spellings_are_one_where_their_keys_are(movie, spelling):
-    lexicon = Lexicon(movie, load_phrases(movie, MOVIE_FOLDER))
+    lexicon = Lexicon(movie)
     merged = 0
     for slot, values in zip(movie.slots, build_vocabulary(movie), strict=True):
         own = {value: spelling.of({slot: value})[slot] for value in values}
@@ -65,7 +64,7 @@ def test_a_wish_in_either_spelling_is_looked_up_offered_and_judged(
 
 
 def test_a_simulated_user_takes_an_offer_in_another_spelling(movie, spelling, monkeypatch):
-    monkeypatch.setattr(simulated_user.Generator, "of", lambda *_: Letters())
+    monkeypatch.setattr(simulated_user, "Generator", lambda _: Letters())
     make_user = simulated_user.make_users(SimpleNamespace(domain=movie))
     pairs = enumerate(zip(movie.goals, spelling.domain.goals, strict=True), start=1)
     differ = [(number, raw, own) for number, (raw, own) in pairs if raw != own]

@@ -8,7 +8,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import (
     Endpoint,
     EndpointGenerator,
@@ -110,7 +109,7 @@ def test_silence_falls_back_and_is_counted(understand, server):
 
 
 def test_an_endpoint_speaks_only_what_has_all_values(server):
-    own = Generator.of(movie_domain(), MOVIE_FOLDER)
+    own = Generator(movie_domain())
     speak = EndpointGenerator(server.endpoint, own)
     frame = Frame("inform", {"city": "reno"})
     server.content = json.dumps({"text": "You'll find it in Reno!"})

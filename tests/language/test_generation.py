@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import random
 import re
+from dataclasses import replace
 
 import pytest
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import (
     ANY,
     Frame,
@@ -17,6 +17,7 @@ from bbq_torchrl.language import (
     load_phrases,
 )
 from bbq_torchrl.language.compose import Composer
+from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.simulated import play
 from bbq_torchrl.language.templates import plain
 
@@ -25,7 +26,7 @@ SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskc
 
 @pytest.fixture(scope="module")
 def speak():
-    return Generator.of(movie_domain(), MOVIE_FOLDER)
+    return Generator(movie_domain())
 
 
 def _check(patterns, speak, variants):
@@ -105,9 +106,8 @@ def test_a_domain_without_phrases_speaks_by_generic_ones(restaurant):
 
 
 def test_generic_phrases_ask_several_things_at_once():
-    domain = movie_domain()
     frame, asked = Frame("request", {}, ("city", "price")), set()
-    composer = Composer(domain, load_phrases(domain))
+    composer = Composer(Lexicon(replace(movie_domain(), folder=None)))
     for seed in range(60):
         said = plain(
             composer.compose(frame, None, random.Random(seed), lambda slot, value, _: value)
@@ -142,7 +142,7 @@ def test_what_was_without_a_match_is_corrected_by_that(speak):
 def test_phrases_that_do_not_fit_are_refused_by_their_key(tmp_path, content, says):
     (tmp_path / "language.yaml").write_text(content)
     with pytest.raises(PhrasesError, match=re.escape(says)):
-        load_phrases(movie_domain(), tmp_path)
+        load_phrases(replace(movie_domain(), folder=tmp_path))
 
 
 def test_what_is_unclear_is_asked_about_by_its_words(speak):

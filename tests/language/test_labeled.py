@@ -1,22 +1,16 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
-from bbq_torchrl.language import Frame, Understander, as_examples, load_phrases, read_lines
-from bbq_torchrl.language.labeled import Line, varied
-from bbq_torchrl.language.lexicon import Lexicon
+from bbq_torchrl.language import Frame, Understander, read_lines
+from bbq_torchrl.language.labeled import Line, as_examples, varied
 from bbq_torchrl.language.measure import VOICES, Score
 
 DATA = Path(__file__).parents[1] / "data" / "language"
-
-
-@pytest.fixture(scope="module")
-def lexicon():
-    return Lexicon(movie_domain(), load_phrases(movie_domain(), MOVIE_FOLDER))
 
 
 def test_the_sentences_that_measure_are_labeled_with_values_of_the_domain(lexicon):
@@ -59,7 +53,7 @@ def test_what_chance_alone_gives_a_calibration_error_is_told():
 @pytest.mark.parametrize("sentences", [0, -1])
 def test_nothing_is_no_number_of_sentences_to_learn_from(sentences):
     with pytest.raises(ValueError, match=f"sentences must be at least 1, got {sentences}"):
-        Understander.train(movie_domain(), MOVIE_FOLDER, sentences=sentences)
+        Understander.train(movie_domain(), sentences=sentences)
 
 
 def test_both_files_of_lines_in_a_domains_folder_are_learned(understand, tmp_path):
@@ -67,7 +61,7 @@ def test_both_files_of_lines_in_a_domains_folder_are_learned(understand, tmp_pat
     sentences = {"learned.txt": "flibber flobber", "drilled.txt": "wozzle wizzle"}
     for name, sentence in sentences.items():
         (tmp_path / name).write_text(f"request(city) | {sentence} | closing\n" * 20)
-    taught = Understander.train(movie_domain(), tmp_path, sentences=40)
+    taught = Understander.train(replace(movie_domain(), folder=tmp_path), sentences=40)
     for sentence in sentences.values():
         assert understand(sentence, question).frame.act != "closing"
         assert taught(sentence, question).frame == Frame("closing")

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import ANY, MAX_CHARACTERS, Frame, TextError, Understander
 from bbq_torchrl.language.assemble import assemble
 from bbq_torchrl.language.model import Reading
@@ -93,7 +92,7 @@ def test_a_name_that_is_asked_about_is_a_question(understand, act):
     tags = ["genre", OUTSIDE]
     reading = Reading(tags, 0.9, [0.9, 0.9], acts, requests, torch.zeros_like(requests), 0.0)
     question = Frame("request", {}, ("moviename",))
-    frame, unclear = assemble(["comedies", "?"], reading, question, domain, lexicon)
+    frame, unclear = assemble(["comedies", "?"], reading, question, lexicon)
     asked = ("moviename",) if act == "request" else ()
     assert (frame, unclear) == (Frame(act, {"genre": "comedy"}, asked), ())
 
@@ -156,7 +155,7 @@ def test_text_without_words_or_end_is_refused_in_a_sentence(understand, text):
 
 def test_what_is_saved_understands_the_same(understand, tmp_path):
     understand.save(tmp_path / "u.npz")
-    again = Understander.load(tmp_path / "u.npz", movie_domain(), MOVIE_FOLDER)
+    again = Understander.load(tmp_path / "u.npz", movie_domain())
     for text in ("two tickets for wonka", "what time is barbie on in reno", "no"):
         assert again(text) == understand(text)
     assert (tmp_path / "u.npz").stat().st_size <= 3_000_000
@@ -187,7 +186,7 @@ def test_agreeing_to_a_booking_in_a_word_and_asking_is_thanks(understand, offer,
     no_care = torch.zeros(len(domain.slots))
     reading = Reading([OUTSIDE] * 4, 1.0, [1.0] * 4, acts, requests, no_care, 0.0)
     question = Frame("inform", {"taskcomplete": offer})
-    frame, _ = assemble(words, reading, question, domain, understand.lexicon)
+    frame, _ = assemble(words, reading, question, understand.lexicon)
     assert (frame.act, frame.requests) == (act, ("price",))
 
 
@@ -200,11 +199,11 @@ def _sure_of(act, **asked):
 
 
 def test_act_and_questions_are_chosen_together(understand):
-    domain, words = movie_domain(), ["is", "it", "pricey"]
+    words = ["is", "it", "pricey"]
     question = Frame("request", {}, ("genre",))
-    sure = assemble(words, _sure_of("greeting", price=0.99), question, domain, understand.lexicon)
+    sure = assemble(words, _sure_of("greeting", price=0.99), question, understand.lexicon)
     assert sure[0] == Frame("request", {}, ("price",))
-    unsure = assemble(words, _sure_of("greeting", price=0.6), question, domain, understand.lexicon)
+    unsure = assemble(words, _sure_of("greeting", price=0.6), question, understand.lexicon)
     assert unsure[0] == Frame("greeting")
 
 
@@ -212,17 +211,17 @@ def test_of_a_value_that_the_agent_said_and_another_the_other_is_meant(understan
     words = ["tulsa", "?", "tucson"]
     reading = replace(_sure_of("inform"), tags=["city", OUTSIDE, "city"])
     question = Frame("inform", {"city": "tulsa"})
-    frame, unclear = assemble(words, reading, question, movie_domain(), understand.lexicon)
+    frame, unclear = assemble(words, reading, question, understand.lexicon)
     assert (frame, unclear) == (Frame("inform", {"city": "tucson"}), ())
 
 
 def test_repeating_what_the_agent_told_agrees_to_it(understand):
     words, question = ["tulsa", "is", "fine"], Frame("inform", {"city": "tulsa"})
     reading = replace(_sure_of("thanks"), tags=["city", OUTSIDE, OUTSIDE])
-    frame, _ = assemble(words, reading, question, movie_domain(), understand.lexicon)
+    frame, _ = assemble(words, reading, question, understand.lexicon)
     assert frame == Frame("thanks")
     other = Frame("inform", {"city": "reno"})
-    frame, _ = assemble(words, reading, other, movie_domain(), understand.lexicon)
+    frame, _ = assemble(words, reading, other, understand.lexicon)
     assert frame == Frame("inform", {"city": "tulsa"})
 
 
@@ -230,7 +229,7 @@ def test_a_number_of_people_is_read_with_the_company_around_it(understand):
     words = ["with", "my", "three", "brothers"]
     reading = replace(_sure_of("inform"), tags=[OUTSIDE, OUTSIDE, "numberofpeople", OUTSIDE])
     reading = replace(reading, each_chance=[1.0] * 4)
-    frame, _ = assemble(words, reading, None, movie_domain(), understand.lexicon)
+    frame, _ = assemble(words, reading, None, understand.lexicon)
     assert frame.informs == {"numberofpeople": "4"}
 
 
@@ -241,10 +240,10 @@ def test_a_damaged_file_is_refused(understand, tmp_path):
     for content in (b"", whole[: len(whole) // 2], b"PK\x03\x04", b"\x80\x04K\x01."):
         path.write_bytes(content)
         with pytest.raises(ValueError, match="damaged"):
-            Understander.load(path, movie_domain(), MOVIE_FOLDER)
+            Understander.load(path, movie_domain())
     np.savez(path, about=np.array([{"a": 1}], dtype=object))
     with pytest.raises(ValueError, match="damaged"):
-        Understander.load(path, movie_domain(), MOVIE_FOLDER)
+        Understander.load(path, movie_domain())
 
 
 def test_a_file_of_another_domain_is_refused(understand, restaurant, tmp_path):

@@ -5,12 +5,8 @@ import sys
 
 import pytest
 
-from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
-from bbq_torchrl.language import load_phrases
 from bbq_torchrl.language.counts import read_count
 from bbq_torchrl.language.extra import needed
-from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.quantities import read_date, read_price, read_time
 from bbq_torchrl.language.words import tokenize
 
@@ -98,11 +94,6 @@ def test_prices_have_one_key():
     assert read_price("20 dollars") == "$20"
     assert read_price("not more than $20") == "under $20"
     assert read_price("20") is None
-
-
-@pytest.fixture(scope="module")
-def lexicon():
-    return Lexicon(movie_domain(), load_phrases(movie_domain(), MOVIE_FOLDER))
 
 
 @pytest.mark.parametrize(
