@@ -6,9 +6,8 @@ import math
 import re
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import NO_MATCH, RESERVED_TEXT
 from bbq_torchrl.language.counts import COUNT_WORDS
-from bbq_torchrl.language.frames import ANY, Frame, Unclear
+from bbq_torchrl.language.frames import ANY, NO_MATCH_TEXT, Frame, Unclear, asked_slot
 from bbq_torchrl.language.number_words import NUMBER_WORDS
 from bbq_torchrl.language.quantities import (
     DAY_WORDS,
@@ -41,7 +40,6 @@ _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()
 _ORDER |= {"last": -1, "latter": -1}
 _COUNTS = NUMBER_WORDS | frozenset("me i with alone myself couple pair both dozen".split())
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
-_NO_MATCH = RESERVED_TEXT[NO_MATCH]
 _SHORT = 4
 _SURE = 0.95
 _FAIR = 0.85
@@ -105,28 +103,29 @@ def assemble(
         question: the agent's last act.
         lexicon: the domain's values.
     """
-    if question is not None and question.requests and _NO_MATCH in " ".join(words):
+    asked = asked_slot(question)
+    if asked is not None and NO_MATCH_TEXT in " ".join(words):
         # Simulated users pass on that the agent has found nothing.
-        return Frame("inform", {question.requests[0]: _NO_MATCH}), ()
+        return Frame("inform", {asked: NO_MATCH_TEXT}), ()
     offered = chosen(words, question, lexicon)
-    if offered is not None and question is not None:
-        return Frame("inform", {question.requests[0]: offered}), ()
+    if asked is not None and offered is not None:
+        return Frame("inform", {asked: offered}), ()
     act = lexicon.domain.acts[int(reading.acts.argmax())]
     informs, unclear = _values(words, reading, question, lexicon)
     asks = act == "request" and "?" in words  # "comedies?" is more than a name
-    if not asks and (short := _short_answer(words, reading, question, lexicon)) is not None:
+    if not asks and (short := _short_answer(words, reading, asked, lexicon)) is not None:
         return Frame("inform", short), ()
     if not (informs or unclear):
-        unclear = _ties(words, question, lexicon)
+        unclear = _ties(words, asked, lexicon)
         if act == "inform" and not unclear and reading.dont_care.max() < _FAINT:
-            informs = _named(words, question, lexicon)
+            informs = _named(words, asked, lexicon)
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
         return Frame("inform", dict(checked)), ()
     is_strange = reading.unknown == 1.0 and not (informs or unclear)
-    if is_strange and act not in _ABOUT_VALUES and question is not None and question.requests:
+    if is_strange and act not in _ABOUT_VALUES and asked is not None:
         # Words that nobody has heard of answer the question: a name that is not known.
-        return Frame("inform"), (Unclear(question.requests[0], " ".join(words)),)
+        return Frame("inform"), (Unclear(asked, " ".join(words)),)
     return _decided(words, reading, question, lexicon, informs, unclear), unclear
 
 
@@ -191,12 +190,11 @@ def _odds(chance: float) -> float:
 
 
 def _short_answer(
-    words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
+    words: Sequence[str], reading: Reading, slot: str | None, lexicon: Lexicon
 ) -> dict[str, str] | None:
     """Returns the value of the slot asked for, if the words are just one of its names."""
-    if question is None or not question.requests or len(words) > _SHORT:
+    if slot is None or len(words) > _SHORT:
         return None
-    slot = question.requests[0]
     if lexicon.kinds.get(slot) == "count" and (
         "?" in words or not {OUTSIDE, slot}.issuperset(reading.tags)
     ):
@@ -211,22 +209,20 @@ def _short_answer(
     return None if other is None else {other: lexicon.link(other, " ".join(words)).values[0]}
 
 
-def _ties(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> tuple[Unclear, ...]:
+def _ties(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> tuple[Unclear, ...]:
     """Returns the values of the slot asked for that a short answer may mean equally well."""
-    if question is None or not question.requests or len(words) > _SHORT:
+    if slot not in lexicon.slots or len(words) > _SHORT:
         return ()
-    slot, text = question.requests[0], " ".join(words)
-    link = lexicon.link(slot, text) if slot in lexicon.slots else None
-    if link is None or len(link.values) < 2 or link.score < _FAIR:
+    link = lexicon.link(slot, text := " ".join(words))
+    if len(link.values) < 2 or link.score < _FAIR:
         return ()
     return (Unclear(slot, text, link.values),)
 
 
-def _named(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> dict[str, str]:
+def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str, str]:
     """Returns the value of the slot asked for whose name, or amount, is somewhere in an answer."""
-    if question is None or not question.requests or question.requests[0] not in lexicon.slots:
+    if slot not in lexicon.slots:
         return {}
-    slot = question.requests[0]
     is_count = lexicon.kinds[slot] == "count"
     for size in range(min(len(words), _LONGEST), 0, -1):
         for start in range(len(words) - size + 1):
@@ -244,7 +240,7 @@ def _named(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> di
 
 def _accepts(words: Sequence[str], question: Frame | None, offer: str) -> bool:
     """Returns whether a booking is offered, and the sentence begins by agreeing to it."""
-    if question is None or question.informs.get(offer, _NO_MATCH) == _NO_MATCH:
+    if question is None or question.informs.get(offer, NO_MATCH_TEXT) == NO_MATCH_TEXT:
         return False
     return words[0] in _YES
 
@@ -253,7 +249,7 @@ def _values(
     words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
     """Returns slot to value, and what is unclear."""
-    asked = question.requests[0] if question is not None and question.requests else None
+    asked = asked_slot(question)
     found: dict[str, list[tuple[str, tuple[str, ...], float, bool]]] = {}
     first: dict[str, int] = {}
     concluded: set[str] = set()

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import NO_MATCH, RESERVED_TEXT
-from bbq_torchrl.language.frames import ANY, Frame
-from bbq_torchrl.language.templates import Piece, Template, expand, is_possible, plain
+from bbq_torchrl.language.frames import ANY, NO_MATCH_TEXT, Frame, asked_slot
+from bbq_torchrl.language.templates import Piece, Template, choose, expand, is_possible, plain
 from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Composer"]
 
-_NO_MATCH = RESERVED_TEXT[NO_MATCH]
 _TRIES = 8
 _ASIDES = 0.2
 _LISTS = 0.4
@@ -106,7 +104,7 @@ class Composer:
         return said
 
     def _aside(self, rng: random.Random) -> list[Piece]:
-        return expand(rng.choice(self._rules["aside"]), {}, self._rules, rng)
+        return choose(self._rules["aside"], {}, self._rules, rng)
 
     def _parts(self, frame: Frame, turn: _Turn) -> list[list[Piece]]:
         rng, question = turn.rng, turn.question
@@ -130,8 +128,7 @@ class Composer:
         else:
             use = "accept" if frame.act == "thanks" and is_offer else frame.act
             options = self._phrases.user.get(use) or self._phrases.user["inform"]
-            about = question.requests[0] if question is not None and question.requests else None
-            parts.append(self._fill(options, turn, about))
+            parts.append(self._fill(options, turn, asked_slot(question)))
             parts += self._rest(turn, is_first=False)
             parts += [self._any(slot, turn) for slot in cares]
         if requests:
@@ -216,7 +213,7 @@ class Composer:
                     said,
                     turn,
                     slot,
-                    {"wrong": [Piece("that" if other in (ANY, _NO_MATCH) else other)]},
+                    {"wrong": [Piece("that" if other in (ANY, NO_MATCH_TEXT) else other)]},
                 )
             )
         elif turn.left and question is None:

@@ -9,7 +9,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.compose import Composer
-from bbq_torchrl.language.frames import ANY, Frame
+from bbq_torchrl.language.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.language.noise import as_second_language, slangy, with_typos
 from bbq_torchrl.language.simulated import play
 from bbq_torchrl.language.surfaces import Surfaces
@@ -184,11 +184,11 @@ class _Frames:
             return Frame("request", {}, (slot,)), self._answer(slot, rng)
         if kind < 0.83 and self._told:
             slot = rng.choice(self._told)
-            value = "no match" if rng.random() < 0.2 else self._value(slot, rng)
+            value = NO_MATCH_TEXT if rng.random() < 0.2 else self._value(slot, rng)
             return Frame("inform", {slot: value}), self._reaction(slot, rng)
         if kind < 0.93:
             complete = self._domain.complete_slot
-            verdict = rng.choice(("ticket available", "no match"))
+            verdict = rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))
             question = Frame("inform", {complete: verdict, **self._values(rng, rng.randint(1, 4))})
             return question, self._verdict(question, rng)
         act = rng.choice(
@@ -200,7 +200,7 @@ class _Frames:
         )
         if rng.random() < 0.3:
             ticket = Frame(
-                "inform", {self._domain.ticket_slot: rng.choice(("ticket available", "no match"))}
+                "inform", {self._domain.ticket_slot: rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))}
             )
             return ticket, self._reaction(None, rng)
         return Frame(act), self._after_act(act, rng)

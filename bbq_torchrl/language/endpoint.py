@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.language.extra import needed
@@ -13,7 +13,6 @@ from bbq_torchrl.language.words import TextError, clean
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.frames import Understood
     from bbq_torchrl.language.generate import Generator
     from bbq_torchrl.language.understand import Understander
@@ -41,17 +40,12 @@ class Endpoint:
         model: its name there.
         key: sent as bearer token; empty for none.
         timeout: seconds for an answer.
-        transport: of httpx; ``None`` for the network.
     """
 
     url: str
     model: str
-    key: str = ""
+    key: str = field(default="", repr=False)
     timeout: float = 5.0
-    transport: Any = None
-
-    def __repr__(self) -> str:
-        return f"Endpoint(url={self.url!r}, model={self.model!r}, timeout={self.timeout})"
 
     def ask(self, system: str, user: Mapping[str, Any], schema: Mapping[str, Any]) -> Any:
         """Returns the JSON that the model answers.
@@ -79,10 +73,12 @@ class Endpoint:
         }
         headers = {"Authorization": f"Bearer {self.key}"} if self.key else {}
         try:
-            with httpx.Client(timeout=self.timeout, transport=self.transport) as client:
-                reply = client.post(
-                    f"{self.url.rstrip('/')}/chat/completions", json=request, headers=headers
-                )
+            reply = httpx.post(
+                f"{self.url.rstrip('/')}/chat/completions",
+                json=request,
+                headers=headers,
+                timeout=self.timeout,
+            )
             reply.raise_for_status()
             content = reply.json()["choices"][0]["message"]["content"]
             if not isinstance(content, str) or len(content) > _LONGEST_ANSWER:
@@ -120,11 +116,6 @@ class EndpointUnderstander:
         self.answered = 0
         self.fallbacks = {"no answer": 0, "invalid": 0}
 
-    @property
-    def domain(self) -> Domain:
-        """What is spoken of."""
-        return self._own.domain
-
     def asks(self, understood: Understood) -> bool:
         """Returns whether the system should ask again rather than act on it."""
         return self._own.asks(understood)
@@ -154,23 +145,12 @@ class EndpointUnderstander:
     def _schema(self) -> dict[str, Any]:
         slots = {"type": "string", "enum": list(self._own.lexicon.slots)}
         asked = {"type": "string", "enum": list(self._own.domain.slots)}
-        value = {
-            "type": "object",
-            "properties": {"slot": slots, "value": {"type": "string"}},
-            "required": ["slot", "value"],
-            "additionalProperties": False,
-        }
-        return {
-            "type": "object",
-            "properties": {
-                "act": {"type": "string", "enum": list(self._own.domain.acts)},
-                "informs": {"type": "array", "items": value},
-                "requests": {"type": "array", "items": asked},
-                "dont_care": {"type": "array", "items": slots},
-            },
-            "required": ["act", "informs", "requests", "dont_care"],
-            "additionalProperties": False,
-        }
+        return _schema(
+            act={"type": "string", "enum": list(self._own.domain.acts)},
+            informs={"type": "array", "items": _schema(slot=slots, value={"type": "string"})},
+            requests={"type": "array", "items": asked},
+            dont_care={"type": "array", "items": slots},
+        )
 
     def _checked(self, answer: Any) -> Frame | None:
         """Returns the frame of an answer, values as the domain spells them; else ``None``."""
@@ -223,15 +203,9 @@ class EndpointGenerator:
     ) -> str:
         """Returns what an agent says; arguments as those of the own generator."""
         own = self._own.agent(frame, held, session=session, turn=turn)
-        schema = {
-            "type": "object",
-            "properties": {"text": {"type": "string"}},
-            "required": ["text"],
-            "additionalProperties": False,
-        }
         given = {"act": str(frame), "for_example": own}
         try:
-            answer = self._endpoint.ask(_SPEAK, given, schema)
+            answer = self._endpoint.ask(_SPEAK, given, _schema(text={"type": "string"}))
         except ConnectionError:
             self.fallbacks["no answer"] += 1
             return own
@@ -250,3 +224,13 @@ class EndpointGenerator:
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
         """Returns how the own generator asks again for what was not understood."""
         return self._own.clarify(understood, session=session, turn=turn)
+
+
+def _schema(**properties: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the schema of an object with just these properties."""
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import DONT_CARE, RESERVED_TEXT
+from bbq_torchrl.domains import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -14,10 +14,21 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["ANY", "Frame", "Unclear", "Understood"]
+__all__ = [
+    "ANY",
+    "AVAILABLE_TEXT",
+    "NO_MATCH_TEXT",
+    "Frame",
+    "Unclear",
+    "Understood",
+    "asked_slot",
+]
 
 ANY = RESERVED_TEXT[DONT_CARE]
 """The value of a slot that does not matter."""
+
+NO_MATCH_TEXT, AVAILABLE_TEXT = RESERVED_TEXT[NO_MATCH], RESERVED_TEXT[AVAILABLE]
+"""What an agent tells where no record matches, and where a booking can be had."""
 
 _PART = re.compile(r"(?P<act>[A-Za-z_]\w*)(?:\((?P<content>[^()]*)\))?")
 _FRAME = re.compile(r"[A-Za-z_]\w*(\([^()]*\))?(\s+[A-Za-z_]\w*(\([^()]*\))?)*")
@@ -97,8 +108,6 @@ class Frame:
                     informs[slot] = value
                 else:
                     requests.append(slot)
-        if not act:
-            raise ValueError("a frame must have an act, got nothing")
         if domain is not None:
             _check(act, (*informs, *requests), domain)
         return cls(act, informs, tuple(requests), tuple(choices))
@@ -134,6 +143,11 @@ class Understood:
     confidence: float
     unclear: tuple[Unclear, ...] = ()
     source: str = "own"
+
+
+def asked_slot(question: Frame | None) -> str | None:
+    """Returns the slot that an agent's act asks for, of several the first."""
+    return question.requests[0] if question is not None and question.requests else None
 
 
 def _check(act: str, slots: tuple[str, ...], domain: Domain) -> None:

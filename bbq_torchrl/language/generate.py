@@ -8,11 +8,11 @@ import re
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import AVAILABLE, NO_MATCH, RESERVED_TEXT, fold
+from bbq_torchrl.domains import fold
 from bbq_torchrl.language.compose import Composer
-from bbq_torchrl.language.frames import ANY, Frame
+from bbq_torchrl.language.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.language.lexicon import Lexicon
-from bbq_torchrl.language.templates import Piece, expand, is_possible, plain
+from bbq_torchrl.language.templates import Piece, choose, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Generator", "chance", "sentence"]
 
-_NO_MATCH, _AVAILABLE = RESERVED_TEXT[NO_MATCH], RESERVED_TEXT[AVAILABLE]
 _MOST_IN_CONFLICT = 4
 _MOST_CHOICES = 5
 
@@ -157,7 +156,7 @@ class Generator:
         self, slot: str, value: str, wishes: Mapping[str, str], rng: random.Random
     ) -> list[Piece]:
         phrases = self._phrases.slots[slot].phrases
-        if value == _NO_MATCH:
+        if value == NO_MATCH_TEXT:
             conflict = self._conflict(wishes, rng)
             return self._fill(phrases["none"], rng, slot, {"conflict": conflict})
         said = {"wishes": self._wishes(wishes, rng), slot: [Piece(value)]}
@@ -181,7 +180,7 @@ class Generator:
         wanted = {
             slot: fold(value)
             for slot, value in wishes.items()
-            if slot not in ignored and value not in (ANY, _NO_MATCH, _AVAILABLE)
+            if slot not in ignored and value not in (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
         }
         matches = {
             slot: {row for row, record in enumerate(self._records) if record.get(slot) == value}
@@ -199,7 +198,7 @@ class Generator:
         said: list[Piece] = []
         for slot in self._domain.slots:
             value = wishes.get(slot)
-            if value in (None, ANY, _NO_MATCH, _AVAILABLE):
+            if value in (None, ANY, NO_MATCH_TEXT, AVAILABLE_TEXT):
                 continue
             phrases = self._phrases.slots[slot].phrases["wish"]
             said += [
@@ -218,9 +217,7 @@ class Generator:
         known = dict(values or {})
         if slot is not None:
             known["name"] = [Piece(self._phrases.slots[slot].name)]
-        rules = self._phrases.rules
-        possible = [option for option in options if is_possible(option, known, rules)]
-        return expand(rng.choice(possible), known, rules, rng)
+        return choose(options, known, self._phrases.rules, rng)
 
 
 def _as_spelled(slot: str, value: str, rng: random.Random) -> str:

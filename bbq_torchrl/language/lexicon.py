@@ -13,7 +13,7 @@ from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
 from bbq_torchrl.language.extra import needed
 from bbq_torchrl.language.phrases import load_phrases
 from bbq_torchrl.language.quantities import READERS, Kind, kind_of
-from bbq_torchrl.language.words import compact, tokenize
+from bbq_torchrl.language.words import compact, pairs, tokenize
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,12 +27,9 @@ _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045
 _LEAST = 0.6
 _MOST_TIES = 6
-_SAME_WORD = dict(
-    pair.split(":")
-    for pair in (
-        "ii:2 iii:3 iv:4 vi:6 one:1 two:2 three:3 four:4 five:5 six:6 saint:st sq:square "
-        "ctr:center centre:center mt:mount ft:fort and:& vol:volume movies:movie"
-    ).split()
+_SAME_WORD = pairs(
+    "ii:2 iii:3 iv:4 vi:6 one:1 two:2 three:3 four:4 five:5 six:6 saint:st sq:square "
+    "ctr:center centre:center mt:mount ft:fort and:& vol:volume movies:movie"
 )
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import random
+import re
 import statistics
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.language.frames import Frame
+from bbq_torchrl.language.frames import AVAILABLE_TEXT, Frame
 from bbq_torchrl.language.labeled import Line, read_lines
 from bbq_torchrl.language.noise import lowered, with_typos
 from bbq_torchrl.language.templates import Piece, parse, plain
@@ -177,12 +178,8 @@ def other_hand(understand: Understander, path: Path) -> list[Line]:
 
 def _meant(meaning: str, values: dict[str, str]) -> Frame:
     act, _, _ = meaning.partition("(")
-    requests: tuple[str, ...] = ()
-    for part in meaning.split(") "):
-        name, _, content = part.rstrip(")").partition("(")
-        if name == "request":
-            requests = tuple(content.split(", "))
-    return Frame(act, values, requests)
+    asked = re.search(r"request\((.+?)\)", meaning)
+    return Frame(act, values, tuple(asked[1].split(", ")) if asked else ())
 
 
 def _said(said: str, understand: Understander, rng: random.Random) -> Frame | None:
@@ -193,7 +190,7 @@ def _said(said: str, understand: Understander, rng: random.Random) -> Frame | No
         return frame
     slot = frame.requests[0]
     if slot == understand.domain.complete_slot:
-        return Frame("inform", {slot: "ticket available"})
+        return Frame("inform", {slot: AVAILABLE_TEXT})
     return Frame("inform", {slot: rng.choice(understand.lexicon.values(slot))})
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.language.features import Features
-from bbq_torchrl.language.frames import Frame
+from bbq_torchrl.language.frames import Frame, asked_slot
 from bbq_torchrl.language.intents import IntentNet, train_intents
 from bbq_torchrl.language.tagger import OUTSIDE, Tagger
 from bbq_torchrl.language.words import BREAKS
@@ -66,7 +66,8 @@ class Model:
         named = [self.features.of_sentence(*part, question) for part in parts]
         bags = [self.net.encode(names) for names in named]
         acts, requests, dont_care = self.net(bags)
-        asked = self.asked(question)
+        slot = asked_slot(question)
+        asked = self.net.slots.index(slot) if slot in self.net.slots else None
         return Reading(
             tags,
             chance,
@@ -76,12 +77,6 @@ class Model:
             _of_slots(dont_care[0], asked),
             self.features.share_unknown(words),
         )
-
-    def asked(self, question: Frame | None) -> int | None:
-        """Returns the index of the slot that the agent has just asked for."""
-        if question is None or not question.requests or question.requests[0] not in self.net.slots:
-            return None
-        return self.net.slots.index(question.requests[0])
 
 
 def _clauses(

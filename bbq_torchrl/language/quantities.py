@@ -50,12 +50,8 @@ _MONTH = {
     for number, name in enumerate(names)
     if number
 } | {"sept": 9}
-_PART = dict(
-    pair.split(":")
-    for pair in (
-        "morning:morning afternoon:afternoon evening:evening eve:evening night:night noon:noon"
-    ).split()
-)
+_PART = {part: part for part in ("morning", "afternoon", "evening", "night", "noon")}
+_PART["eve"] = "evening"
 _TOMORROW = {"tomorrow", "tomorow", "tommorow", "tommorrow"}
 _DATE_FILLERS = frozenset(("on the of in for at day st nd rd th , . ' s by a").split())
 _RELATIONS = (

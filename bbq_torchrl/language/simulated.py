@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
-from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains import FIRST_VALUE, tensorize
 from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.simulator import Simulator
 
@@ -21,7 +21,7 @@ __all__ = ["Turns", "play"]
 _BATCH = 500
 
 
-class Turns:
+class Turns(NamedTuple):
     """Turns of simulated dialogues.
 
     Attributes:
@@ -29,9 +29,8 @@ class Turns:
         patterns: one turn for every act with other slots, by side.
     """
 
-    def __init__(self) -> None:
-        self.turns: list[tuple[Frame | None, dict[str, str], Frame]] = []
-        self.patterns: dict[tuple[object, ...], tuple[Frame | None, dict[str, str], Frame]] = {}
+    turns: list[tuple[Frame | None, dict[str, str], Frame]]
+    patterns: dict[tuple[int, ...], tuple[Frame | None, dict[str, str], Frame]]
 
 
 def play(domain: Domain, dialogues: int, *, seed: int = 0, kept: int = 4) -> Turns:
@@ -49,7 +48,7 @@ def play(domain: Domain, dialogues: int, *, seed: int = 0, kept: int = 4) -> Tur
     active = torch.ones(tensors.n_slots, dtype=torch.bool)
     generator = torch.Generator().manual_seed(seed)
     scripts = [p.steps for p in domain.policies.values() if p.kind == "script"]
-    found, coding = Turns(), Coding(tensors)
+    found, coding = Turns([], {}), Coding(tensors)
     ends = torch.tensor([action.act in ("thanks", "closing") for action in domain.actions])
     for number in range(-(-dialogues // _BATCH)):
         state = simulator.reset(simulator.draw_reset((_BATCH,), generator), active)
@@ -77,9 +76,7 @@ def _keep(
     held: torch.Tensor,
     kept: int,
 ) -> None:
-    if not state.batch_size[0]:
-        return
-    few = 4  # ids below this are reserved and read differently
+    few = FIRST_VALUE  # ids below are reserved and read differently
     rows = torch.cat(
         [
             state["agent_act"][:, None],

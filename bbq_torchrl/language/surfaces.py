@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import calendar
 import re
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.number_words import ORDINALS, TENS, UNITS
@@ -12,7 +11,6 @@ from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
     import random
-    from collections.abc import Callable
 
     from bbq_torchrl.language.lexicon import Lexicon
 
@@ -36,24 +34,20 @@ class Surfaces:
     def __init__(self, lexicon: Lexicon) -> None:
         self._lexicon = lexicon
         self._is_read: dict[tuple[str, str, str], bool] = {}
-
-    def __call__(self, slot: str, value: str, rng: random.Random) -> str:
-        """Returns one way to write the value."""
-        if rng.random() < 0.45:
-            return value
-        kind = self._lexicon.kinds.get(slot, "text")
-        written = self._makers.get(kind, self._name)(slot, value, rng)
-        return written if written and self._reads(slot, value, written) else value
-
-    @cached_property
-    def _makers(self) -> dict[str, Callable[[str, str, random.Random], str]]:
-        return {
+        self._makers = {
             "time": self._time,
             "date": self._date,
             "count": self._count,
             "price": self._price,
             "text": self._name,
         }
+
+    def __call__(self, slot: str, value: str, rng: random.Random) -> str:
+        """Returns one way to write the value."""
+        if rng.random() < 0.45:
+            return value
+        written = self._makers[self._lexicon.kinds.get(slot, "text")](slot, value, rng)
+        return written if written and self._reads(slot, value, written) else value
 
     def _reads(self, slot: str, value: str, written: str) -> bool:
         key = (slot, value, written)

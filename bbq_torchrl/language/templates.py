@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Iterator, Mapping, Sequence
 
-__all__ = ["Piece", "Template", "TemplateError", "expand", "is_possible", "parse", "plain"]
+__all__ = [
+    "Piece",
+    "Template",
+    "TemplateError",
+    "choose",
+    "expand",
+    "is_possible",
+    "parse",
+    "plain",
+]
 
 _TOKEN = re.compile(r"[\[\]|]|\{\w*\}|<\w+>|[^\[\]|{}<>]+|.", re.DOTALL)
 _DEEPEST = 20
@@ -165,9 +174,19 @@ def expand(
             pieces += values[part.name]
         else:
             options = part.options if isinstance(part, _Choice) else rules[part.name]
-            possible = [option for option in options if is_possible(option, values, rules)]
-            pieces += expand(rng.choice(possible), values, rules, rng)
+            pieces += choose(options, values, rules, rng)
     return pieces
+
+
+def choose(
+    options: Sequence[Template],
+    values: Mapping[str, Sequence[Piece]],
+    rules: Mapping[str, Sequence[Template]],
+    rng: random.Random,
+) -> list[Piece]:
+    """Returns a sentence of one of those phrases that are possible; arguments as of `expand`."""
+    possible = [option for option in options if is_possible(option, values, rules)]
+    return expand(rng.choice(possible), values, rules, rng)
 
 
 def plain(pieces: Sequence[Piece]) -> str:

@@ -5,7 +5,16 @@ from __future__ import annotations
 import re
 import unicodedata
 
-__all__ = ["BREAKS", "MAX_CHARACTERS", "TextError", "clean", "compact", "normalize", "tokenize"]
+__all__ = [
+    "BREAKS",
+    "MAX_CHARACTERS",
+    "TextError",
+    "clean",
+    "compact",
+    "normalize",
+    "pairs",
+    "tokenize",
+]
 
 MAX_CHARACTERS = 1_000
 """The longest text that is read; nobody types more to a ticket agent."""
@@ -23,16 +32,20 @@ _TOKEN = re.compile(
     r"|[^\W_]+(?:['’][^\W_]+)*"
     r"|[^\w\s]"
 )
-_SHORT = dict(
-    pair.split(":")
-    for pair in (
-        "nite:night tonite:tonight 2nite:tonight 2night:tonight 2day:today 2morrow:tomorrow "
-        "tmrw:tomorrow tmw:tomorrow tmrow:tomorrow 2moro:tomorrow tomoz:tomorrow plz:please "
-        "pls:please thx:thanks thnx:thanks ty:thanks tix:tickets tkts:tickets ppl:people "
-        "aft:afternoon aftr:after qtr:quarter wat:what wut:what wats:whats abt:about "
-        "2gether:together theatre:theater theatres:theaters cuz:because smth:something "
-        "sth:something b4:before"
-    ).split()
+
+
+def pairs(text: str) -> dict[str, str]:
+    """Returns the pairs of a table that is written as ``"word:other word:other"``."""
+    return dict(pair.split(":") for pair in text.split())
+
+
+_SHORT = pairs(
+    "nite:night tonite:tonight 2nite:tonight 2night:tonight 2day:today 2morrow:tomorrow "
+    "tmrw:tomorrow tmw:tomorrow tmrow:tomorrow 2moro:tomorrow tomoz:tomorrow plz:please "
+    "pls:please thx:thanks thnx:thanks ty:thanks tix:tickets tkts:tickets ppl:people "
+    "aft:afternoon aftr:after qtr:quarter wat:what wut:what wats:whats abt:about "
+    "2gether:together theatre:theater theatres:theaters cuz:because smth:something "
+    "sth:something b4:before"
 )
 """Words as short messages have them, which are read as the long ones."""
 _APOSTROPHES = str.maketrans({"’": "'", "‘": "'", "`": "'", "´": "'", "“": '"', "”": '"', "–": "-"})
