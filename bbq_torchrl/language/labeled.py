@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from bbq_torchrl.language.corpus import Example
 from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.language.tagger import OUTSIDE, spans_of
-from bbq_torchrl.language.words import clean, compact, tokenize
+from bbq_torchrl.language.words import compact, tokenize, words_of
 from bbq_torchrl.text import FaultsError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def read_lines(path: str | Path, domain: Domain) -> list[Line]:
             )
             continue
         try:
-            clean(parts[1])
+            words_of(parts[1])
             question = Frame.parse(parts[0], domain) if parts[0] else None
             lines.append(Line(question, parts[1], Frame.parse(parts[2], domain)))
         except ValueError as error:
@@ -103,7 +103,7 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
     """
     examples = []
     for question, text, frame in lines:
-        words = tokenize(clean(text))
+        words = words_of(text)
         tags = [OUTSIDE] * len(words)
         for slot, value in frame.informs.items():
             if value != ANY and (place := _place(words, tags, slot, value, lexicon)) is not None:

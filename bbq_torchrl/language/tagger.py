@@ -65,9 +65,11 @@ class Tagger:
             return cls(path.read_bytes())
 
     def __call__(self, rows: Sequence[Sequence[str]]) -> tuple[list[str], float, list[float]]:
-        """Returns the best tags of one sentence, their probability, and that of each tag."""
-        if not rows:
-            return [], 1.0, []
+        """Returns the best tags of a sentence, their probability, and that of each tag.
+
+        Args:
+            rows: the features of each word, of one word or more.
+        """
         tags = self._tagger.tag(rows)
         each = [self._tagger.marginal(tag, at) for at, tag in enumerate(tags)]
         return tags, self._tagger.probability(tags), each

@@ -23,7 +23,7 @@ from bbq_torchrl.language.model import Model, fit
 from bbq_torchrl.language.noise import DROPPED
 from bbq_torchrl.language.surfaces import Surfaces
 from bbq_torchrl.language.tagger import OUTSIDE, Tagger
-from bbq_torchrl.language.words import clean, tokenize
+from bbq_torchrl.language.words import words_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -156,7 +156,7 @@ class Understander:
             TextError: a ``ValueError`` fit to be shown, if nothing of the text can be read or it
                 is too long.
         """
-        words = tokenize(clean(text))[:_MOST_WORDS]
+        words = words_of(text)[:_MOST_WORDS]
         frame, unclear, cues = self._hear(words, question)
         return Understood(frame, probability(cues, self._calibration), unclear)
 

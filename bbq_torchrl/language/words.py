@@ -14,6 +14,7 @@ __all__ = [
     "normalize",
     "pairs",
     "tokenize",
+    "words_of",
 ]
 
 MAX_CHARACTERS = 1_000
@@ -104,6 +105,18 @@ def tokenize(text: str) -> list[str]:
         ['2', 'tickets', '4', 'fri', 'night']
     """
     return [_SHORT.get(word, word) for word in _TOKEN.findall(normalize(text))]
+
+
+def words_of(text: str) -> list[str]:
+    """Returns the words of what somebody typed, see :func:`clean` and :func:`tokenize`.
+
+    Raises:
+        TextError: if the text is longer than :data:`MAX_CHARACTERS`, or has no words.
+    """
+    words = tokenize(clean(text))
+    if not words:
+        raise TextError("a sentence must have at least one word, number or mark, got none")
+    return words
 
 
 def compact(text: str) -> str:
