@@ -376,4 +376,4 @@ def _narrowed(
     """Returns the values that all mentions of the slot may mean, if there are any."""
     sets = [{lexicon.key(slot, value) for value in link[1]} for link in known]
     common = set.intersection(*sets)
-    return {key: keys[key] for key in common} if common else keys
+    return {key: value for key, value in keys.items() if key in common} or keys

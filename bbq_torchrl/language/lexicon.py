@@ -235,7 +235,8 @@ class _Names:
         known = {lexicon.key(slot, value) for value in lexicon.values(slot)}
         self._keys = [key for key in pairs.values() if key in known]
         self._joined = [compact(name) for name, key in pairs.items() if key in known]
-        self._words = [frozenset(_telling(name)) for name, key in pairs.items() if key in known]
+        # No sets: sums and ties would follow the order of their hashes, another in every process.
+        self._words = [dict.fromkeys(_telling(name)) for name, key in pairs.items() if key in known]
         count = Counter(word for words in self._words for word in words)
         total = 1 + len(self._words)
         self._weight = {

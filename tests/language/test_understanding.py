@@ -164,6 +164,29 @@ def test_what_is_saved_understands_the_same(understand, tmp_path):
     assert len(digests) == 1
 
 
+LINKS = """
+from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.language.lexicon import Lexicon
+
+lexicon = Lexicon(movie_domain())
+print([lexicon.link("moviename", f"the first {name[:-1]}") for name in lexicon.values("moviename")])
+"""
+
+
+def test_two_processes_find_the_same_names():
+    linked = {
+        subprocess.run(
+            [sys.executable, "-c", LINKS],
+            env={**os.environ, "PYTHONHASHSEED": hash_seed},
+            check=True,
+            stdout=subprocess.PIPE,
+        ).stdout
+        for hash_seed in ("1", "2")
+    }
+    assert len(linked) == 1
+    assert b"Link(values=('" in linked.pop()
+
+
 @pytest.mark.slow
 def test_two_processes_train_the_same_bytes(tmp_path):
     for hash_seed in ("1", "2"):
