@@ -26,6 +26,8 @@ MAX_DISCARDED = 64_000_000
 """Bytes of a body that is too large that are read past, so that its sender reads the answer."""
 
 BODY_SECONDS = 10.0
+"""In which a form must have arrived."""
+
 MAX_FIELDS = 20
 
 HEADERS = {
@@ -50,16 +52,10 @@ class Guard:
     Args:
         app: what answers.
         page: makes the page that tells a status and a sentence.
-        body_seconds: in which a form must have arrived.
     """
 
-    def __init__(
-        self,
-        app: ASGIApp,
-        page: Callable[[HTTPStatus, str], Response],
-        body_seconds: float = BODY_SECONDS,
-    ) -> None:
-        self._app, self._page, self._seconds = app, page, body_seconds
+    def __init__(self, app: ASGIApp, page: Callable[[HTTPStatus, str], Response]) -> None:
+        self._app, self._page = app, page
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answers a request."""
@@ -101,11 +97,11 @@ class Guard:
         if kind != "application/x-www-form-urlencoded":
             raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected.")
         try:
-            body = await asyncio.wait_for(_body(receive), self._seconds)
+            body = await asyncio.wait_for(_body(receive), BODY_SECONDS)
         except asyncio.TimeoutError:
             raise RefusedError(
                 HTTPStatus.REQUEST_TIMEOUT,
-                f"The form took more than {self._seconds:g} seconds to arrive: send it again.",
+                f"The form took more than {BODY_SECONDS:g} seconds to arrive: send it again.",
             ) from None
         if body is None:
             raise RefusedError(

@@ -9,6 +9,7 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -17,9 +18,8 @@ from starlette.routing import Route
 
 from bbq_torchrl.study.conversations import MAX_TEXT, Conversations, RefusedError
 from bbq_torchrl.study.database import StoreError
-from bbq_torchrl.study.guard import BODY_SECONDS, Guard
+from bbq_torchrl.study.guard import Guard
 from bbq_torchrl.study.outcome import card
-from bbq_torchrl.study.pages import best, render
 from bbq_torchrl.study.records import SCALES
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""
 
 MAX_LISTED = 1_000
+MAX_BARS = 12
 QUESTIONS = {
     "overall": "Overall, how well did the assistant do?",
     "naturalness": "How natural was what it said?",
@@ -46,19 +47,24 @@ QUESTIONS = {
     "completion": "How well did it complete your task?",
 }
 
+_TEMPLATES = Environment(
+    loader=PackageLoader("bbq_torchrl.study"),
+    autoescape=True,
+    auto_reload=False,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
 _log = logging.getLogger(__name__)
 
 
-def application(
-    study: Study, store: Store, talker: Talker, *, body_seconds: float = BODY_SECONDS
-) -> Starlette:
+def application(study: Study, store: Store, talker: Talker) -> Starlette:
     """Returns the web application of a study.
 
     Args:
         study: what is asked of people.
         store: where it is stored.
         talker: the agents.
-        body_seconds: in which a form must have arrived.
     """
     pages = _Pages(study, store, talker)
     # Pages are no coroutines: Starlette makes each in a thread.
@@ -72,7 +78,7 @@ def application(
         Route("/static/{name}", _static),
     ]
     handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
-    guard = Middleware(Guard, page=pages.message, body_seconds=body_seconds)
+    guard = Middleware(Guard, page=pages.message)
     return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
 
 
@@ -211,7 +217,8 @@ class _Pages:
             key=request.path_params["key"],
             session=session,
             card=card(self._conversations.goal(session), self._talker.labels),
-            turns=[(item, best(item.beliefs)) for item in self._store.exchanges(session.id)],
+            turns=self._store.exchanges(session.id),
+            max_bars=MAX_BARS,
         )
 
     # -- what all pages share ----------------------------------------------------------------------
@@ -251,7 +258,8 @@ class _Pages:
         )
 
     def _html(self, template: str, status: HTTPStatus, **values: Any) -> HTMLResponse:
-        return HTMLResponse(render(template, name=self._study.terms.name, **values), status)
+        page = _TEMPLATES.get_template(f"{template}.html")
+        return HTMLResponse(page.render(name=self._study.terms.name, **values), status)
 
 
 def _new_nonce() -> str:

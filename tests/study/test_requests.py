@@ -7,8 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from bbq_torchrl.study.web import application
-
 from .conftest import hidden
 
 FORM = {"content-type": "application/x-www-form-urlencoded"}
@@ -125,8 +123,8 @@ def test_other_kinds_of_body_are_refused(site):
     assert site.client.post(f"{link}/say", files={"text": b"x"}).status_code == 415
 
 
-def test_a_slow_body_is_cut_off(site):
-    app = application(site.study, site.store, site.talker, body_seconds=0.05)
+def test_a_slow_body_is_cut_off(site, monkeypatch):
+    monkeypatch.setattr("bbq_torchrl.study.guard.BODY_SECONDS", 0.05)
     sent = []
 
     async def receive():
@@ -143,7 +141,7 @@ def test_a_slow_body_is_cut_off(site):
         "headers": [(b"content-type", b"application/x-www-form-urlencoded")],
         "query_string": b"",
     }
-    asyncio.run(asyncio.wait_for(app(scope, receive, send), 5))
+    asyncio.run(asyncio.wait_for(site.client.app(scope, receive, send), 5))
     assert sent[0]["status"] == 408
 
 
