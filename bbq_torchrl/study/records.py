@@ -11,7 +11,7 @@ from bbq_torchrl.study.talk import Frame
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["EXCHANGES", "SCALES", "Person", "Session", "StoredExchange"]
+__all__ = ["EXCHANGES", "SCALES", "SESSIONS", "Person", "Session", "StoredExchange"]
 
 SCALES = ("overall", "naturalness", "coherence", "completion")
 """What people rate from 1 to 5; the first is the paper's one figure."""
@@ -72,7 +72,7 @@ class Session:
 
     @classmethod
     def of(cls, row: tuple[Any, ...]) -> Session:
-        """Returns the session in a row of these columns."""
+        """Returns the session in a row of :data:`SESSIONS`."""
         return cls(*row[:4], *map(bool, row[4:]))
 
 
@@ -81,11 +81,9 @@ class Person:
     """Somebody who takes part.
 
     Attributes:
-        id: in the file.
         sessions: first to last.
     """
 
-    id: int
     sessions: tuple[Session, ...]
 
     @property
@@ -99,3 +97,9 @@ EXCHANGES = """
     WHERE session = ? ORDER BY number
 """
 """Selects of a session what :meth:`StoredExchange.of` takes, first to last."""
+
+SESSIONS = """
+    SELECT session.id, position, agent, goal, ended IS NOT NULL, rating.session IS NOT NULL
+    FROM session LEFT JOIN rating ON rating.session = session.id
+"""
+"""Selects what :meth:`Session.of` takes."""

@@ -15,7 +15,7 @@ import bbq_torchrl
 from bbq_torchrl.study.database import Database, StoreError
 from bbq_torchrl.study.design import assignments
 from bbq_torchrl.study.plan import Terms
-from bbq_torchrl.study.records import EXCHANGES, SCALES, Person, Session, StoredExchange
+from bbq_torchrl.study.records import EXCHANGES, SCALES, SESSIONS, Person, Session, StoredExchange
 
 if TYPE_CHECKING:
     import sqlite3
@@ -143,18 +143,9 @@ class Store:
 
     def person(self, token: str) -> Person | None:
         """Returns the person who has the token; ``None`` if nobody has."""
-        rows = self._database.rows(
-            """
-            SELECT person.id, session.id, position, agent, goal, ended IS NOT NULL,
-                   rating.session IS NOT NULL
-            FROM person JOIN session ON session.person = person.id
-                 LEFT JOIN rating ON rating.session = session.id
-            WHERE token = ? ORDER BY position
-            """,
-            _hashed(token),
-        )
-        sessions = tuple(Session.of(row[1:]) for row in rows)
-        return Person(rows[0][0], sessions) if rows else None
+        whose = "WHERE person = (SELECT id FROM person WHERE token = ?) ORDER BY position"
+        rows = self._database.rows(f"{SESSIONS} {whose}", _hashed(token))
+        return Person(tuple(map(Session.of, rows))) if rows else None
 
     def _idle_since(self, now: float) -> float:
         return now - 60 * self._terms.idle_minutes
@@ -267,11 +258,7 @@ class Store:
 
     def session(self, number: int) -> Session | None:
         """Returns a session by its id; ``None`` if there is none."""
-        rows = self._database.rows(
-            "SELECT session.id, position, agent, goal, ended IS NOT NULL, rating.session NOT NULL "
-            "FROM session LEFT JOIN rating ON rating.session = session.id WHERE session.id = ?",
-            number,
-        )
+        rows = self._database.rows(f"{SESSIONS} WHERE session.id = ?", number)
         return Session.of(rows[0]) if rows else None
 
 
