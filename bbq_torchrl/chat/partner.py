@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict
@@ -17,41 +17,21 @@ from bbq_torchrl.language.asking import Asking
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bbq_torchrl.chat.agent import Reasons, TrainedAgent
+    from bbq_torchrl.language import (
+        EndpointGenerator,
+        EndpointUnderstander,
+        Generator,
+        Understander,
+    )
     from bbq_torchrl.study.talk import Beliefs
 
-__all__ = ["Answer", "Ears", "Mouth", "Partner"]
+    Ears = Understander | EndpointUnderstander
+    Mouth = Generator | EndpointGenerator
+
+__all__ = ["Answer", "Partner"]
 
 _FLAGS = ("heard_requests", "open_requests", "agent_requests")
-
-
-class Ears(Protocol):
-    """Who understands: an ``Understander`` or an ``EndpointUnderstander``."""
-
-    def __call__(self, text: str, question: Frame | None = None) -> Understood:
-        """Returns what a text means, in the light of the agent's last act."""
-
-    def asks(self, understood: Understood) -> bool:
-        """Returns whether better to ask again than to act on it."""
-
-
-class Mouth(Protocol):
-    """Who speaks: a ``Generator`` or an ``EndpointGenerator``."""
-
-    def agent(
-        self,
-        frame: Frame,
-        held: Mapping[str, str] | None = None,
-        *,
-        session: str | int = 0,
-        turn: int = 0,
-    ) -> str:
-        """Returns a sentence that says an act."""
-
-    def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns a sentence that asks again for what was not understood."""
 
 
 @dataclass(frozen=True)
