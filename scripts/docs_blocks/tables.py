@@ -70,6 +70,36 @@ def _tried(file: str, end: str, name: str) -> str:
     return table(head, rows, numbers=5)
 
 
+@block("results.tandem", "bbqn_map_dqn", "dqn_dqn", "dqn_bbqn_map")
+def _tandem(*files: str) -> str:
+    """Returns the success in evaluations of who learns from another one's dialogues.
+
+    Args:
+        files: of ``examples/tandem.py``; whoever is passive in one is active in another.
+    """
+    names = {"bbqn_map": "BBQN-MAP", "dqn": "DQN"}
+    curves: dict[tuple[str, str], dict[str, dict[str, float]]] = {}
+    for file in files:
+        lines = read_csv(f"tandem/{file}.csv")
+        agents = {line["role"]: line["agent"] for line in lines}
+        for line in lines:
+            whose = "its own" if line["role"] == "active" else f"a {names[agents['active']]}'s"
+            of_replica = curves.setdefault((line["agent"], whose), defaultdict(dict))
+            of_replica[line["replica"]][line["rounds"]] = float(line["success_rate"])
+    rows = []
+    for (learner, whose), of_replica in sorted(curves.items(), reverse=True):
+        row = [names[learner], whose]
+        for span in (slice(None), slice(-5, None)):
+            own, first = (
+                [fmean([*curve.values()][span]) for curve in of.values()]
+                for of in (of_replica, curves[learner, "its own"])
+            )
+            row += [estimate(own), "–" if own == first else paired(own, first)]
+        rows.append(row)
+    head = ("learner", "dialogues", "area under the curve", "difference", "last 25", "difference")
+    return table(head, rows, numbers=4)
+
+
 @block("language.quality")
 def _quality() -> str:
     """Returns how well the language layer understands, beside what it was to reach."""
