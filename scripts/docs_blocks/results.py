@@ -57,6 +57,27 @@ def falling(domain: str) -> dict[str, tuple[str, str]]:
     }
 
 
+BASELINES = {
+    "Double DQN": "baselines/{domain}/double_dqn",
+    "Noisy DQN": "baselines/{domain}/noisy_dqn",
+    "Bootstrap of whole networks": "baselines/{domain}/bootstrap_networks",
+    "Adam LMCDQN": "extending/{domain}/langevin",
+    "Epinet": "extending/{domain}/epinet",
+}
+"""Agents that the paper does not compare with -> the folders of their runs."""
+
+
+def baselines(domain: str) -> dict[str, tuple[str, str]]:
+    """Returns BBQN-MAP's rivals of a domain that were run -> the folders of its runs and theirs."""
+    folders = {"DQN": "table1/{domain}/dqn"} | BASELINES
+    found = {name: folder.format(domain=domain) for name, folder in folders.items()}
+    return {
+        name: (f"table1/{domain}/bbqn_map", folder)
+        for name, folder in found.items()
+        if (common.RESULTS / folder).exists()
+    }
+
+
 VERBS = {"final_success": "ends higher than", "training_success": "learns faster than"}
 RIVALS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
 """Whom BBQN-MAP is claimed to be ahead of: in the paper's Table 1, or in what it says of it."""
@@ -97,6 +118,13 @@ CLAIMED = {
             ("with ε on top", "4_thompson_epsilon"),
         )
     ],
+    **{
+        f"[Rivals of today](#rivals-of-today), {title}": [
+            ("BBQN-MAP", f"table1/{domain}/bbqn_map", name, folder.format(domain=domain))
+            for name, folder in BASELINES.items()
+        ]
+        for domain, title in (("full", "full domain"), ("extension", "domain extension"))
+    },
     "[Ablations](#ablations)": [
         (*_SPIKED, "with 20", "ablations/spike_20"),
         (*_SPIKED, "with 1,000", "ablations/spike_1000"),
@@ -113,9 +141,15 @@ def groups(*folders: str) -> list[Group]:
     return read_groups(sorted(file.parent for file in files))
 
 
-def _commands(kept: list[Group]) -> str:
+def _commands(kept: list[Group], fence: str = "bash") -> str:
     made = (command(run.folder) for group in kept for run in group.runs)
-    return "\n".join(["```bash", *made, "```"])
+    return "\n".join([f"```{fence}", *made, "```"])
+
+
+@block("results.baselines", "baselines", "bash")
+@block("results.extending", "extending", "text")  # not without that package
+def _commands_of(folder: str, fence: str) -> str:
+    return _commands(groups(folder), fence)
 
 
 def draw_figures() -> None:
@@ -213,6 +247,8 @@ def _expect() -> str:
 
 
 @block("results.readme", MAIN, "trained on", "BBQN-MAP", "DQN")
+@block("results.rivals", baselines("full"), "full domain", "BBQN-MAP", "the rival")
+@block("results.rivals_ext", baselines("extension"), "domain extension", "BBQN-MAP", "the rival")
 @block("learning.rate", falling("full"), "full domain", "the one", "the other")
 @block("learning.rate_ext", falling("extension"), "domain extension", "the one", "the other")
 def compared(folders: dict[str, tuple[str, str]], *head: str) -> str:
