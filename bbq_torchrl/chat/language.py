@@ -41,7 +41,7 @@ def make_ears(
         file: of an understander that was trained before.
         labeled: own labeled lines to learn from as well.
         endpoint: who is asked first.
-        tell: is told when training begins, which takes half a minute.
+        tell: is told when training begins, which takes a minute.
 
     Raises:
         ValueError or OSError: a file that cannot be used.

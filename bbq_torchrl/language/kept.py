@@ -32,7 +32,7 @@ def kept_understander(
     Args:
         domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
         labeled: own labeled lines to learn from as well.
-        tell: is told when training begins, which takes half a minute.
+        tell: is told when training begins, which takes a minute.
 
     Raises:
         ValueError or OSError: a file that cannot be used.

@@ -64,7 +64,7 @@ class DialogueOption(EnvOption):
     )
     ask_below: float | None = setting(
         None,
-        optional(PROBABILITY, "the understanding's own, .7"),
+        optional(PROBABILITY, "the understanding's own, .75"),
         "with level=text: confidence below which the system asks a user again; 0: never",
     )
     max_turn: int = setting(40, integers(2, 1_000), "turns of a dialogue, both sides counted")
