@@ -2,8 +2,8 @@
 
 The comparisons are declared here, before anything is trained: BBQN-MAP and each other agent, in
 both domains, by the success of the final evaluation (who ends higher) and by cumulative training
-success (who learns faster). In a domain, the p-values of a quantity are adjusted by Holm's method
-for all eight, whether they have been run or not.
+success (who books more in training). In a domain, the p-values of a quantity are adjusted by Holm's
+method for all eight, whether they have been run or not.
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ def comparisons_table(groups: Sequence[Group], env: str) -> str:
         (f"{OURS} minus {final.other}", *final.cells(), *speed.cells())
         for final, speed in zip(finals, speeds, strict=True)
     ]
-    head = ("by pairs", "final success", "p", "ends higher?", "cumulative", "p", "learns faster?")
+    head = ("by pairs", "final success", "p", "ends higher?", "cumulative", "p", "books more?")
     return table(head, rows, numbers=len(head) - 1)
 
 

@@ -96,7 +96,7 @@ def _tandem(*files: str) -> str:
             )
             row += [estimate(own), "–" if own == first else paired(own, first)]
         rows.append(row)
-    head = ("learner", "dialogues", "area under the curve", "difference", "last 25", "difference")
+    head = ("learner", "dialogues", "mean of all", "difference", "last 25", "difference")
     return table(head, rows, numbers=4)
 
 
