@@ -201,12 +201,16 @@ def _short_answer(
         return None  # "four, on saturday" has one number, and more than it.
     if slot in lexicon.slots and words[0] in _ANY and len(words) == 1:
         return {slot: ANY}
-    link = lexicon.link(slot, " ".join(words)) if slot in lexicon.slots else None
+    text = " ".join(words)
+    link = lexicon.link(slot, text) if slot in lexicon.slots else None
     if link is not None and len(link.values) == 1 and link.score >= _SURE:
         return {slot: link.values[0]}
     # "The closest" is no theater, and what it is can be told without the question.
-    other = lexicon.only_slot(" ".join(words))
-    return None if other is None else {other: lexicon.link(other, " ".join(words)).values[0]}
+    other = lexicon.only_slot(text)
+    if other is None:
+        return None
+    values = lexicon.link(other, text).values  # "-3" has the name of 3, and is none
+    return {other: values[0]} if values else None
 
 
 def _ties(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> tuple[Unclear, ...]:
