@@ -76,7 +76,6 @@ def read_count(text: str) -> str | None:
         "only i",
         "just i",
         "on my own",
-        "one",
         "it's just for me",
         "it's just me",
     ):

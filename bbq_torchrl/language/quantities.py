@@ -91,6 +91,8 @@ RELATION_WORDS = frozenset(
     ("after", "before", "around", "about", "past", "quarter", "half", "until")
 )
 
+_BEFORE_NOON = frozenset(("am", "a.m", "a.m.", "morning"))
+_AFTER_NOON = frozenset(("pm", "p.m", "p.m.", "afternoon", "evening", "night", "tonight"))
 _CLOCK = re.compile(r"(\d{1,2})[:.h](\d\d)")
 
 
@@ -123,14 +125,9 @@ def read_time(text: str) -> str | None:
     meridian = None
     kept = []
     for word in words:
-        if word.rstrip(".") in ("am", "a.m") or word in ("morning",):
+        if word in _BEFORE_NOON:
             meridian = 0
-        elif word.rstrip(".") in ("pm", "p.m") or word in (
-            "evening",
-            "night",
-            "afternoon",
-            "tonight",
-        ):
+        elif word in _AFTER_NOON:
             meridian = 12
         else:
             kept.append(word)
@@ -142,9 +139,7 @@ def read_time(text: str) -> str | None:
     if clock is None:
         return None
     hour, minute, has_24 = clock
-    if not (0 <= hour <= 23 and 0 <= minute <= 59) or (
-        meridian is not None and hour > 12 and meridian == 0
-    ):
+    if hour > 23 or minute > 59 or (hour > 12 and meridian == 0):
         return None
     if meridian is not None and hour <= 12:
         return f"{relation} {hour % 12 + meridian:02}:{minute:02}"
@@ -185,23 +180,12 @@ def _clock(words: list[str]) -> tuple[int, int, bool] | None:
         return None
     if len(words) == 2 and (minute := number_of(words[1])) is not None:
         return (hour, minute, False) if minute >= 10 else None
-    if len(words) == 2 and words[1].count("-") == 1:
+    if len(words) != 3:
         return None
-    if (
-        len(words) == 3
-        and words[1] in TEN_WORDS
-        and (unit := number_of(words[2])) is not None
-        and unit < 10
-    ):
-        return hour, TEN_WORDS[words[1]] + unit, False
-    if (
-        len(words) == 3
-        and words[1] in ("oh", "o")
-        and (unit := number_of(words[2])) is not None
-        and unit < 10
-    ):
-        return hour, unit, False
-    return None
+    tens, unit = 0 if words[1] == "oh" else TEN_WORDS.get(words[1]), number_of(words[2])
+    if tens is None or unit is None or unit > 9:
+        return None
+    return hour, tens + unit, False
 
 
 def read_date(text: str) -> str | None:
@@ -224,19 +208,19 @@ def read_date(text: str) -> str | None:
         part = " " + _PART[words.pop()]
     elif len(words) == 2 and words[0] in _PART and words[1].rstrip("s") in _DAY:
         part = " " + _PART[words.pop(0)]  # "at night of friday"
-    if words in (["tonight"],):
+    if words == ["tonight"]:
         return "today night"
     if words == ["this"] and part:
         return f"today{' night' if part == ' evening' else part}"
     if words in (["today"], ["later", "today"], ["this", "day"]):
-        return f"{words[0]} {words[-1]}".replace("today today", "today") + part
+        return " ".join(words) + part
     if len(words) == 1 and words[0] in _TOMORROW:
         return f"tomorrow{part}"
     prefix = words[0] if words and words[0] in ("this", "next", "coming", "following") else ""
     rest = words[1:] if prefix else words
     is_next = "next " if prefix in ("next", "following") else ""
-    if len(rest) == 1 and (rest[0].rstrip("s") in _DAY or rest[0] in _DAY):
-        return f"{is_next}{_DAY.get(rest[0]) or _DAY[rest[0].rstrip('s')]}{part}"
+    if len(rest) == 1 and (day := _DAY.get(rest[0].rstrip("s"))) is not None:
+        return f"{is_next}{day}{part}"
     if rest in (["weekend"], ["weekends"]):
         return f"{is_next}weekend"
     if rest in (["week"], ["month"]) and is_next:
@@ -287,7 +271,7 @@ def read_price(text: str) -> str | None:
     words = tokenize(text)
     is_money = bool({"$", "dollars", "dollar", "bucks", "usd"} & set(words))
     is_under = bool({"under", "below", "less", "max", "maximum", "most"} & set(words)) or (
-        "more" in words and ("than" in words)
+        "more" in words and "than" in words
     )
     numbers = [number for word in words if (number := number_of(word)) is not None]
     if len(numbers) != 1 or not (is_money or is_under):
@@ -319,6 +303,6 @@ def kind_of(values: Iterable[str]) -> Kind:
         read = sum(
             READERS[kind](value) is not None and len(tokenize(value)) <= longest for value in values
         )
-        if values and read > len(values) / 2:
+        if read > len(values) / 2:
             return kind
     return "text"
