@@ -125,11 +125,10 @@ class Lexicon:
     @cached_property
     def owners(self) -> dict[str, str]:
         """For values, in letters and digits, that several slots have: the slot that has it most."""
-        holders: dict[str, dict[str, int]] = {}
+        holders: dict[str, Counter[str]] = defaultdict(Counter)
         for slot, values in self._values.items():
             for value in values:
-                count = holders.setdefault(compact(value), {})
-                count[slot] = count.get(slot, 0) + self._frequency[slot, fold(value)]
+                holders[compact(value)][slot] += self._frequency[slot, fold(value)]
         return {
             name: max(count, key=lambda slot: count[slot])
             for name, count in holders.items()
@@ -159,18 +158,14 @@ class Lexicon:
 
     def _link(self, slot: str, text: str) -> Link:
         """Returns the value, or the values, that ``text`` names."""
-        name = compact(text)
-        if not name:
-            return Link((), 0.0)
-        if self.kinds[slot] == "count" and _NEGATIVE.search(text):
+        name, kind = compact(text), self.kinds[slot]
+        if not name or (kind == "count" and _NEGATIVE.search(text)):
             return Link((), 0.0)
         if (value := self._exact[slot].get((name, fold(text)))) is not None:
             return Link((value,), 1.0)
-        if name in self._names[slot]:
-            exact = [v for v in self._by_key[slot][self._names[slot][name]] if compact(v) == name]
-            key = self._names[slot][name]
+        if (key := self._names[slot].get(name)) is not None:
+            exact = [value for value in self._by_key[slot][key] if compact(value) == name]
             return Link((exact[0] if exact else self.spelling(slot, key),), 1.0)
-        kind = self.kinds[slot]
         if kind != "text":
             if (found := self._quantity(slot, kind, text)) is not None:
                 return found
@@ -198,9 +193,6 @@ class Lexicon:
             hour, minute = clock.split(":")
             if read.endswith("?"):
                 tries.append(f"{relation} {(int(hour) + 12) % 24:02}:{minute}")
-            if hour == "12" and read.endswith("?"):
-                tries.reverse()
-                tries.append(tries.pop(0))
             if relation == "around":
                 tries += [f"at {t.split()[1]}" for t in tries]
         if kind == "date" and " " in tries[0]:
@@ -229,19 +221,19 @@ class _Names:
     """The names of one slot's values, ready to be compared with what somebody typed."""
 
     def __init__(self, lexicon: Lexicon, slot: str) -> None:
-        pairs = {value: lexicon.key(slot, value) for value in lexicon.values(slot)}
+        names = {value: lexicon.key(slot, value) for value in lexicon.values(slot)}
+        known = set(names.values())
         for value, texts in lexicon.aliases[slot].items():
-            pairs |= {text: lexicon.key(slot, value) for text in texts}
-        known = {lexicon.key(slot, value) for value in lexicon.values(slot)}
-        self._keys = [key for key in pairs.values() if key in known]
-        self._joined = [compact(name) for name, key in pairs.items() if key in known]
+            names |= dict.fromkeys(texts, lexicon.key(slot, value))
+        names = {name: key for name, key in names.items() if key in known}
+        self._keys = list(names.values())
+        self._joined = [compact(name) for name in names]
         # No sets: sums and ties would follow the order of their hashes, another in every process.
-        self._words = [dict.fromkeys(_telling(name)) for name, key in pairs.items() if key in known]
+        self._words = [dict.fromkeys(_telling(name)) for name in names]
         count = Counter(word for words in self._words for word in words)
         total = 1 + len(self._words)
         self._weight = {
-            word: (0.15 if word in _SMALL else 1.0) * math.log(1 + total / n)
-            for word, n in count.items()
+            word: _importance(word) * math.log(1 + total / n) for word, n in count.items()
         }
         self._like = lru_cache(maxsize=20_000)(self._likeness)
         self._unknown = 0.6 * math.log(1 + total)
@@ -267,7 +259,7 @@ class _Names:
         likenesses = [(word, self._like(word)) for word in dict.fromkeys(_telling(text))]
         total = sum(
             max((self._weight[other] for other in like), default=0.0)
-            or (0.15 if word in _SMALL else 1.0) * self._unknown
+            or _importance(word) * self._unknown
             for word, like in likenesses
         )
         if not total:
@@ -297,6 +289,10 @@ class _Names:
             word, list(self._weight), scorer=similarity, score_cutoff=0.72, limit=3
         )
         return {other: score for other, score, _ in near if len(other) > 2}
+
+
+def _importance(word: str) -> float:
+    return 0.15 if word in _SMALL else 1.0
 
 
 def _telling(text: str) -> list[str]:
