@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import calendar
 import re
+from functools import cache
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.number_words import ORDINALS, TENS, UNITS
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
 __all__ = ["Surfaces"]
 
 _MATES = "wife husband girlfriend boyfriend friend brother mother son partner".split()
+_ALONE = (
+    "just me,only me,just one,alone,myself,me,just myself,single,me alone,solo,only i,on my own,"
+    "by myself,a single seat"
+).split(",")
 _RELATIONS = {
     "after": ("after", "from", "not before", "later than", "any time after", "after the"),
     "before": ("before", "not after", "by", "earlier than", "until"),
@@ -33,7 +38,7 @@ class Surfaces:
 
     def __init__(self, lexicon: Lexicon) -> None:
         self._lexicon = lexicon
-        self._is_read: dict[tuple[str, str, str], bool] = {}
+        self._is_read = cache(self._reads)
         self._makers = {
             "time": self._time,
             "date": self._date,
@@ -47,18 +52,16 @@ class Surfaces:
         if rng.random() < 0.45:
             return value
         written = self._makers[self._lexicon.kinds.get(slot, "text")](slot, value, rng)
-        return written if written and self._reads(slot, value, written) else value
+        return written if written and self._is_read(slot, value, written) else value
 
     def _reads(self, slot: str, value: str, written: str) -> bool:
-        key = (slot, value, written)
-        if key not in self._is_read:
-            found = self._lexicon.link(slot, written).values
-            self._is_read[key] = (
-                len(found) == 1
-                and self._lexicon.key(slot, found[0]) == self._lexicon.key(slot, value)
-                and self._lexicon.only_slot(written) in (None, slot)
-            )
-        return self._is_read[key]
+        """Returns whether what was written is read as the value, and as that of no other slot."""
+        found = self._lexicon.link(slot, written).values
+        return (
+            len(found) == 1
+            and self._lexicon.key(slot, found[0]) == self._lexicon.key(slot, value)
+            and self._lexicon.only_slot(written) in (None, slot)
+        )
 
     def _alias(self, slot: str, value: str, rng: random.Random) -> str:
         for main, others in self._lexicon.aliases[slot].items():
@@ -93,17 +96,8 @@ class Surfaces:
         meridian = rng.choice(
             ("am", " am", " a.m.", "AM") if hour < 12 else ("pm", " pm", " p.m.", "PM")
         )
-        part = rng.choice(
-            (
-                "",
-                "",
-                "in the morning"
-                if hour < 12
-                else "in the evening"
-                if hour > 16
-                else "in the afternoon",
-            )
-        )
+        part = "morning" if hour < 12 else "afternoon" if hour < 17 else "evening"
+        part = rng.choice(("", "", f"in the {part}"))
         spelled = _spell(minute)
         options = [
             f"{short}{rng.choice(':::.')}{minute:02}{meridian}",
@@ -117,7 +111,7 @@ class Surfaces:
             options += [
                 f"{short}{meridian}",
                 f"{short} o'clock",
-                f"{UNITS[short]}",
+                UNITS[short],
                 f"{UNITS[short]} o'clock {part}",
                 str(short),
                 f"{short} {part}",
@@ -182,13 +176,7 @@ class Surfaces:
                 words[index] = rng.choice(("tomorrow", "tomorow", "tommorrow"))
         if key == "today night":
             return rng.choice(
-                (
-                    "tonight",
-                    "today night",
-                    "today in the night",
-                    "today at night",
-                    "this night",
-                )
+                ("tonight", "today night", "today in the night", "today at night", "this night")
             )
         if key.startswith("today "):
             return rng.choice((f"today {words[1]}", f"this {words[1]}", f"today in the {words[1]}"))
@@ -213,23 +201,11 @@ class Surfaces:
             return self._alias(slot, value, rng)
         number = int(key)
         mate = rng.choice(_MATES)
-        options = [str(number), UNITS[number], f"{number} ", UNITS[number]]
+        options = [str(number), UNITS[number]] * 2
         if slot not in self._lexicon.domain.free_slots:  # those count people: "me and my wife"
-            return rng.choice(options).strip()
+            return rng.choice(options)
         if number == 1:
-            options += [
-                *(
-                    "just me",
-                    "only me",
-                    "just one",
-                    "alone",
-                    "myself",
-                    "me",
-                    "just myself",
-                    "single",
-                ),
-                *("me alone", "solo", "only i", "on my own", "by myself", "a single seat"),
-            ]
+            options += _ALONE
         if number == 2:
             options += [
                 f"me and my {mate}",
@@ -255,7 +231,7 @@ class Surfaces:
                 f"{some} of my friends and me",
                 f"with {some} friend",
             ]
-        return rng.choice(options).strip()
+        return rng.choice(options)
 
     def _price(self, slot: str, value: str, rng: random.Random) -> str:
         key = self._lexicon.key(slot, value)
