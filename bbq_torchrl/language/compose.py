@@ -139,15 +139,15 @@ class Composer:
         """Returns the questions, the values around the first."""
         asked = self._questions(requests, turn)
         first = asked[0]
-        front: list[list[Piece]] = []
+        front: list[Piece] = []
         while turn.left and turn.rng.random() < 0.85:
             slot = turn.left.pop()
             piece = self._slot_phrase(slot, "with", turn)
             if turn.question is None and turn.rng.random() < (0.5 if turn.is_terse else 0.15):
-                front.append([*piece, Piece(turn.rng.choice([", ", " ", ". ", ": "]))])
+                front += [*piece, Piece(turn.rng.choice([", ", " ", ". ", ": "]))]
             else:
                 first = [*first, Piece(" "), *piece]
-        first = [piece for part in front for piece in part] + first
+        first = front + first
         wrapped = first if turn.is_terse else self._wrap("ask", first, turn)
         return [wrapped, *(self._wrap("also", more, turn) for more in asked[1:])]
 
@@ -198,7 +198,7 @@ class Composer:
             if 0.1 < wrapper < 0.45:
                 said = self._slot_phrase(slot, rng.choice(["say", "say", "with"]), turn)
             if not (turn.is_terse or wrapper < 0.1 or 0.3 < wrapper < 0.45):
-                said = self._around("answer", said, turn, slot)
+                said = self._fill(self._phrases.user["answer"], turn, slot, {"": said})
             parts.append(said)
         elif corrected or (wrong and turn.left and rng.random() < 0.6):
             slot = (corrected or turn.left)[0]
@@ -207,15 +207,9 @@ class Composer:
             if rng.random() < 0.5:
                 said = self._slot_phrase(slot, "with", turn)
             other = wrong.get(slot, "that")
-            parts.append(
-                self._around(
-                    "correct",
-                    said,
-                    turn,
-                    slot,
-                    {"wrong": [Piece("that" if other in (ANY, NO_MATCH_TEXT) else other)]},
-                )
-            )
+            other = "that" if other in (ANY, NO_MATCH_TEXT) else other
+            around = {"": said, "wrong": [Piece(other)]}
+            parts.append(self._fill(self._phrases.user["correct"], turn, slot, around))
         elif turn.left and question is None:
             parts.append(self._open(turn))
         parts += self._rest(turn, is_first=not parts)
@@ -266,16 +260,6 @@ class Composer:
 
     def _wrap(self, use: str, said: list[Piece], turn: _Turn) -> list[Piece]:
         return self._fill(self._phrases.user[use], turn, values={"q": said})
-
-    def _around(
-        self,
-        use: str,
-        said: list[Piece],
-        turn: _Turn,
-        slot: str,
-        more: Mapping[str, list[Piece]] | None = None,
-    ) -> list[Piece]:
-        return self._fill(self._phrases.user[use], turn, slot, {"": said, **(more or {})})
 
     def _fill(
         self,

@@ -25,6 +25,7 @@ __all__ = ["Generator", "chance", "sentence"]
 
 _MOST_IN_CONFLICT = 4
 _MOST_CHOICES = 5
+_NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
 
 # Values that bring their own: "it starts after 10pm", "it is tomorrow".
 _PREPOSITION = re.compile(
@@ -105,7 +106,7 @@ class Generator:
         complete = self._domain.complete_slot
         parts = []
         if frame.choices:
-            parts.append(self._choose(frame, rng))
+            parts.append(self._choose(frame.requests[0], frame.choices, rng))
         elif complete in told:
             wishes = {slot: value for slot, value in told.items() if slot != complete}
             parts.append(self._tell(complete, told[complete], {**(held or {}), **wishes}, rng))
@@ -138,19 +139,14 @@ class Generator:
             return sentence(self._fill(self._phrases.agent["again"], rng))
         unclear = understood.unclear[0]
         if unclear.candidates:
-            asked = Frame(
-                "multiple_choice", {}, (unclear.slot,), unclear.candidates[:_MOST_CHOICES]
-            )
-            return sentence(self._choose(asked, rng))
+            return sentence(self._choose(unclear.slot, unclear.candidates[:_MOST_CHOICES], rng))
         words = {"words": [Piece(unclear.text)]}
         return sentence(self._fill(self._phrases.agent["unknown"], rng, unclear.slot, words))
 
-    def _choose(self, frame: Frame, rng: random.Random) -> list[Piece]:
-        *most, last = frame.choices
-        choices = f"{', '.join(most)} or {last}" if most else last
-        return self._fill(
-            self._phrases.agent["choose"], rng, frame.requests[0], {"choices": [Piece(choices)]}
-        )
+    def _choose(self, slot: str, choices: Sequence[str], rng: random.Random) -> list[Piece]:
+        *most, last = choices
+        listed = f"{', '.join(most)} or {last}" if most else last
+        return self._fill(self._phrases.agent["choose"], rng, slot, {"choices": [Piece(listed)]})
 
     def _tell(
         self, slot: str, value: str, wishes: Mapping[str, str], rng: random.Random
@@ -180,7 +176,7 @@ class Generator:
         wanted = {
             slot: fold(value)
             for slot, value in wishes.items()
-            if slot not in ignored and value not in (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
+            if slot not in ignored and value not in _NO_WISH
         }
         matches = {
             slot: {row for row, record in enumerate(self._records) if record.get(slot) == value}
@@ -197,14 +193,12 @@ class Generator:
         """Returns what is wished, in the order of the domain's slots."""
         said: list[Piece] = []
         for slot in self._domain.slots:
-            value = wishes.get(slot)
-            if value in (None, ANY, NO_MATCH_TEXT, AVAILABLE_TEXT):
+            if (value := wishes.get(slot, ANY)) in _NO_WISH:
                 continue
+            if said:
+                said.append(Piece(", "))
             phrases = self._phrases.slots[slot].phrases["wish"]
-            said += [
-                *([Piece(", ")] if said else []),
-                *self._fill(phrases, rng, slot, {slot: [Piece(str(value))]}),
-            ]
+            said += self._fill(phrases, rng, slot, {slot: [Piece(value)]})
         return said or [Piece("as you wish")]
 
     def _fill(

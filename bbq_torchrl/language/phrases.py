@@ -197,7 +197,7 @@ def _unknown_names(phrases: Phrases, domain: Domain) -> Iterator[str]:
             for key, texts in entry.phrases.items()
         ),
     ]
-    rules = (*phrases.rules, *(rule for rule in ("thing",) if rule in phrases.user), *_DERIVED)
+    rules = (*phrases.rules, "thing", *_DERIVED)
     for where, texts in groups:
         for kind, name in dict.fromkeys(item for text in texts for item in text.names()):
             if kind == "slot" and name not in (*domain.slots, "", "q"):
