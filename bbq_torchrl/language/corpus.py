@@ -17,7 +17,7 @@ from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.lexicon import Lexicon
@@ -29,8 +29,6 @@ _NO_CONTENT = tuple(
     "greeting thanks deny confirm_answer not_sure closing welcome request inform confirm_question "
     "multiple_choice".split()
 )
-
-
 _SMALL_WORDS = frozenset(("in", "or", "ok", "hi", "me", "oh"))
 _DIALOGUES = 1_000
 _KEPT = 100  # of 500
@@ -143,6 +141,14 @@ def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
     return list(shapes.values()), [len(values) ** 0.5 for values in shapes.values()]
 
 
+def _drawn(
+    weights: Mapping[str, float], rng: random.Random, count: int, but: Sequence[str]
+) -> list[str]:
+    """Returns slots drawn by their weights, one perhaps several times, but none of some."""
+    slots = [slot for slot in weights if slot not in but]
+    return rng.choices(slots, [weights[slot] for slot in slots], k=count)
+
+
 class _Frames:
     """Draws what agents ask and users mean."""
 
@@ -151,6 +157,7 @@ class _Frames:
         self._domain, self._lexicon = domain, lexicon
         acts = {act for act in lexicon.phrases.user if act in domain.acts}
         self._slotless = [act for act in _NO_CONTENT if act in acts]
+        goals = len(domain.goals)
         requested = [s for goal in domain.goals for s in goal.requests]
         told = [a.slot for a in domain.actions if a.kind == "inform" and a.slot]
         asked = [a.slot for a in domain.actions if a.kind == "request" and a.slot]
@@ -159,15 +166,11 @@ class _Frames:
         self._told = [s for s in told if s in lexicon.slots]
         wanted = dict.fromkeys((*requested, *told, *asked))
         wanted.pop(domain.complete_slot, None)
-        self._wanted = {
-            slot: 1.0 + 3.0 * (requested.count(slot) / len(domain.goals)) ** 0.5 for slot in wanted
-        }
+        self._wanted = {slot: 1.0 + 3.0 * (requested.count(slot) / goals) ** 0.5 for slot in wanted}
         self._wanted[domain.ticket_slot] = 6.0
-        goals = len(domain.goals)
         self._valued = {
             slot: 0.35 + 2.0 * (constrained.count(slot) / goals) ** 0.5 for slot in lexicon.slots
         }
-
         self._wishes = {
             slot: [g.constraints[slot] for g in domain.goals if g.constraints.get(slot, ANY) != ANY]
             for slot in lexicon.slots
@@ -214,19 +217,13 @@ class _Frames:
         return rng.choice(self._lexicon.values(slot)) if value in _SMALL_WORDS else value
 
     def _values(self, rng: random.Random, count: int, but: tuple[str, ...] = ()) -> dict[str, str]:
-        values: dict[str, str] = {}
-        slots = [slot for slot in self._valued if slot not in but]
-        weights = [self._valued[slot] for slot in slots]
-        for slot in rng.choices(slots, weights, k=count):
-            values[slot] = self._value(slot, rng)
-        return values
+        slots = _drawn(self._valued, rng, count, but)
+        return {slot: self._value(slot, rng) for slot in slots}
 
     def _requests(
         self, rng: random.Random, count: int, but: tuple[str, ...] = ()
     ) -> tuple[str, ...]:
-        slots = [slot for slot in self._wanted if slot not in but]
-        weights = [self._wanted[slot] for slot in slots]
-        return tuple(dict.fromkeys(rng.choices(slots, weights, k=count)))
+        return tuple(dict.fromkeys(_drawn(self._wanted, rng, count, but)))
 
     def _slotless_act(self, rng: random.Random) -> Frame:
         return Frame(rng.choice(self._slotless))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.counts import COUNT_WORDS
@@ -196,47 +195,35 @@ class Features:
             elif at in spans:
                 line.append(f"<{tag}>")
                 slots.append(tag)
-        nouns = [self._nouns.get(word, [""])[0] for word in line]
-        line = ["^", *line, "$"]
-        abstract = [
-            "^",
-            *(f"N:{noun}" if noun else word for word, noun in zip(line[1:-1], nouns, strict=True)),
-            "$",
-        ]
-        items = [
-            "bias",
-            *(f"q={item}" for item in asked),
-            f"n={min(len(line) - 2, 8)}",
-            f"k={min(len(slots), 4)}",
-        ]
+        items = ["bias", *(f"q={item}" for item in asked)]
+        items += [f"n={min(len(line), 8)}", f"k={min(len(slots), 4)}"]
+        nouns = self._nouns
+        abstract = [f"N:{nouns[word][0]}" if word in nouns else word for word in line]
+        line, abstract = ["^", *line, "$"], ["^", *abstract, "$"]
+        named = [slot for word in line for slot in nouns.get(word, ())]
         content = [word for word in line if word.isalnum() or word[0] in "<^$" or "'" in word]
         for size in (1, 2, 3):
-            items += [
-                f"{size}={'_'.join(content[at : at + size])}"
-                for at in range(len(content) - size + 1)
-            ]
+            items += [f"{size}={run}" for run in _runs(content, size)]
         for size in (2, 3):
-            items += [
-                f"a{size}={'_'.join(abstract[at : at + size])}"
-                for at in range(len(abstract) - size + 1)
-            ]
+            items += [f"a{size}={run}" for run in _runs(abstract, size)]
         items += [f"skip={a}_{b}" for a, b in zip(content, content[2:], strict=False)]
         items += [f"stem={word[:4]}" for word in content if len(word) > 4 and word[0].isalpha()]
-        items += [f"N={slot}" for word in line for slot in self._nouns.get(word, ())]
+        items += [f"N={slot}" for slot in named]
         items += [f"S={slot}" for slot in slots]
         items += [f"q={act}&1={word}" for word in content]
-        items += [f"q={act}&2={a}_{b}" for a, b in pairwise(content)]
+        items += [f"q={act}&2={run}" for run in _runs(content, 2)]
         items += [f"q&S={slot in asked}{slot in told}" for slot in slots]
-        items += [
-            f"q&N={slot in asked}{slot in told}"
-            for word in line
-            for slot in self._nouns.get(word, ())
-        ]
+        items += [f"q&N={slot in asked}{slot in told}" for slot in named]
         items += [f"first={content[1]}", f"first={'_'.join(content[1:3])}", f"last={content[-2]}"]
         items += [f"q={act}&first={content[1]}"]
         if "?" in words:
             items.append("question-mark")
         return items
+
+
+def _runs(words: Sequence[str], size: int) -> list[str]:
+    """Returns every so many words in a row, joined."""
+    return ["_".join(words[at : at + size]) for at in range(len(words) - size + 1)]
 
 
 @lru_cache(maxsize=100_000)
