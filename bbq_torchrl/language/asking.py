@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from bbq_torchrl.language.frames import Frame
@@ -74,7 +74,7 @@ class Asking:
                 could be read (``None``), the system asks for other words.
         """
         if understood is None or not understood.unclear:
-            return Asking(self.times + 1, self.waiting, self.slot, self.choices)
+            return replace(self, times=self.times + 1)
         unclear = understood.unclear[0]
         waiting = self.joined(understood.frame)
         return Asking(self.times + 1, waiting, unclear.slot, unclear.candidates)

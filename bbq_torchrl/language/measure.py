@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.language.frames import AVAILABLE_TEXT, Frame
 from bbq_torchrl.language.labeled import Line, read_lines
 from bbq_torchrl.language.noise import lowered, with_typos
-from bbq_torchrl.language.templates import Piece, parse, plain
-from bbq_torchrl.language.templates import expand as expand_template
+from bbq_torchrl.language.templates import Piece, expand, parse, plain
 from bbq_torchrl.language.understand import keys_of, same_frame
 
 if TYPE_CHECKING:
@@ -172,7 +171,7 @@ def other_hand(understand: Understander, path: Path) -> list[Line]:
             pieces = {slot: [Piece(value, slot)] for slot, value in values.items()}
             frame = _meant(meaning, values)
             question = _said(said, understand, rng)
-            lines.append(Line(question, plain(expand_template(template, pieces, {}, rng)), frame))
+            lines.append(Line(question, plain(expand(template, pieces, {}, rng)), frame))
     return lines
 
 

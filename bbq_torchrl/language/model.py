@@ -121,7 +121,7 @@ def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:
 def fit(
     lexicon: Lexicon,
     examples: Sequence[Example],
-    simulated: Sequence[Example] = (),
+    simulated: Sequence[Example],
     *,
     seed: int,
     steps: int,

@@ -69,13 +69,7 @@ def play(domain: Domain, dialogues: int, *, seed: int = 0, kept: int = 4) -> Tur
     return found
 
 
-def _keep(
-    found: Turns,
-    coding: Coding,
-    state: TensorDict,
-    held: torch.Tensor,
-    kept: int,
-) -> None:
+def _keep(found: Turns, coding: Coding, state: TensorDict, held: torch.Tensor, kept: int) -> None:
     few = FIRST_VALUE  # ids below are reserved and read differently
     rows = torch.cat(
         [
