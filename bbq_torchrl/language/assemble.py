@@ -1,4 +1,4 @@
-"""From a reading to a frame: values linked, short answers and corrections understood."""
+"""From a reading to a frame: short answers, and the likeliest act and questions."""
 
 from __future__ import annotations
 
@@ -8,44 +8,24 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.counts import COUNT_WORDS
 from bbq_torchrl.language.frames import ANY, NO_MATCH_TEXT, Frame, Unclear, asked_slot
+from bbq_torchrl.language.mentions import FAIR, LONGEST, SHORT, values_of
 from bbq_torchrl.language.number_words import NUMBER_WORDS
-from bbq_torchrl.language.quantities import (
-    DAY_WORDS,
-    MONTH_WORDS,
-    ORDINAL_WORDS,
-    PART_WORDS,
-)
-from bbq_torchrl.language.tagger import OUTSIDE, spans_of
+from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bbq_torchrl.language.lexicon import Lexicon, Link
+    from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.model import Reading
 
 __all__ = ["assemble", "chosen"]
 
-_CORRECTS = frozenset(
-    "no not nope nah actually instead rather better sorry wait meant mean wrong".split()
-)
-_CONCLUDES = frozenset(
-    "so let's lets make makes put give otherwise prefer better please but now want wants need "
-    "then".split()
-)
-_REASONS = frozenset(("since", "because", "although", "though", "unless", "cause", "cuz", "as"))
-_NOT = frozenset(("not", "isn't", "isnt", "except", "anything"))
 _PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
 _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
 _ORDER |= {"last": -1, "latter": -1}
 _COUNTS = NUMBER_WORDS | frozenset("me i with alone myself couple pair both dozen".split())
-_QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
-_SHORT = 4
 _SURE = 0.95
-_FAIR = 0.85
-_LONGEST = 8
-_LIKELY = 0.85
-_LEAST = 0.4
 _ALSO = 0.7  # "what is there in the evening?" tells the time and asks for it
 _RATHER = 0.1
 _FAINT = 0.3
@@ -111,7 +91,7 @@ def assemble(
     if asked is not None and offered is not None:
         return Frame("inform", {asked: offered}), ()
     act = lexicon.domain.acts[int(reading.acts.argmax())]
-    informs, unclear = _values(words, reading, question, lexicon)
+    informs, unclear = values_of(words, reading, question, lexicon)
     asks = act == "request" and "?" in words  # "comedies?" is more than a name
     if not asks and (short := _short_answer(words, reading, asked, lexicon)) is not None:
         return Frame("inform", short), ()
@@ -120,7 +100,7 @@ def assemble(
         if act == "inform" and not unclear and reading.dont_care.max() < _FAINT:
             informs = _named(words, asked, lexicon)
     checked = question.informs if question and question.act == "confirm_question" else {}
-    if checked and not informs and words[0] in _YES and len(words) <= _SHORT:
+    if checked and not informs and words[0] in _YES and len(words) <= SHORT:
         return Frame("inform", dict(checked)), ()
     is_strange = reading.unknown == 1.0 and not (informs or unclear)
     if is_strange and act not in _ABOUT_VALUES and asked is not None:
@@ -193,7 +173,7 @@ def _short_answer(
     words: Sequence[str], reading: Reading, slot: str | None, lexicon: Lexicon
 ) -> dict[str, str] | None:
     """Returns the value of the slot asked for, if the words are just one of its names."""
-    if slot is None or len(words) > _SHORT:
+    if slot is None or len(words) > SHORT:
         return None
     if lexicon.kinds.get(slot) == "count" and (
         "?" in words or not {OUTSIDE, slot}.issuperset(reading.tags)
@@ -215,10 +195,10 @@ def _short_answer(
 
 def _ties(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> tuple[Unclear, ...]:
     """Returns the values of the slot asked for that a short answer may mean equally well."""
-    if slot not in lexicon.slots or len(words) > _SHORT:
+    if slot not in lexicon.slots or len(words) > SHORT:
         return ()
     link = lexicon.link(slot, text := " ".join(words))
-    if len(link.values) < 2 or link.score < _FAIR:
+    if len(link.values) < 2 or link.score < FAIR:
         return ()
     return (Unclear(slot, text, link.values),)
 
@@ -228,7 +208,7 @@ def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str
     if slot not in lexicon.slots:
         return {}
     is_count = lexicon.kinds[slot] == "count"
-    for size in range(min(len(words), _LONGEST), 0, -1):
+    for size in range(min(len(words), LONGEST), 0, -1):
         for start in range(len(words) - size + 1):
             own = words[start : start + size]
             if is_count and not (COUNT_WORDS.issuperset(own) and _COUNTS.intersection(own)):
@@ -237,7 +217,7 @@ def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str
             if lexicon.kinds[slot] == "text" and len(name) < _LEAST_LETTERS:
                 continue  # "ok" is Oklahoma where it stands alone.
             link = lexicon.link(slot, name)
-            if link.score == 1.0 and len(link.values) == 1:
+            if link.is_exact:
                 return {slot: link.values[0]}
     return {}
 
@@ -247,137 +227,3 @@ def _accepts(words: Sequence[str], question: Frame | None, offer: str) -> bool:
     if question is None or question.informs.get(offer, NO_MATCH_TEXT) == NO_MATCH_TEXT:
         return False
     return words[0] in _YES
-
-
-def _values(
-    words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
-) -> tuple[dict[str, str], tuple[Unclear, ...]]:
-    """Returns slot to value, and what is unclear."""
-    asked = asked_slot(question)
-    found: dict[str, list[tuple[str, tuple[str, ...], float, bool]]] = {}
-    first: dict[str, int] = {}
-    concluded: set[str] = set()
-    for slot, start, end in spans_of(reading.tags):
-        text = " ".join(words[start:end])
-        if lexicon.kinds[slot] == "count":
-            start, end = _company(slot, words, start, end, lexicon)
-            text = " ".join(words[start:end])
-        link = lexicon.link(slot, text)
-        if not link.values and (other := lexicon.only_slot(text)) is not None:
-            slot, link = other, lexicon.link(other, text)
-        parts = [(text, link)] if link.values else _within(slot, words[start:end], lexicon)
-        if not link.values and lexicon.kinds[slot] != "text" and not _is_quantity(words[start:end]):
-            continue  # No number, day or clock in it: a word that only stood where one could.
-        if lexicon.kinds[slot] == "text" and link.score < 1.0:
-            inside = _within(slot, words[start:end], lexicon)
-            if exact := [part for part in inside if part[1].score == 1.0]:
-                parts = exact  # "one drama"
-            elif slot != asked and min(reading.each_chance[start:end]) < (
-                _LIKELY if end - start == 1 or link.score < _FAIR else _LEAST
-            ):
-                continue  # Words that are no more than like a name are often none.
-        before = set(words[max(0, start - 2) : start])
-        if slot in first and not _CONCLUDES.isdisjoint(words[first[slot] : start]):
-            concluded.add(slot)
-        elif slot in first and not _REASONS.isdisjoint(words[first[slot] : start]):
-            continue  # "Thursday night, since Friday is a holiday"
-        first.setdefault(slot, end)
-        found.setdefault(slot, []).extend(
-            (part, link.values, link.score, bool(before & _NOT)) for part, link in parts
-        )
-        if (other_name := _or(slot, words, start, end, lexicon)) is not None:
-            found[slot].append((*other_name, False))
-    corrects = bool(_CORRECTS & set(words))
-    informs: dict[str, str] = {}
-    unclear: list[Unclear] = []
-    for slot, links in found.items():
-        known = [link for link in links if link[1]]
-        if len(known) > 1 and (corrects or slot in concluded):
-            known = ([link for link in known if not link[3]] or known)[-1:]
-        if any(link[2] == 1.0 and len(link[1]) == 1 for link in known):
-            # Beside a name in full, words that are no more than like one are none.
-            known = [link for link in known if link[2] == 1.0]
-        if not known:
-            unclear.append(Unclear(slot, links[-1][0]))
-            continue
-        keys = {lexicon.key(slot, value): value for link in known for value in link[1]}
-        if len(keys) > 1:
-            keys = _narrowed(slot, keys, known, lexicon)
-        if len(keys) > 1 and question is not None and slot in question.informs:
-            # "Tulsa? I live in Tucson": what the agent has said is repeated to be denied.
-            keys.pop(lexicon.key(slot, question.informs[slot]), None)
-            known = [link for link in known if lexicon.key(slot, link[1][0]) in keys] or known
-        if len(keys) == 1:
-            informs[slot] = known[-1][1][0] if len(known[-1][1]) == 1 else next(iter(keys.values()))
-        else:
-            unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
-    return informs, tuple(unclear)
-
-
-def _company(
-    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
-) -> tuple[int, int]:
-    """Returns where the whole of a number of people stands: "with my two" brothers is three."""
-    first, last = start, end
-    while first > 0 and words[first - 1] in COUNT_WORDS:
-        first -= 1
-    while last < len(words) and words[last] in COUNT_WORDS:
-        last += 1
-    for at in range(first, start + 1):
-        for stop in range(last, end - 1, -1):
-            if len(lexicon.link(slot, " ".join(words[at:stop])).values) == 1:
-                return at, stop
-    return start, end
-
-
-def _or(
-    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
-) -> tuple[str, tuple[str, ...], float] | None:
-    """Returns the other name of "this or that", of which one may not have been tagged."""
-    for size in range(_SHORT, 0, -1):
-        for at, own in (
-            (end, words[end + 1 : end + 1 + size]),
-            (start - 1, words[max(start - 1 - size, 0) : max(start - 1, 0)]),
-        ):
-            link = lexicon.link(slot, " ".join(own)) if words[at : at + 1] == ["or"] else None
-            if link is not None and len(link.values) == 1 and link.score == 1.0:
-                return " ".join(own), link.values, link.score
-    return None
-
-
-def _is_quantity(words: Sequence[str]) -> bool:
-    """Returns whether words have a number, a day, a month or a part of the day."""
-    return any(any(map(str.isdigit, word)) or word in _QUANTITY_WORDS for word in words)
-
-
-def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str, Link]]:
-    """Returns names inside of words that are none as a whole, the longest from left to right."""
-    found = []
-    at = 0
-    has_month = not MONTH_WORDS.isdisjoint(words)
-    while at < len(words):
-        for end in range(min(len(words), at + _LONGEST), at, -1):
-            text = " ".join(words[at:end])
-            # A day that its month does not have is no day of another month.
-            if has_month and re.search(r"\d", text) and MONTH_WORDS.isdisjoint(words[at:end]):
-                continue
-            link = lexicon.link(slot, text) if any(map(str.isalnum, text)) else None
-            if link is not None and len(link.values) == 1 and link.score >= _FAIR:
-                found.append((text, link))
-                at = end
-                break
-        else:
-            at += 1
-    return found or [(" ".join(words), lexicon.link(slot, " ".join(words)))]
-
-
-def _narrowed(
-    slot: str,
-    keys: dict[str, str],
-    known: list[tuple[str, tuple[str, ...], float, bool]],
-    lexicon: Lexicon,
-) -> dict[str, str]:
-    """Returns the values that all mentions of the slot may mean, if there are any."""
-    sets = [{lexicon.key(slot, value) for value in link[1]} for link in known]
-    common = set.intersection(*sets)
-    return {key: value for key, value in keys.items() if key in common} or keys

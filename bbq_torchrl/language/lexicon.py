@@ -45,6 +45,11 @@ class Link:
     values: tuple[str, ...]
     score: float
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether it is one value, named in full."""
+        return len(self.values) == 1 and self.score == 1.0
+
 
 class Lexicon:
     """A domain's values by slot, with one canonical key for all spellings of a value.
