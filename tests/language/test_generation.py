@@ -17,6 +17,7 @@ from bbq_torchrl.language import (
     load_phrases,
 )
 from bbq_torchrl.language.compose import Composer
+from bbq_torchrl.language.corpus import make_examples
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.simulated import play
 from bbq_torchrl.language.templates import plain
@@ -103,6 +104,11 @@ def test_a_domain_without_phrases_speaks_by_generic_ones(restaurant):
         said = {speak.user(Frame("inform", {slot: value}), session=s) for s in range(20)}
         assert len(said) >= 8
         assert all(value.lower() in text.lower() for text in said)
+
+
+def test_no_sentence_of_the_grammar_tells_what_it_asks_for(lexicon):
+    for example in make_examples(lexicon, 500, seed=0):
+        assert set(example.frame.requests).isdisjoint(example.frame.informs), example
 
 
 def test_generic_phrases_ask_several_things_at_once():

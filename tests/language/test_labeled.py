@@ -67,11 +67,9 @@ def test_both_files_of_lines_in_a_domains_folder_are_learned(understand, tmp_pat
         assert taught(sentence, question).frame == Frame("closing")
 
 
-def test_a_line_is_learned_with_other_values_as_well(lexicon, tmp_path):
-    path = tmp_path / "own.txt"
-    path.write_text(" | is wonka on in reno tonight | request(ticket) inform(moviename=wonka, "
-                    "city=reno, date=tonight)\n")  # fmt: skip
-    examples = as_examples(read_lines(path, movie_domain()), lexicon)
+def test_a_line_is_learned_with_other_values_as_well(lexicon):
+    meant = Frame.parse("request(ticket) inform(moviename=wonka, city=reno, date=tonight)")
+    examples = as_examples([Line(None, "is wonka on in reno tonight", meant)], lexicon)
     found = varied(examples, lexicon, lambda slot, value, rng: value, copies=20, seed=0)
     assert found[0] == examples[0]
     cities = set()
@@ -103,7 +101,7 @@ def test_lines_that_cannot_be_read_are_all_named(tmp_path):
      "multiple_choice(date=saturday, date=sunday)"],
 )  # fmt: skip
 def test_a_frame_is_written_as_it_is_read(text):
-    assert str(Frame.parse(text, movie_domain())) in (text, "request(date) inform(city=reno)")
+    assert str(Frame.parse(text, movie_domain())) == text
 
 
 @pytest.mark.parametrize("text", ["", "(", "inform(city)", "request(city=reno)", "inform(a=1", "!"])

@@ -1,10 +1,8 @@
 from __future__ import annotations
 
-import hashlib
 import os
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,6 +28,7 @@ from bbq_torchrl.language.words import tokenize
         ("request(state)", "la", {"state": "la"}),
         ("request(starttime)", "tonight", {"starttime": "tonight"}),
         ("request(date)", "tonight", {"date": "tonight"}),
+        ("request(city)", "any", {"city": ANY}),
     ],
 )
 def test_a_short_answer_is_read_in_the_light_of_the_question(understand, question, text, informs):
@@ -47,10 +46,6 @@ def test_a_choice_is_taken_by_its_place_or_its_words(understand):
 def test_yes_to_a_value_tells_the_value(understand):
     question = Frame("confirm_question", {"city": "reno"})
     assert understand("yes", question).frame == Frame("inform", {"city": "reno"})
-
-
-def test_any_means_the_slot_asked_for(understand):
-    assert understand("any", Frame("request", {}, ("city",))).frame.informs == {"city": ANY}
 
 
 def test_a_name_that_fits_two_values_is_asked_about_not_picked(understand):
@@ -84,16 +79,21 @@ def test_of_values_set_against_each_other_the_meant_one_is_heard(
     assert understand(text, Frame("request", {}, (question,))).frame.informs == informs
 
 
+def _sure_of(act, tags, **asked):
+    """Returns a reading of words with these tags, sure of an act and of questions."""
+    domain = movie_domain()
+    acts = torch.tensor([-0.1 if name == act else -2.5 for name in domain.acts])
+    requests = torch.tensor([asked.get(slot, 0.0) for slot in domain.slots])
+    no_care = torch.zeros_like(requests)
+    return Reading(tags, 1.0, [1.0] * len(tags), acts, requests, no_care, 0.0)
+
+
 @pytest.mark.parametrize("act", ["request", "inform"])
 def test_a_name_that_is_asked_about_is_a_question(understand, act):
-    domain, lexicon = understand.domain, understand.lexicon
-    acts = torch.tensor([0.8 if name == act else 0.01 for name in domain.acts]).log()
-    requests = torch.tensor([0.9 * (act == "request" and s == "moviename") for s in domain.slots])
-    tags = ["genre", OUTSIDE]
-    reading = Reading(tags, 0.9, [0.9, 0.9], acts, requests, torch.zeros_like(requests), 0.0)
-    question = Frame("request", {}, ("moviename",))
-    frame, unclear = assemble(["comedies", "?"], reading, question, lexicon)
     asked = ("moviename",) if act == "request" else ()
+    reading = _sure_of(act, ["genre", OUTSIDE], **dict.fromkeys(asked, 0.9))
+    question = Frame("request", {}, ("moviename",))
+    frame, unclear = assemble(["comedies", "?"], reading, question, understand.lexicon)
     assert (frame, unclear) == (Frame(act, {"genre": "comedy"}, asked), ())
 
 
@@ -162,8 +162,7 @@ def test_what_is_saved_understands_the_same(understand, tmp_path):
         assert again(text) == understand(text)
     assert (tmp_path / "u.npz").stat().st_size <= 3_000_000
     again.save(tmp_path / "v.npz")
-    digests = {hashlib.sha256((tmp_path / n).read_bytes()).hexdigest() for n in ("u.npz", "v.npz")}
-    assert len(digests) == 1
+    assert (tmp_path / "u.npz").read_bytes() == (tmp_path / "v.npz").read_bytes()
 
 
 LINKS = """
@@ -205,36 +204,24 @@ def test_two_processes_train_the_same_bytes(tmp_path):
     ("offer", "act"), [("ticket available", "thanks"), ("no match", "request")]
 )
 def test_agreeing_to_a_booking_in_a_word_and_asking_is_thanks(understand, offer, act):
-    domain, words = movie_domain(), ["sure", ".", "price", "?"]
-    acts = torch.tensor([0.0 if name == "request" else -9.0 for name in domain.acts])
-    requests = torch.tensor([float(slot == "price") for slot in domain.slots])
-    no_care = torch.zeros(len(domain.slots))
-    reading = Reading([OUTSIDE] * 4, 1.0, [1.0] * 4, acts, requests, no_care, 0.0)
+    words = ["sure", ".", "price", "?"]
+    reading = _sure_of("request", [OUTSIDE] * 4, price=1.0)
     question = Frame("inform", {"taskcomplete": offer})
     frame, _ = assemble(words, reading, question, understand.lexicon)
     assert (frame.act, frame.requests) == (act, ("price",))
 
 
-def _sure_of(act, **asked):
-    """Returns a reading of three words without values, sure of an act and of questions."""
-    domain = movie_domain()
-    acts = torch.tensor([-0.1 if name == act else -2.5 for name in domain.acts])
-    requests = torch.tensor([asked.get(slot, 0.0) for slot in domain.slots])
-    return Reading([OUTSIDE] * 3, 1.0, [1.0] * 3, acts, requests, torch.zeros(len(requests)), 0.0)
-
-
 def test_act_and_questions_are_chosen_together(understand):
-    words = ["is", "it", "pricey"]
     question = Frame("request", {}, ("genre",))
-    sure = assemble(words, _sure_of("greeting", price=0.99), question, understand.lexicon)
-    assert sure[0] == Frame("request", {}, ("price",))
-    unsure = assemble(words, _sure_of("greeting", price=0.6), question, understand.lexicon)
-    assert unsure[0] == Frame("greeting")
+    for chance, meant in ((0.99, Frame("request", {}, ("price",))), (0.6, Frame("greeting"))):
+        reading = _sure_of("greeting", [OUTSIDE] * 3, price=chance)
+        frame, _ = assemble(["is", "it", "pricey"], reading, question, understand.lexicon)
+        assert frame == meant
 
 
 def test_of_a_value_that_the_agent_said_and_another_the_other_is_meant(understand):
     words = ["tulsa", "?", "tucson"]
-    reading = replace(_sure_of("inform"), tags=["city", OUTSIDE, "city"])
+    reading = _sure_of("inform", ["city", OUTSIDE, "city"])
     question = Frame("inform", {"city": "tulsa"})
     frame, unclear = assemble(words, reading, question, understand.lexicon)
     assert (frame, unclear) == (Frame("inform", {"city": "tucson"}), ())
@@ -242,7 +229,7 @@ def test_of_a_value_that_the_agent_said_and_another_the_other_is_meant(understan
 
 def test_repeating_what_the_agent_told_agrees_to_it(understand):
     words, question = ["tulsa", "is", "fine"], Frame("inform", {"city": "tulsa"})
-    reading = replace(_sure_of("thanks"), tags=["city", OUTSIDE, OUTSIDE])
+    reading = _sure_of("thanks", ["city", OUTSIDE, OUTSIDE])
     frame, _ = assemble(words, reading, question, understand.lexicon)
     assert frame == Frame("thanks")
     other = Frame("inform", {"city": "reno"})
@@ -252,8 +239,7 @@ def test_repeating_what_the_agent_told_agrees_to_it(understand):
 
 def test_a_number_of_people_is_read_with_the_company_around_it(understand):
     words = ["with", "my", "three", "brothers"]
-    reading = replace(_sure_of("inform"), tags=[OUTSIDE, OUTSIDE, "numberofpeople", OUTSIDE])
-    reading = replace(reading, each_chance=[1.0] * 4)
+    reading = _sure_of("inform", [OUTSIDE, OUTSIDE, "numberofpeople", OUTSIDE])
     frame, _ = assemble(words, reading, None, understand.lexicon)
     assert frame.informs == {"numberofpeople": "4"}
 
