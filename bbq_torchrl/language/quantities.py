@@ -212,7 +212,7 @@ def read_date(text: str) -> str | None:
         return "today night"
     if words == ["this"] and part:
         return f"today{' night' if part == ' evening' else part}"
-    if words in (["today"], ["later", "today"], ["this", "day"]):
+    if words in (["today"], ["later", "today"]):
         return " ".join(words) + part
     if len(words) == 1 and words[0] in _TOMORROW:
         return f"tomorrow{part}"
