@@ -102,11 +102,11 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
-    from bbq_torchrl.options.env.dialogue import DialogueOption
+    from bbq_torchrl.options.env.full import FullDomain
     from bbq_torchrl.trainers import derive_seed, keep_freed_memory
 
     option = config.env
-    if not isinstance(option, DialogueOption):
+    if not isinstance(option, FullDomain):
         raise ConfigError(
             f"env must be one of full, domain_ext, whose error level can be set, got "
             f"{option.name!r}"

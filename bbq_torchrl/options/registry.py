@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import importlib
 import os
+import pkgutil
 import sys
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -45,27 +46,6 @@ EXPERIMENT = "experiment"
 
 GROUPS = ("agent", "explore", "intrinsic", "env", "domain", "spike", "protocol", "logger")
 """The groups, in the order that help and documentation have."""
-
-_BUILT_IN = (
-    "agent.bbqn",
-    "agent.dqn",
-    "agent.bootstrap",
-    "explore.thompson",
-    "explore.epsilon_greedy",
-    "explore.boltzmann",
-    "explore.greedy",
-    "explore.bootstrap",
-    "explore.noisy",
-    "intrinsic.none",
-    "intrinsic.vime",
-    "env.dialogue",
-    "domain.movie",
-    "domain.miulab",
-    "domain.folder",
-    "spikes",
-    "protocols",
-    "loggers",
-)
 
 _OPTIONS: dict[str, dict[str, type[Option]]] = {group: {} for group in GROUPS}
 _loaded: set[str] = set()
@@ -106,8 +86,12 @@ def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
         ConfigError: a package or file of options that cannot be imported.
     """
     if ENTRY_POINTS not in _loaded:
-        for module in _BUILT_IN:
-            importlib.import_module(f"{__package__}.{module}")
+        for group in GROUPS:
+            package = importlib.import_module(f"{__package__}.{group}")
+            for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+                importlib.import_module(module.name)
+            ours = sorted(_OPTIONS[group].items(), key=lambda item: item[1].order)
+            _OPTIONS[group] = dict(ours)
         for point in entry_points(group=ENTRY_POINTS):
             try:
                 point.load()
@@ -224,7 +208,7 @@ def _group(option: type[Option]) -> str:
 
 def _name(option: type[Option]) -> str:
     default = next(item.default for item in fields(option) if item.name == "name")
-    if default is MISSING or not isinstance(default, str) or not default.isidentifier():
+    if not isinstance(default, str) or not default.isidentifier():
         raise TypeError(f"{option.__qualname__}.name must be option('<name>'), got {default!r}")
     return default
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from bbq_torchrl.options.base import (
-    AgentOption,
-    DomainOption,
-    ExploreOption,
-    IntrinsicOption,
-    LoggerOption,
-    Option,
-)
-from bbq_torchrl.options.env_base import EnvOption  # noqa: TC001 (OmegaConf reads it)
-from bbq_torchrl.options.protocols import ProtocolOption  # noqa: TC001 (OmegaConf reads it)
+from bbq_torchrl.options.agent import AgentOption  # noqa: TC001 (OmegaConf reads them)
+from bbq_torchrl.options.base import Option
+from bbq_torchrl.options.domain import DomainOption  # noqa: TC001
+from bbq_torchrl.options.env import EnvOption  # noqa: TC001
+from bbq_torchrl.options.explore import ExploreOption  # noqa: TC001
+from bbq_torchrl.options.intrinsic import IntrinsicOption  # noqa: TC001
+from bbq_torchrl.options.logger import LoggerOption  # noqa: TC001
+from bbq_torchrl.options.protocol import ProtocolOption  # noqa: TC001
 from bbq_torchrl.options.registry import explorations
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
@@ -32,7 +30,7 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
-from bbq_torchrl.options.spikes import SpikeOption  # noqa: TC001 (OmegaConf reads it)
+from bbq_torchrl.options.spike import SpikeOption  # noqa: TC001
 from bbq_torchrl.options.values import check_values
 
 __all__ = ["CalibrateConfig", "Config", "EvaluateConfig", "validate"]

@@ -116,6 +116,12 @@ def test_what_is_no_option_is_refused(given, message):
         register(given)
 
 
+def test_each_of_ours_is_the_file_of_its_group_and_name():
+    for group, known in registry.schemas().items():
+        for name, schema in known.items():
+            assert schema.__module__ == f"bbq_torchrl.options.{group}.{name}"
+
+
 def test_a_name_is_taken_once_and_by_the_same_class_again():
     @dataclass
     class Mine(ExploreOption):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 PROGRAM = """
 import builtins, sys
 import bbq_torchrl.options
+bbq_torchrl.options.schemas()
 assert "torch" not in sys.modules, "options load torch"
 import bbq_torchrl.domains, bbq_torchrl.simulator
 assert "torchrl" not in sys.modules, "domains or simulator load torchrl"

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from bbq_torchrl.options.base import AgentOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import AgentOption, ConfigError, register
 from bbq_torchrl.options.settings import (
     NON_NEGATIVE,
     POSITIVE,
     SIZE,
-    ConfigError,
     Values,
     one_of,
     option,
@@ -27,8 +25,7 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options.root import Config
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Config, Task
 
 __all__ = ["BBQN", "EVALUATION_MODES"]
 
@@ -76,6 +73,7 @@ class BBQN(AgentOption):
     )
     evaluate_draws: int = setting(10, SIZE, "draws that evaluate=average takes the mean of")
 
+    order: ClassVar[float] = 1
     offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import AgentOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import AgentOption, ConfigError, register
 from bbq_torchrl.options.settings import (
     ABOVE_ZERO_TO_ONE,
     BOOLEAN,
     NON_NEGATIVE,
     NON_NEGATIVE_INTEGER,
     SIZE,
-    ConfigError,
     option,
     optional,
     setting,
@@ -26,8 +24,7 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options.root import Config
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Config, Task
 
 __all__ = ["Bootstrap"]
 
@@ -52,6 +49,7 @@ class Bootstrap(AgentOption):
     )
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
 
+    order: ClassVar[float] = 3
     # Its greedy action is what most heads vote for: there is no value to put into a softmax.
     offers: ClassVar[tuple[str, ...]] = ("heads",)
     explores_by: ClassVar[str] = "bootstrap"

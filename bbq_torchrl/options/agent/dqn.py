@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import AgentOption
-from bbq_torchrl.options.registry import register
-from bbq_torchrl.options.settings import BELOW_ONE, BOOLEAN, ConfigError, option, setting
+from bbq_torchrl.options import AgentOption, ConfigError, register
+from bbq_torchrl.options.settings import BELOW_ONE, BOOLEAN, option, setting
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options.root import Config
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Config, Task
 
 __all__ = ["DQN"]
 
@@ -34,6 +32,7 @@ class DQN(AgentOption):
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online network")
     noisy: bool = setting(False, BOOLEAN, "NoisyNet layers in the place of dropout")
 
+    order: ClassVar[float] = 2
     offers: ClassVar[tuple[str, ...]] = ("values", "noise")
     explores_by: ClassVar[str] = "epsilon_greedy"
 

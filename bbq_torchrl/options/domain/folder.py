@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.options.base import DomainOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import DomainOption, register
 from bbq_torchrl.options.settings import ANY_TEXT, REQUIRED, option, setting
 
 if TYPE_CHECKING:

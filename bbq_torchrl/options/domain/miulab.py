@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import DomainOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import DomainOption, register
 from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, option, setting
 
 if TYPE_CHECKING:
@@ -30,6 +29,8 @@ class MiuLabDomain(DomainOption):
         BOOLEAN,
         "goals, rows and slots that cannot be used are left out and named, or refused",
     )
+
+    order: ClassVar[float] = 2
 
     def make(self) -> Domain:
         """Reads the files."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import DomainOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import DomainOption, register
 from bbq_torchrl.options.settings import option
 
 if TYPE_CHECKING:
@@ -21,6 +20,8 @@ class MovieDomain(DomainOption):
     """The movie-booking corpus that ships with the package."""
 
     name: str = option("movie")
+
+    order: ClassVar[float] = 1
 
     def make(self) -> Domain:
         """Loads it."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import ExploreOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import ExploreOption, register
 from bbq_torchrl.options.settings import (
     POSITIVE,
     PROBABILITY,
@@ -21,9 +20,7 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.options.base import Exploration
-    from bbq_torchrl.options.root import Config
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Config, Exploration, Task
 
 __all__ = ["BoltzmannActing"]
 
@@ -44,6 +41,7 @@ class BoltzmannActing(ExploreOption):
         0.5, PROBABILITY, "share of the rounds over which the temperature falls, linearly"
     )
 
+    order: ClassVar[float] = 4
     needs: ClassVar[tuple[str, ...]] = ("values",)
 
     def check(self, config: Config) -> None:

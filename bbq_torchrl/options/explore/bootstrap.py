@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import ExploreOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import ExploreOption, register
 from bbq_torchrl.options.settings import one_of, option, setting
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.options.base import Exploration
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Exploration, Task
 
 __all__ = ["BootstrapActing"]
 
@@ -29,6 +27,7 @@ class BootstrapActing(ExploreOption):
         "episode", one_of("step", "episode", "round"), "how long one draw of a head is kept"
     )
 
+    order: ClassVar[float] = 6
     needs: ClassVar[tuple[str, ...]] = ("heads",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:

@@ -1,13 +1,11 @@
-"""``explore=epsilon_greedy`` and ``thompson_epsilon``: now and then a random action."""
+"""``explore=epsilon_greedy``: now and then a random action."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import ExploreOption
-from bbq_torchrl.options.explore.thompson import Thompson
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import ExploreOption, register
 from bbq_torchrl.options.settings import PROBABILITY, Values, option, per_replica, setting
 from bbq_torchrl.options.values import annealed_rounds, beside_dialogues, check_falls
 
@@ -15,11 +13,9 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.options.base import Exploration
-    from bbq_torchrl.options.root import Config
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Config, Exploration, Task
 
-__all__ = ["EpsilonGreedy", "ThompsonEpsilon"]
+__all__ = ["EpsilonGreedy"]
 
 
 @register
@@ -35,6 +31,8 @@ class EpsilonGreedy(ExploreOption):
     anneal_fraction: float = setting(
         0.5, PROBABILITY, "share of the rounds over which epsilon falls, linearly"
     )
+
+    order: ClassVar[float] = 2
 
     def check(self, config: Config) -> None:
         """Refuses an epsilon that rises."""
@@ -58,18 +56,3 @@ class EpsilonGreedy(ExploreOption):
             action_mask_key=task.action_mask_key,
         )
         return TensorDictSequential(greedy, epsilon), {"epsilon": lambda: epsilon.eps.squeeze(-1)}
-
-
-@register
-@dataclass
-class ThompsonEpsilon(EpsilonGreedy, Thompson):
-    """Thompson sampling, and with probability epsilon a uniformly random legal action."""
-
-    name: str = option("thompson_epsilon")
-
-    needs: ClassVar[tuple[str, ...]] = Thompson.needs
-
-    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The module that draws, and after it what replaces its action."""
-        policy, _ = Thompson.make(self, actor, greedy, task)
-        return EpsilonGreedy.make(self, actor, policy, task)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import ExploreOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import ExploreOption, register
 from bbq_torchrl.options.settings import option
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.options.base import Exploration
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Exploration, Task
 
 __all__ = ["GreedyActing"]
 
@@ -25,6 +23,8 @@ class GreedyActing(ExploreOption):
     """The action of the highest Q-value; no exploration."""
 
     name: str = option("greedy")
+
+    order: ClassVar[float] = 5
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The agent's policy without exploration."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import ExploreOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import ExploreOption, register
 from bbq_torchrl.options.settings import BOOLEAN, option, setting
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.options.base import Exploration
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Exploration, Task
 
 __all__ = ["NoisyActing"]
 
@@ -27,6 +25,7 @@ class NoisyActing(ExploreOption):
     name: str = option("noisy")
     shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
 
+    order: ClassVar[float] = 7
     needs: ClassVar[tuple[str, ...]] = ("noise",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:

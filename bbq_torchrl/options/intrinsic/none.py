@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bbq_torchrl.options.base import IntrinsicOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import IntrinsicOption, register
 from bbq_torchrl.options.settings import option
 
 __all__ = ["NoIntrinsic"]

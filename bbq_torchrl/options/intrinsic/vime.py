@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.options.base import IntrinsicOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import IntrinsicOption, register
 from bbq_torchrl.options.settings import (
     COUNT,
     COUNTS,
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from torchrl.envs import Transform
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.options import Task
 
 __all__ = ["VIME"]
 

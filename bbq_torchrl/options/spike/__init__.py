@@ -1,4 +1,4 @@
-"""``spike=``: what is in the replay buffer before the first round."""
+"""The options of ``spike=``: what is in the replay buffer before the first round."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.base import Option
-from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
     BELOW_ONE,
     BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
-    Allowed,
     ConfigError,
-    option,
     optional,
     setting,
 )
@@ -23,9 +20,7 @@ from bbq_torchrl.options.settings import (
 if TYPE_CHECKING:
     from bbq_torchrl.options.root import Config
 
-__all__ = ["NoSpike", "RuleSpike", "SpikeOption"]
-
-EMPTY = Allowed("0, or be given with spike=rule", lambda value: value == 0)
+__all__ = ["SpikeOption"]
 
 
 @dataclass
@@ -51,20 +46,3 @@ class SpikeOption(Option):
                 "spike.drop_above cannot be combined with spike.protect=false: transitions that "
                 "are not protected leave by themselves, so spike.drop_above must be null"
             )
-
-
-@register
-@dataclass
-class RuleSpike(SpikeOption):
-    """Replay-buffer spiking: dialogues of a scripted policy."""
-
-    name: str = option("rule")
-
-
-@register
-@dataclass
-class NoSpike(SpikeOption):
-    """An empty buffer."""
-
-    name: str = option("none")
-    dialogues: int = setting(0, EMPTY, "scripted dialogues put into the buffer")

@@ -1,4 +1,4 @@
-"""``protocol=``: how long and in which steps an agent trains and is measured."""
+"""The options of ``protocol=``: how long and in which steps an agent trains and is measured."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.base import Option
-from bbq_torchrl.options.registry import register
 from bbq_torchrl.options.settings import (
     BATCH,
     COUNT,
@@ -17,8 +16,6 @@ from bbq_torchrl.options.settings import (
     ConfigError,
     integers,
     one_of,
-    option,
-    other_default,
     setting,
 )
 
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.options.root import Config
 
 
-__all__ = ["PaperProtocol", "ProtocolOption", "QuickProtocol"]
+__all__ = ["ProtocolOption"]
 
 STORED = integers(1, 10**6)  # transitions, or outcomes of dialogues, of a replica
 
@@ -87,30 +84,6 @@ class ProtocolOption(Option):
                 f"got {self.capacity}"
             )
         _check_evaluation(config)
-
-
-@register
-@dataclass
-class PaperProtocol(ProtocolOption):
-    """The paper's protocol."""
-
-    name: str = option("paper")
-
-
-@register
-@dataclass
-class QuickProtocol(ProtocolOption):
-    """A minute on one core: fewer rounds, larger batches, a smaller buffer; it learns to book."""
-
-    name: str = option("quick")
-    rounds: int = other_default(ProtocolOption, "rounds", 40)
-    batch_size: int = other_default(ProtocolOption, "batch_size", 128)
-    lr: float = other_default(ProtocolOption, "lr", 2e-3)
-    epochs: int = other_default(ProtocolOption, "epochs", 3)
-    capacity: int = other_default(ProtocolOption, "capacity", 5_000)
-    eval_dialogues: int = other_default(ProtocolOption, "eval_dialogues", 2_000)
-    eval_batch: int = other_default(ProtocolOption, "eval_batch", 2_000)
-    eval_every_dialogues: int = other_default(ProtocolOption, "eval_every_dialogues", 150)
 
 
 def _check_evaluation(config: Config) -> None:

@@ -1,24 +1,19 @@
-"""``env=full`` and ``env=domain_ext``: dialogues with simulated users."""
+"""``env=full``: dialogues with simulated users."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.env_base import EnvOption
-from bbq_torchrl.options.registry import register
+from bbq_torchrl.options import ConfigError, EnvOption, register
 from bbq_torchrl.options.settings import (
     BOOLEAN,
-    COUNT,
-    NON_NEGATIVE_INTEGER,
     PROBABILITY,
     REWARD,
-    ConfigError,
     integers,
     one_of,
     option,
     optional,
-    other_default,
     setting,
 )
 
@@ -27,21 +22,22 @@ if TYPE_CHECKING:
 
     import torch
     from tensordict.nn import TensorDictModuleBase
-    from torch import Tensor
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
-    from bbq_torchrl.options.root import Config
+    from bbq_torchrl.options import Config
     from bbq_torchrl.simulator import Channel
 
-__all__ = ["DialogueOption", "DomainExtension", "FullDomain"]
+__all__ = ["FullDomain"]
 
 
+@register
 @dataclass
-class DialogueOption(EnvOption):
-    """The user and the channel."""
+class FullDomain(EnvOption):
+    """All slots from the start."""
 
+    name: str = option("full")
     slot_error_prob: float | None = setting(
         None,
         optional(PROBABILITY, "the domain's calibrated difficulty"),
@@ -75,6 +71,7 @@ class DialogueOption(EnvOption):
         False, BOOLEAN, "turns are compiled by torch.compile, which takes up to a minute"
     )
 
+    order: ClassVar[float] = 1
     has_domain: ClassVar[bool] = True
 
     def check(self, config: Config) -> None:
@@ -189,49 +186,3 @@ class DialogueOption(EnvOption):
             compile_turns=self.compile_turns,
             channel=self._channel(domain),
         )
-
-
-@register
-@dataclass
-class FullDomain(DialogueOption):
-    """All slots from the start."""
-
-    name: str = option("full")
-
-
-@register
-@dataclass
-class DomainExtension(DialogueOption):
-    """The essential slots first; then the others one by one, in the domain's order."""
-
-    name: str = option("domain_ext")
-    start: int = setting(40, NON_NEGATIVE_INTEGER, "round in which the first new slot appears")
-    every: int = setting(10, COUNT, "rounds between two new slots")
-    paper_rounds: int = other_default(DialogueOption, "paper_rounds", 200)
-
-    extends: ClassVar[bool] = True
-
-    def schedule(self) -> ExtensionSchedule:
-        """Says which slots there are in which round."""
-        from bbq_torchrl.envs import ExtensionSchedule
-
-        return ExtensionSchedule(start=self.start, every=self.every)
-
-    def check_domain(self, domain: Domain | None) -> None:
-        """Refuses a slot that the agent has actions for and that no round adds."""
-        assert domain is not None
-        self.schedule().never_active(domain)
-
-    def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor]:
-        """Those of the slots that are not there in the first round."""
-        return ~env.active_features, ~env.simulator.action_mask(env.active_slots)
-
-    def never(self, domain: Domain | None) -> set[str]:
-        """Those that are not essential and that the domain's order lacks."""
-        assert domain is not None
-        return set(self.schedule().never_active(domain))
-
-    def additions(self, domain: Domain | None) -> dict[int, str]:
-        """The slot that each round adds."""
-        assert domain is not None
-        return self.schedule().additions(domain)

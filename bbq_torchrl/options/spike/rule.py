@@ -1,0 +1,21 @@
+"""``spike=rule``: dialogues of a scripted policy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from bbq_torchrl.options import SpikeOption, register
+from bbq_torchrl.options.settings import option
+
+__all__ = ["RuleSpike"]
+
+
+@register
+@dataclass
+class RuleSpike(SpikeOption):
+    """Replay-buffer spiking: dialogues of a scripted policy."""
+
+    name: str = option("rule")
+
+    order: ClassVar[float] = 1
