@@ -6,8 +6,9 @@ import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
+from deep_sea_results import AGENT_NAMES
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import nn
 from torchrl.data import Categorical
@@ -31,23 +32,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.bayes.bayes_mlp import MeanInit
     from bbq_torchrl.trainers import ReplicaOptimizer
 
-__all__ = ["AGENTS", "Agent", "AgentName", "Settings", "default_settings", "make_agent"]
-
-AgentName = Literal[
-    "epsilon_greedy",
-    "bootstrap",
-    "bootstrap_prior",
-    "bbqn_mean",
-    "bbqn_independent",
-    "bbqn_shared",
-    "bbqn_mean_zero",
-    "bbqn_independent_zero",
-    "bbqn_shared_zero",
-    "epinet",
-    "langevin",
-]
-AGENTS: tuple[AgentName, ...] = get_args(AgentName)
-"""BBQN is named after its target's noise; ``_zero``: its weights have mean zero at first."""
+__all__ = ["Agent", "Settings", "default_settings", "make_agent"]
 
 ACTION = Categorical(2)
 
@@ -96,7 +81,7 @@ class Settings:
     inverse_temperature: float = 1e8
 
 
-def default_settings(name: AgentName) -> Settings:
+def default_settings(name: str) -> Settings:
     """Returns an agent's settings in the sweep, chosen by the trials that docs/deep_sea.md lists.
 
     BBQN learns from more mini-batches: from as few as the other agents' it did not solve N = 8 in
@@ -135,11 +120,12 @@ class Agent:
     make_optimizer: Callable[..., ReplicaOptimizer] = ReplicaAdam
 
 
-def make_agent(name: AgentName, size: int, replicas: int, settings: Settings) -> Agent:
+def make_agent(name: str, size: int, replicas: int, settings: Settings) -> Agent:
     """Returns an agent for a sea of N x N cells.
 
     Args:
-        name: one of :data:`AGENTS`.
+        name: one of ``AGENT_NAMES``. BBQN is named after its target's noise; ``_zero``: its weights
+            have mean zero at first.
         size: N.
         replicas: R, how many agents are trained side by side.
         settings: of the agent.
@@ -160,7 +146,7 @@ def make_agent(name: AgentName, size: int, replicas: int, settings: Settings) ->
         return _epinet(size, replicas, settings)
     if name == "langevin":
         return _langevin(size, replicas, settings)
-    raise ValueError(f"agent must be one of {list(AGENTS)}, got {name!r}")
+    raise ValueError(f"agent must be one of {list(AGENT_NAMES)}, got {name!r}")
 
 
 class Scale(nn.Module):

@@ -17,11 +17,14 @@ if TYPE_CHECKING:
 
 __all__ = ["DeepSeaEnv"]
 
+MOVE_COST = 0.01
+"""What N steps to the right cost, in units of the treasure."""
+
 
 class DeepSeaEnv(EnvBase):
     """A diver in an N x N grid sinks a row a step, to the left or to the right, for N steps.
 
-    A step to the right costs ``move_cost`` / N, one to the left nothing, and a treasure of 1 is
+    A step to the right costs .01 / N, one to the left nothing, and a treasure of 1 is
     where only the way that turns right in all N rows ends: the bottom right corner, left to the
     right. Which of the two actions means right is drawn for every cell, so that nothing learned
     in one cell helps in another. Whoever acts at random finds the treasure in one of 2^N
@@ -37,8 +40,7 @@ class DeepSeaEnv(EnvBase):
     ``treasure``     ``*B, 1``    bool, the episode has ended with the treasure
     ===============  ===========  ==========================================================
 
-    The environment keeps where its divers are; ``state_dict`` holds it. A diver at the bottom
-    stays there, without reward, until it is reset.
+    A diver at the bottom stays there, without reward, until it is reset.
 
     Args:
         size: N, rows and columns of the grid.
@@ -46,14 +48,11 @@ class DeepSeaEnv(EnvBase):
 
     Keyword Args:
         mapping_seed: what draws the meaning of the actions: one seed for all divers, or one for
-            each element of the first batch dimension; None makes action 1 the right in every
-            cell. Defaults to 0.
-        move_cost: what N steps to the right cost, in units of the treasure. Defaults to 0.01.
+            each element of the first batch dimension. Defaults to 0.
         device: where the divers are.
 
     Raises:
-        ValueError: if the size is not positive, the cost is not in [0, 1), or the seeds do not
-            fit the batch.
+        ValueError: if the size is not positive, or the seeds do not fit the batch.
 
     Example:
         >>> env = DeepSeaEnv(10, batch_size=(5, 1), mapping_seed=range(5))
@@ -71,17 +70,13 @@ class DeepSeaEnv(EnvBase):
         size: int,
         batch_size: Sequence[int] = (),
         *,
-        mapping_seed: int | Sequence[int] | None = 0,
-        move_cost: float = 0.01,
+        mapping_seed: int | Sequence[int] = 0,
         device: torch.device | str = "cpu",
     ) -> None:
         if size < 1:
             raise ValueError(f"size must be at least 1, got {size}")
-        if not 0 <= move_cost < 1:
-            raise ValueError(f"move_cost must be in [0, 1), got {move_cost}")
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.size = size
-        self.move_cost = move_cost
         self._right = _draw_mapping(size, self.batch_size, mapping_seed).to(self.device)
         self._row = torch.zeros(self.batch_size, dtype=torch.int64, device=self.device)
         self._column = torch.zeros_like(self._row)
@@ -92,8 +87,6 @@ class DeepSeaEnv(EnvBase):
     def right_action(self) -> torch.Tensor:
         """The action that means right, in every row and column: int64, shape [*batch, N, N]."""
         return self._right.unflatten(-1, (self.size, self.size))
-
-    # -- what TorchRL calls ----------------------------------------------------------------------
 
     def _make_specs(self) -> None:
         batch, device = self.batch_size, self.device
@@ -128,7 +121,7 @@ class DeepSeaEnv(EnvBase):
         goes_right &= under_way
         # The last column is reached in the last row and nowhere before.
         found = goes_right & (self._column == size - 1)
-        reward = found.float() - goes_right.float() * (self.move_cost / size)
+        reward = found.float() - goes_right.float() * (MOVE_COST / size)
         moved = (self._column + 2 * goes_right.long() - 1).clamp(0, size - 1)
         self._column = torch.where(under_way, moved, self._column)
         self._row = self._row + under_way.long()
@@ -154,38 +147,9 @@ class DeepSeaEnv(EnvBase):
             device=self.device,
         )
 
-    # -- saving ----------------------------------------------------------------------------------
 
-    def get_extra_state(self) -> dict[str, torch.Tensor]:
-        """Returns what ``state_dict`` saves: where the divers are."""
-        return {
-            "row": self._row.clone(),
-            "column": self._column.clone(),
-            "treasure": self._treasure.clone(),
-        }
-
-    def set_extra_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Goes on from what :meth:`get_extra_state` returned.
-
-        Raises:
-            ValueError: if it is of another batch than this environment's.
-        """
-        if state["row"].shape != self.batch_size:
-            raise ValueError(
-                f"the saved divers have batch size {list(state['row'].shape)}, the environment "
-                f"has {list(self.batch_size)}"
-            )
-        self._row = state["row"].to(self.device, copy=True)
-        self._column = state["column"].to(self.device, copy=True)
-        self._treasure = state["treasure"].to(self.device, copy=True)
-
-
-def _draw_mapping(
-    size: int, batch: torch.Size, mapping_seed: int | Sequence[int] | None
-) -> torch.Tensor:
+def _draw_mapping(size: int, batch: torch.Size, mapping_seed: int | Sequence[int]) -> torch.Tensor:
     """Returns the action that means right in each cell, int64 [*batch, N·N]."""
-    if mapping_seed is None:
-        return torch.ones(*batch, size**2, dtype=torch.int64)
     if isinstance(mapping_seed, int):
         return _mapping(size, mapping_seed).expand(*batch, -1)
     seeds = list(mapping_seed)

@@ -26,7 +26,7 @@ AGENT_NAMES = {
     "epinet": "epinet",
     "langevin": "Adam LMCDQN",
 }
-"""What the agents of the table are called in the figure."""
+"""The agents, and what the figure calls them."""
 
 RESULTS = Path(__file__).resolve().parents[2] / "results" / "deep_sea.csv"
 

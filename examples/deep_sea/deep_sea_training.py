@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import torch
-from deep_sea_agents import Agent, AgentName, Settings, default_settings, make_agent
+from deep_sea_agents import Agent, Settings, default_settings, make_agent
 from deep_sea_env import DeepSeaEnv
+from deep_sea_results import Line
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
@@ -18,26 +19,10 @@ if TYPE_CHECKING:
     from tensordict import NestedKey
     from torch import Tensor
 
-__all__ = ["DiveMemory", "Result", "reaches_treasure", "train"]
+__all__ = ["DiveMemory", "reaches_treasure", "train"]
 
 SOLVED_SHARE = 0.1
 """Share of all episodes so far that must have found the treasure."""
-
-
-class Result(NamedTuple):
-    """How one replica did.
-
-    Attributes:
-        seed: its seed.
-        episodes_to_solve: episodes until the sea was solved, None if it never was.
-        episodes: episodes that were dived.
-        treasures: in how many of them the treasure was found.
-    """
-
-    seed: int
-    episodes_to_solve: int | None
-    episodes: int
-    treasures: int
 
 
 class DiveMemory:
@@ -122,14 +107,14 @@ def reaches_treasure(agent: Agent, env: DeepSeaEnv) -> Tensor:
 
 
 def train(
-    name: AgentName,
+    name: str,
     size: int,
     *,
     replicas: int,
     episodes: int,
     seed: int = 0,
     settings: Settings | None = None,
-) -> list[Result]:
+) -> list[Line]:
     """Trains replicas side by side, until all have solved the sea; returns how each one did.
 
     A replica has solved the sea in the first episode after which (1) its greedy policy reaches
@@ -176,7 +161,7 @@ def train(
         is_solved = reaches_treasure(agent, env) & (treasures >= SOLVED_SHARE * episode)
         solved[is_solved & (solved == 0)] = episode
     return [
-        Result(seed + r, first or None, episode, count)
+        Line(name, size, seed + r, first or None, episode, count)
         for r, (first, count) in enumerate(zip(solved.tolist(), treasures.tolist(), strict=True))
     ]
 

@@ -12,8 +12,7 @@ import sys
 from pathlib import Path
 
 import torch
-from deep_sea_agents import AGENTS
-from deep_sea_results import RESULTS, Line, append, read
+from deep_sea_results import AGENT_NAMES, RESULTS, append, read
 from deep_sea_training import train
 
 SIZES = (4, 6, 8, 10, 14, 20)
@@ -26,7 +25,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--agents", nargs="+", choices=AGENTS, default=list(AGENTS))
+    parser.add_argument("--agents", nargs="+", choices=AGENT_NAMES, default=list(AGENT_NAMES))
     parser.add_argument("--sizes", nargs="+", type=int, default=list(SIZES))
     parser.add_argument("--seeds", type=int, default=SEEDS, help="replicas side by side")
     parser.add_argument("--episodes", type=int, default=EPISODES, help="the most that are dived")
@@ -38,7 +37,7 @@ def main() -> None:
             if any((line.agent, line.size) == (agent, size) for line in read(options.file)):
                 continue
             results = train(agent, size, replicas=options.seeds, episodes=options.episodes)
-            append([Line(agent, size, *result) for result in results], options.file)
+            append(results, options.file)
             to_solve = [result.episodes_to_solve for result in results]
             sys.stdout.write(f"{agent}, N = {size}: episodes to solve {to_solve}\n")
             sys.stdout.flush()

@@ -13,7 +13,8 @@ from dataclasses import fields, replace
 from typing import Literal
 
 import torch
-from deep_sea_agents import AGENTS, Settings, default_settings
+from deep_sea_agents import Settings, default_settings
+from deep_sea_results import AGENT_NAMES
 from deep_sea_training import train
 
 
@@ -26,7 +27,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--agent", choices=AGENTS, required=True)
+    parser.add_argument("--agent", choices=AGENT_NAMES, required=True)
     parser.add_argument("--size", type=int, default=10, help="N, the sea has N x N cells")
     parser.add_argument("--replicas", type=int, default=5, help="independent seeds side by side")
     parser.add_argument("--episodes", type=int, default=300, help="the most that are dived")
