@@ -18,6 +18,7 @@ from bbq_torchrl.bayes import BayesMLP, weight_scope
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.networks import q_actor
+from bbq_torchrl.networks.growth import reset_inactive_
 
 pytestmark = pytest.mark.usefixtures("installed", "without_curves")
 
@@ -137,7 +138,7 @@ def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone
         once, twice = (network(x, factor * index) - base for factor in (1, 2))
     assert torch.allclose(twice, 2 * once, atol=1e-5)
     assert once.abs().max() > 0.1
-    network.reset_inactive_(torch.tensor([False, True, False]))
+    reset_inactive_(network, inputs=torch.tensor([False, True, False]))
     more = x + torch.tensor([0.0, 7.0, 0.0])
     assert torch.equal(network(more, index), network(x, index))
 

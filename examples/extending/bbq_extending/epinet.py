@@ -50,8 +50,7 @@ class Epinet(AgentOption):
             replicas=task.replicas,
             device=task.device,
         )
-        if task.inactive_inputs is not None:
-            network.reset_inactive_(task.inactive_inputs)
+        task.reset_inactive_(network)
         return q_actor(
             network,
             task.action_spec,

@@ -64,7 +64,7 @@ class EpinetMLP(nn.Module):
         size = {"replicas": replicas, "device": device}
         self.index_size = index_size
         self.prior_scale = prior_scale
-        self.out_features = out_features
+        self.in_features, self.out_features = in_features, out_features
         self.trunk = FlatMLP(in_features, hidden[-1], hidden[:-1], **size)
         self.head = FlatMLP(hidden[-1], out_features, (), **size)
         self.epinet = FlatMLP(
@@ -96,9 +96,7 @@ class EpinetMLP(nn.Module):
         """Returns what each prior makes of the input, [*replicas, *batch, index_size, out]."""
         return torch.stack([prior(x) for prior in self.priors], -2)
 
-    @torch.no_grad()
-    def reset_inactive_(self, inputs: Tensor) -> None:
-        """Sets the weights of inputs that come into use later to 0, bool [in]; the priors' too."""
-        for network in (self.trunk, *self.priors):
-            matrix, _ = network.layout.unflatten(network.weight)[0]
-            matrix.masked_fill_(inputs.to(matrix.device).unsqueeze(-1), 0)
+    def input_matrices(self) -> list[Tensor]:
+        """Returns the weights of the inputs, the priors' too, each [*replicas, in, out]."""
+        networks = (self.trunk, *self.priors)
+        return [matrix for network in networks for matrix in network.input_matrices()]

@@ -61,12 +61,6 @@ class LangevinAdam:
     ) -> None:
         self.replicas = replicas
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
-        for parameter in self.parameters:
-            if parameter.ndim == 0 or parameter.shape[0] != replicas:
-                raise ValueError(
-                    f"the first dimension of every parameter must be the {replicas} replicas, "
-                    f"got shape {tuple(parameter.shape)}"
-                )
         own = None if noisy is None else {id(parameter) for parameter in noisy}
         self.is_noisy = [own is None or id(parameter) in own for parameter in self.parameters]
         rate = torch.as_tensor(lr, dtype=torch.float64)
