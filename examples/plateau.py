@@ -30,7 +30,6 @@ from bbq_torchrl.trainers.learn import Update
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import TextIO
 
     from torch import Tensor
 
@@ -108,10 +107,9 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)  # the networks are too small for more
     logging.getLogger("torchrl").setLevel(logging.WARNING)
-    with contextlib.ExitStack() as stack:
-        stream: TextIO = sys.stdout
-        if options.file is not None:
-            stream = stack.enter_context(options.file.open("w", newline="", encoding="utf-8"))
+    to_screen = contextlib.nullcontext(sys.stdout)
+    file = options.file and options.file.open("w", newline="", encoding="utf-8")
+    with file or to_screen as stream:
         lines = csv.writer(stream, lineterminator="\n")
         lines.writerow(["start", "updates", "seed", "q_value"])
         for name, (mean_init, std_init) in STARTS.items():

@@ -23,7 +23,7 @@ import logging
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -126,16 +126,14 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)  # the networks are too small for more
     logging.getLogger("torchrl").setLevel(logging.WARNING)
-    with contextlib.ExitStack() as stack:
-        stream: TextIO = sys.stdout
-        if options.file is not None:
-            stream = stack.enter_context(options.file.open("w", newline="", encoding="utf-8"))
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    to_screen = contextlib.nullcontext(sys.stdout)
+    file = options.file and options.file.open("w", newline="", encoding="utf-8")
+    with file or to_screen as stream, tempfile.TemporaryDirectory() as folder:
         lines = csv.writer(stream, lineterminator="\n")
         lines.writerow(["role", "agent", "rounds", "replica", "success_rate"])
         agents = {"active": options.active, "passive": options.passive}
         trainers = make_trainers(
-            options.active, options.passive, options.overrides, folder, options.passive_seed
+            options.active, options.passive, options.overrides, Path(folder), options.passive_seed
         )
         for rows in tandem(*trainers):
             lines.writerows((role, agents[role], *rest) for role, *rest in rows)
