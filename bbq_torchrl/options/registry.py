@@ -58,7 +58,7 @@ Registered = TypeVar("Registered", bound="type[Option]")
 def register(option: Registered) -> Registered:
     """Makes a dataclass an option of its group; a decorator.
 
-    The group is that of the base class (:class:`~bbq_torchrl.options.base.AgentOption`, ...), the
+    The group is that of the base class (:class:`~bbq_torchrl.options.AgentOption`, ...), the
     name is the default of the field ``name``.
 
     Raises:

@@ -102,11 +102,11 @@ def table(lines: Sequence[Line], agents: Sequence[str]) -> str:
 
     Example:
         >>> lines = [Line("a", 4, s, n, 90, 9) for s, n in enumerate((30, None, 10))]
-        >>> print(table(lines, ["a", "b"]))
-        | agent | N = 4 |
-        | --- | ---: |
-        | `a` | 30 (2 of 3) |
-        | `b` |  |
+        >>> print(table([*lines, Line("b", 6, 0, None, 500, 0)], ["a", "b"]))
+        | agent | N = 4 | N = 6 |
+        | --- | ---: | ---: |
+        | `a` | 30 (2 of 3) |  |
+        | `b` |  | > 500 (0 of 1) |
     """
     sizes = sorted({line.size for line in lines})
     rows = [

@@ -69,12 +69,6 @@ def test_the_defaults_of_a_command_are_allowed(schema):
     assert all(item.metadata["allowed"].test(getattr(config, key)) for key, item in leaves(schema))
 
 
-def test_what_has_to_be_given_is_asked_for():
-    schema = schemas()["domain"]["folder"]
-    with pytest.raises(ConfigError, match="path must be given: it must be a text"):
-        check_settings(schema())
-
-
 @pytest.mark.parametrize(
     ("allowed", "text", "accepted", "refused"),
     [

@@ -12,7 +12,7 @@ import sweep
 import torch
 from deep_sea_agents import Settings, default_settings, make_agent
 from deep_sea_env import DeepSeaEnv
-from deep_sea_results import AGENT_NAMES, Line, append, read, table
+from deep_sea_results import AGENT_NAMES, Line, append, read
 from deep_sea_training import DiveMemory, reaches_treasure, train
 from extended import EXAMPLES
 from tensordict import TensorDict
@@ -125,14 +125,3 @@ def test_memory_keeps_the_newest_and_gives_each_replica_its_own():
     assert sample["observation"].dtype == torch.float32
     assert torch.equal(sample["observation"][0].argmax(-1), reward[0].long() % 9)
     assert torch.equal(sample["next", "observation"], sample["observation"].flip(-1))
-
-
-def test_table_counts_an_unsolved_sea_as_never():
-    solved = [Line("a", 4, seed, n, 90, 9) for seed, n in enumerate((30, None, 10))]
-    unsolved = [Line("b", 6, seed, None, 500, 0) for seed in range(2)]
-    assert table([*solved, *unsolved], ["a", "b"]).splitlines() == [
-        "| agent | N = 4 | N = 6 |",
-        "| --- | ---: | ---: |",
-        "| `a` | 30 (2 of 3) |  |",
-        "| `b` |  | > 500 (0 of 2) |",
-    ]

@@ -6,7 +6,6 @@ import csv
 import dataclasses
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -56,16 +55,9 @@ def test_its_options_are_in_the_tables_of_help():
     assert "visits" in store.options("intrinsic")
 
 
-@pytest.mark.parametrize(
-    ("command", "sentence"),
-    [
-        ("explore=ucb explore.draws=1", "explore.draws must be an integer from 2 to"),
-        ("agent=langevin replicas=2 agent.bias=[1,2,3]", "agent.bias must be one value or a list"),
-    ],
-)
-def test_its_keys_are_checked_before_anything_runs(command, sentence):
-    with pytest.raises(ConfigError, match=re.escape(sentence)):
-        compose(command.split())
+def test_its_keys_are_checked_before_anything_runs():
+    with pytest.raises(ConfigError, match=r"explore\.draws must be an integer from 2 to .*, got 1"):
+        compose(["explore=ucb", "explore.draws=1"])
 
 
 def test_an_environment_without_scripted_policies_is_not_spiked():

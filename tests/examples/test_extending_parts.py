@@ -23,12 +23,13 @@ from bbq_torchrl.networks.growth import reset_inactive_
 pytestmark = pytest.mark.usefixtures("installed", "without_curves")
 
 
-@pytest.mark.parametrize(
-    "part",
-    ["ucb_policy", "langevin_adam", "epinet_mlp", "index_sampling", "visit_reward", "chain_env"],
-)
-def test_the_example_in_a_docstring_is_true(part):
-    module = importlib.import_module(f"bbq_extending.{part}")
+PARTS = ("ucb_policy", "langevin_adam", "epinet_mlp", "index_sampling", "visit_reward", "chain_env")
+DEEP_SEA = ("deep_sea_env", "deep_sea_training", "deep_sea_results")
+
+
+@pytest.mark.parametrize("name", [*(f"bbq_extending.{part}" for part in PARTS), *DEEP_SEA])
+def test_the_example_in_a_docstring_is_true(name):
+    module = importlib.import_module(name)
     torch.manual_seed(0)
     result = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
     assert result.attempted > 2
