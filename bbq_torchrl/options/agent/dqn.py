@@ -34,7 +34,6 @@ class DQN(AgentOption):
 
     order: ClassVar[float] = 2
     offers: ClassVar[tuple[str, ...]] = ("values", "noise")
-    explores_by: ClassVar[str] = "epsilon_greedy"
 
     def check(self, config: Config) -> None:
         """Refuses noise beside dropout, and a strategy that needs noise where there is none."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options import ConfigError, EnvOption, register
@@ -105,12 +105,12 @@ class FullDomain(EnvOption):
         if not is_text and self.errors == "drawn":
             return
         source = "env.level=text" if is_text else "env.errors=measured"
-        unused = {"slot_error_prob": None, "slot_error_mode": "value", "intent_error_prob": 0.0}
-        for key, allowed in unused.items():
-            if getattr(self, key) != allowed:
+        default = {item.name: item.default for item in fields(self)}
+        for key in ("slot_error_prob", "slot_error_mode", "intent_error_prob"):
+            if getattr(self, key) != default[key]:
                 raise ConfigError(
-                    f"env.{key} must be {'null' if allowed is None else allowed} with {source}, "
-                    f"which has errors of its own, got {getattr(self, key)}"
+                    f"env.{key} must be {'null' if default[key] is None else default[key]} with "
+                    f"{source}, which has errors of its own, got {getattr(self, key)}"
                 )
 
     def _channel(self, domain: Domain) -> Channel | None:
