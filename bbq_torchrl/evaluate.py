@@ -80,9 +80,9 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     """
     import torch
 
-    from bbq_torchrl.cli.agent import make_domain
     from bbq_torchrl.cli.checks import check_device
     from bbq_torchrl.cli.loading import trained_policy
+    from bbq_torchrl.cli.training import make_domain
     from bbq_torchrl.envs.policies import RANDOM_POLICY
     from bbq_torchrl.evaluation.play import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl import interruption
-from bbq_torchrl.cli.agent import make_domain
 from bbq_torchrl.cli.final import final_result
 from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import save_config
-from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.cli.training import build_trainer, make_domain
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import group_runs
 from bbq_torchrl.evaluation.metrics import read_metrics

@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from bbq_torchrl import shipped
-from bbq_torchrl.cli.agent import make_agent, make_domain
 from bbq_torchrl.cli.resume import description, run_config, save_config
+from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, RESULT

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.cli.agent import make_domain
 from bbq_torchrl.cli.resume import description, has_result
+from bbq_torchrl.cli.training import make_domain
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.text import shown

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
 
-    from bbq_torchrl.cli.agent import Agent
+    from bbq_torchrl.cli.training import Agent
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer

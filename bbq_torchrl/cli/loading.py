@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from bbq_torchrl.cli.agent import make_agent, make_domain
 from bbq_torchrl.cli.resume import description, run_config
+from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.shipped import is_shipped, run_folder

@@ -11,9 +11,8 @@ import torch
 from tiny import TINY
 
 from bbq_torchrl import evaluate
-from bbq_torchrl.cli.agent import make_agent
 from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.cli.training import build_trainer, make_agent
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.options import EvaluateConfig, explorations, schemas
 from bbq_torchrl.run import run
