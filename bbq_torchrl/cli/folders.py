@@ -12,7 +12,6 @@ from filelock import FileLock, Timeout
 from omegaconf import open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.cli.store import compose_raw
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence, shown
@@ -99,9 +98,8 @@ def sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> P
     return folder
 
 
-def job_subfolder(overrides: Sequence[str], number: int) -> str:
+def job_subfolder(composed: DictConfig, number: int) -> str:
     """The folder of a job of a sweep, in that of the sweep."""
-    composed = compose_raw(overrides, with_hydra=True)
     with read_write(composed), open_dict(composed):
         composed.hydra.job.num = number
         composed.hydra.job.id = str(number)

@@ -167,7 +167,9 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
             folder = _resumed_folder(composed.resume)
             if folder is not None:
                 held.enter_context(run_lock(folder))
-            config = _run_config(composed, parsed.overrides)
+            config = to_config(composed, Config)
+            if config.resume is not None:
+                config = resumed_config(config, parsed.overrides)
             domain = check(config)
             extra = run_folder(composed, folder, held)
             _override_hydra(composed, extra, hydra_session)
@@ -184,8 +186,7 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
                 "start the sweep where SLURM's jobs are submitted"
             )
         configs = []
-        for overrides in jobs:
-            job = compose_raw(overrides)
+        for job in jobs:
             if job.resume is not None:
                 raise ConfigError("resume cannot be combined with --multirun")
             configs.append(to_config(job, Config))
@@ -193,8 +194,8 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
         folder = sweep_folder(composed, parsed.overrides, len(jobs))
         if (folder / SWEEP_CONFIG).is_file():
             # Hydra writes into a job's folder before the job can refuse it.
-            for number, (overrides, config) in enumerate(zip(jobs, configs, strict=True)):
-                restarted_config(config, folder / job_subfolder(overrides, number))
+            for number, (job, config) in enumerate(zip(jobs, configs, strict=True)):
+                restarted_config(config, folder / job_subfolder(job, number))
         sweep = Sweep(folder, len(jobs), launcher)
     return Prepared([*arguments, f"hydra.sweep.dir={quoted(sweep.folder)}"], sweep=sweep)
 
@@ -211,14 +212,8 @@ def _refuse_unread(parsed: Namespace) -> None:
             raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
 
 
-def _run_config(composed: DictConfig, overrides: Sequence[str]) -> Config:
-    own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
-    config = to_config(own, Config)
-    return config if config.resume is None else resumed_config(config, overrides)
-
-
-def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[list[str]]]:
-    """The configuration of a sweep, and the overrides of each of its jobs.
+def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[DictConfig]]:
+    """The configuration of a sweep, and those of its jobs, with Hydra's part.
 
     Only Hydra's own sweeper says beforehand what its jobs are. Of another one (Optuna's, say) none
     are returned: each job is checked when it starts.
@@ -232,7 +227,7 @@ def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, li
             if not item.is_sweep_override()
             and item.key_or_group.partition(".")[0].partition("/")[0] in ("hydra", EXPERIMENT)
         ]
-        composed = compose_raw(of_sweeper, with_hydra=True)
+        composed = compose_raw(of_sweeper)
         sweeper = composed.hydra.sweeper
         if not str(sweeper._target_).endswith(f".{BasicSweeper.__name__}"):
             return composed, []
@@ -247,7 +242,8 @@ def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, li
             "glob() names no option "
             "(globs of a folder of options stand behind its name: '+experiment/agents=glob(*)')"
         )
-    return compose_raw(jobs[0], with_hydra=True), jobs
+    composed_jobs = [compose_raw(job) for job in jobs]
+    return composed_jobs[0], composed_jobs
 
 
 def _resumed_folder(resume: str | None) -> Path | None:
@@ -261,7 +257,7 @@ def _resumed_folder(resume: str | None) -> Path | None:
 def _compose_single(hydra_session: Any, overrides: Sequence[str]) -> DictConfig | None:
     """The configuration of a single run with Hydra's part, None where a sweep is asked for."""
     try:
-        composed = compose_raw(overrides, with_hydra=True)
+        composed = compose_raw(overrides)
     except ConfigError:
         # Values of a sweep cannot be composed; an experiment, too, may ask for one.
         if hydra_session.get_mode("config", searched(overrides)) is RunMode.MULTIRUN:

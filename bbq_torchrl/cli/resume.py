@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from bbq_torchrl.cli.store import typed
-from bbq_torchrl.options import Config
+from bbq_torchrl.cli.store import read_config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from bbq_torchrl.options import Config
 
 
 __all__ = [
@@ -125,7 +126,7 @@ def load_config(file: Path) -> Config:
                 if key not in plain[group]:
                     plain[group][key] = value
     try:
-        return typed(plain, Config)
+        return read_config(plain)
     except ConfigError as error:
         raise ConfigError(f"{file}: {error}") from error
 

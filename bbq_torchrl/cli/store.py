@@ -7,6 +7,7 @@ in its group.
 from __future__ import annotations
 
 import contextlib
+import copy
 import textwrap
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,7 +17,7 @@ from hydra import initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException, ValidationError
 
 from bbq_torchrl.cli.messages import explain, not_an_option, too_large, unknown_key
@@ -41,11 +42,11 @@ __all__ = [
     "compose",
     "compose_raw",
     "explorations_table",
+    "read_config",
     "register_options",
     "searched",
     "session",
     "to_config",
-    "typed",
 ]
 
 Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
@@ -119,10 +120,10 @@ def session() -> Iterator[Any]:
         hydra.hydra = before
 
 
-def compose_raw(
-    overrides: Sequence[str], name: str = "config", with_hydra: bool = False
-) -> DictConfig:
-    """Composes YAML files and overrides inside a :func:`session`; values are not yet checked.
+def compose_raw(overrides: Sequence[str], name: str = "config") -> DictConfig:
+    """Composes YAML files and overrides inside a :func:`session`, Hydra's own part too.
+
+    Values have the types of their keys, but are not yet checked.
 
     Raises:
         ConfigError: an unknown group, option or key, or a value of the wrong type.
@@ -131,7 +132,7 @@ def compose_raw(
     if refusal is not None:
         raise ConfigError(refusal)
     try:
-        return hydra_compose(name, searched(overrides), return_hydra_config=with_hydra)
+        return hydra_compose(name, searched(overrides), return_hydra_config=True)
     # The last three: very long or deep texts, and numbers of thousands of digits.
     except (
         HydraException,
@@ -150,50 +151,54 @@ def searched(overrides: Sequence[str]) -> list[str]:
     return [*([] if folder is None else [f"hydra.searchpath=['file://{folder}']"]), *overrides]
 
 
-def to_config(composed: DictConfig, root: type[Root]) -> Root:
-    """The checked dataclass of a composed configuration; paths become absolute.
+def to_config(typed: DictConfig, root: type[Root]) -> Root:
+    """The checked dataclass of a configuration whose values have their keys' types.
+
+    Hydra has given them these when it composed. Paths become absolute.
 
     Raises:
         ConfigError: the first value or combination that cannot be run.
     """
+    typed = copy.deepcopy(typed)
+    with open_dict(typed):
+        typed.pop("hydra", None)
+    for key in sorted(item.name for item in fields(root)):
+        if key not in typed or OmegaConf.is_missing(typed, key):
+            raise _not_given(key)
+    _check_interpolations(typed)
+    for key in sorted(OmegaConf.missing_keys(typed)):
+        raise _not_given(key)
+    config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
     for group in schemas():
-        if group not in composed or OmegaConf.is_missing(composed, group):
-            continue
-        chosen, name = OmegaConf.get_type(composed, group), composed[group].name
-        assert chosen is not None
-        allowed = next(item.metadata["allowed"] for item in fields(chosen) if item.name == "name")
-        if not allowed.test(name):
+        option = getattr(config, group, None)
+        if option is not None and option.name != type(option).name:
             raise ConfigError(
-                f"{group}.name must be {allowed.text}, got {name!r}: choose by {group}={name}"
+                f"{group}.name must be {type(option).name!r}, got {option.name!r}: "
+                f"choose by {group}={option.name}"
             )
-    plain = OmegaConf.create(OmegaConf.to_container(composed, resolve=False))
-    assert isinstance(plain, DictConfig)
-    return typed(plain, root)
+    config.domain.resolve_path()
+    validate(config)
+    return config
 
 
-def typed(plain: DictConfig, root: type[Root]) -> Root:
-    """The checked dataclass of plain values.
+def read_config(plain: DictConfig) -> Config:
+    """The checked dataclass of the plain values in a training's YAML file.
 
     Raises:
         ConfigError: as :func:`to_config` does.
     """
+    typed = OmegaConf.structured(Config)
     try:
-        typed = OmegaConf.structured(root)
         for key in map(str, plain):
             if not OmegaConf.is_missing(plain, key):
                 typed[key] = _typed_group(key, plain) if key in schemas() else plain[key]
-        for key in sorted(str(key) for key in typed if OmegaConf.is_missing(typed, key)):
-            raise ConfigError(f"{key} must be given, as {key}=<value>")
-        _check_interpolations(plain)
-        OmegaConf.resolve(typed)
-        for key in sorted(OmegaConf.missing_keys(typed)):
-            raise ConfigError(f"{key} must be given, as {key}=<value>")
-        config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
     except OmegaConfBaseException as error:
         raise ConfigError(explain(error, ())) from error
-    config.domain.resolve_path()
-    validate(config)
-    return config
+    return to_config(typed, Config)
+
+
+def _not_given(key: str) -> ConfigError:
+    return ConfigError(f"{key} must be given, as {key}=<value>")
 
 
 def _check_interpolations(node: DictConfig | ListConfig, prefix: str = "") -> None:

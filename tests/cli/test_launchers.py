@@ -58,7 +58,7 @@ def test_a_job_that_fails_leaves_the_others_alone_and_is_named(launcher, tmp_pat
 
 def test_a_sweep_runs_on_all_cores_with_a_thread_a_job_by_default():
     with session():
-        composed = compose_raw([], with_hydra=True)
+        composed = compose_raw([])
     assert composed.hydra.launcher._target_.endswith(".JoblibLauncher")
     assert composed.hydra.launcher.n_jobs == -1
     assert composed.threads == 1
