@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
-from bbq_torchrl.cli.searches import SEARCH, compose_search
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.search.definition import SEARCH, compose_search
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from bbq_torchrl.run import run
         from bbq_torchrl.search.study import run_search
 
-        for values in search.corners():
-            check(search.config(values))
+        for config in search.corners:
+            check(config)
     except (ValueError, OSError) as error:
         return _refused(error)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")

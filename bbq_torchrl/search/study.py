@@ -18,9 +18,9 @@ import yaml
 from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 
-from bbq_torchrl.cli.parameters import Choices
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import write_text
+from bbq_torchrl.search.space import Choices
 from bbq_torchrl.search.trials import (
     Outcome,
     Runner,
@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from bbq_torchrl.cli.searches import Search
+    from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
+    from bbq_torchrl.search.definition import Search
 
 __all__ = ["run_search"]
 
@@ -49,7 +50,7 @@ _DEFINITION = "search.yaml"
 def run_search(
     search: Search,
     runner: Runner,
-    check: Callable[[Config], object] | None = None,
+    check: Callable[[Config], Domain | None] = lambda config: None,
 ) -> dict[str, Any] | None:
     """Runs trials until there are as many as wanted. Returns the best; None if there is none.
 
@@ -61,8 +62,9 @@ def run_search(
         runner: trains one trial: ``bbq_torchrl.run.run``. The search goes on after a
             TrainingError of it; any other error ends the search, and the trial is taken up when it
             is started again.
-        check: what else is checked of a trial's configuration; raises ``ConfigError``. Values that
-            cannot be run together fail their trial, and the search goes on.
+        check: what else is checked of a trial's configuration; returns the domain, which it has
+            loaded. Of values that cannot be run together it raises ``ConfigError``: their trial
+            fails, and the search goes on.
 
     Raises:
         ConfigError: the folder holds another search, or it or the storage cannot be used.
@@ -87,12 +89,11 @@ def run_search(
             run_folder = folder / trial_name(trial.number)
             try:
                 config = search.config(values)
-                if check is not None:
-                    check(config)
+                domain = check(config)
             except (ConfigError, TrainingError) as error:
                 outcome = Outcome(optuna.trial.TrialState.FAIL, reason=sentence(error))
             else:
-                outcome = play_trial(trial, config, run_folder, search.settings, runner)
+                outcome = play_trial(trial, config, run_folder, search.settings, runner, domain)
             _tell(study, trial, outcome)
         with FileLock(folder / ".tables.lock"):
             write_tables(search, study)
@@ -125,7 +126,7 @@ def _write_definition(search: Search, file: Path) -> None:
 
 def _study(search: Search, folder: Path) -> optuna.Study:
     settings = search.settings
-    rounds = search.config(next(search.corners())).protocol.rounds
+    rounds = search.corners[0].protocol.rounds
     pruner: optuna.pruners.BasePruner = optuna.pruners.NopPruner()
     if settings.pruner == "median":
         pruner = optuna.pruners.MedianPruner(

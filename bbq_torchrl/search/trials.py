@@ -6,30 +6,32 @@ import csv
 import math
 import shlex
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from io import StringIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import optuna
 
 from bbq_torchrl.cli.messages import train_command
-from bbq_torchrl.cli.parameters import Choices, IntegerRange
 from bbq_torchrl.cli.resume import is_finished
 from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.evaluation.statistics import interquartile_mean
 from bbq_torchrl.run_folder import CONFIG, write_text
+from bbq_torchrl.search.space import as_entry
 from bbq_torchrl.text import sentence
 from bbq_torchrl.trainers import TrainingError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
-    from bbq_torchrl.cli.parameters import Parameter
-    from bbq_torchrl.cli.searches import Search, SearchConfig
+    from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.options import Config
+    from bbq_torchrl.search.definition import Search, SearchConfig
+    from bbq_torchrl.search.space import Parameter
     from bbq_torchrl.trainers import RoundTrainer
+    from bbq_torchrl.trainers.hooks import RoundCallback
     from bbq_torchrl.trainers.metrics import MetricRow
 
 __all__ = ["Outcome", "best_trial", "play_trial", "suggest", "trial_name", "write_tables"]
@@ -37,8 +39,20 @@ __all__ = ["Outcome", "best_trial", "play_trial", "suggest", "trial_name", "writ
 TRIALS = "trials.csv"
 BEST = "best.json"
 
-Runner = Callable[["Config", "Path", "Sequence[Any]"], "RunResult"]
-"""Trains a configuration in a folder, with callbacks for rounds: ``bbq_torchrl.run.run``."""
+
+class Runner(Protocol):
+    """What trains a trial: :func:`bbq_torchrl.run.run`."""
+
+    def __call__(
+        self,
+        config: Config,
+        folder: Path,
+        callbacks: Sequence[RoundCallback],
+        *,
+        domain: Domain | None,
+    ) -> RunResult:
+        """Trains a configuration in a folder; the callbacks are called after every round."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -58,12 +72,8 @@ class Outcome:
 
 def suggest(trial: optuna.Trial, name: str, parameter: Parameter) -> Any:
     """Returns the trial's value for a key; a trial that goes on gets the value it has."""
-    if isinstance(parameter, Choices):
-        return trial.suggest_categorical(name, parameter.choices)
-    bounds = {key: value for key, value in asdict(parameter).items() if value is not None}
-    if isinstance(parameter, IntegerRange):
-        return trial.suggest_int(name, **bounds)
-    return trial.suggest_float(name, **bounds)
+    bounds = as_entry(parameter)
+    return getattr(trial, f"suggest_{bounds.pop('type')}")(name, **bounds)
 
 
 def play_trial(
@@ -72,6 +82,7 @@ def play_trial(
     folder: Path,
     settings: SearchConfig,
     runner: Runner,
+    domain: Domain | None,
 ) -> Outcome:
     """Runs a trial from where it is: new, from its last checkpoint, or finished already.
 
@@ -80,7 +91,8 @@ def play_trial(
         config: the configuration with the trial's values.
         folder: the trial's run folder.
         settings: of the search.
-        runner: see :data:`Runner`.
+        runner: trains it.
+        domain: the configuration's, loaded.
     """
     states = optuna.trial.TrialState
     folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +102,7 @@ def play_trial(
         if is_finished(folder, config.protocol.rounds):
             result = read_result(folder)
         else:
-            result = runner(config, folder, [_Reports(trial, settings)])
+            result = runner(config, folder, [_Reports(trial, settings)], domain=domain)
     except optuna.TrialPruned:
         return Outcome(states.PRUNED)
     except TrainingError as error:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bbq_torchrl.cli.searches import compose_search
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import options
+from bbq_torchrl.search.definition import compose_search
 
 
 def test_our_searches_can_be_run_at_every_bound_and_vary_what_each_agent_has():

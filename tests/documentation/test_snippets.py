@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bbq_torchrl.cli.searches import compose_search
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import EvaluateConfig, registry
 from bbq_torchrl.options.registry import conf_folder
+from bbq_torchrl.search.definition import compose_search
 
 from .pages import PAGES, commands, snippets
 

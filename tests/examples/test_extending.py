@@ -17,13 +17,13 @@ from extended import PACKAGE, ROOT, SHRUNKEN
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli import store
 from bbq_torchrl.cli.checks import check
-from bbq_torchrl.cli.searches import compose_search
 from bbq_torchrl.cli.store import compose, explorations_table
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import report
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.options import ConfigError, EvaluateConfig, registry
 from bbq_torchrl.run import run
+from bbq_torchrl.search.definition import compose_search
 
 RUNS = {
     "agent and environment": ("agent=langevin", "agent.inverse_temperature=[1e4,1e8]"),

@@ -16,9 +16,9 @@ from types import SimpleNamespace
 import pytest
 
 from bbq_torchrl.cli.resume import save_config
-from bbq_torchrl.cli.searches import Search, compose_search
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.search.definition import Search, compose_search
 from bbq_torchrl.trainers import TrainingError
 
 optuna = pytest.importorskip("optuna", reason="needs the extra search")
@@ -50,7 +50,7 @@ class Training:
         self.diverges = diverges
         self.played = []
 
-    def __call__(self, config, folder, callbacks):
+    def __call__(self, config, folder, callbacks, *, domain):
         save_config(dataclasses.replace(config, resume=None), folder / "config.yaml")
         kept = folder / "rounds.json"
         done = json.loads(kept.read_text()) if kept.exists() else 0
@@ -171,10 +171,10 @@ def test_two_processes_never_work_at_the_same_trial(tmp_path):
     inner = Training()
 
     class Meanwhile(Training):
-        def __call__(self, config, folder, callbacks):
+        def __call__(self, config, folder, callbacks, *, domain):
             if not inner.played:  # while this trial is under way, another process does the rest
                 run_search(search(tmp_path), inner)
-            return super().__call__(config, folder, callbacks)
+            return super().__call__(config, folder, callbacks, domain=domain)
 
     outer = Meanwhile()
     run_search(search(tmp_path), outer)

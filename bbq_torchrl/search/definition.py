@@ -11,6 +11,7 @@ all trials have.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,6 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from bbq_torchrl.cli.messages import too_large, unreadable
-from bbq_torchrl.cli.parameters import Parameter, as_entry, parse_parameter
 from bbq_torchrl.cli.store import compose_raw, session, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import config_folders, options
@@ -34,10 +34,11 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
+from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
 __all__ = ["SEARCH", "Search", "SearchConfig", "compose_search"]
 
@@ -104,13 +105,20 @@ class Search:
         """The command line of ``train.py`` for a trial's values."""
         return [*self.fixed, *(_override(name, value) for name, value in values.items())]
 
-    def corners(self) -> Iterator[dict[str, Any]]:
-        """Values of trials between which those of all others lie, one key at a bound each time."""
+    @cached_property
+    def corners(self) -> list[Config]:
+        """Trials between which all others lie, one key at a bound or at another choice each time.
+
+        Raises:
+            ConfigError: values that cannot be run.
+        """
         lowest = {name: item.probes[0] for name, item in self.space.items()}
-        yield lowest
-        for name, item in self.space.items():
-            for value in item.probes[1:]:
-                yield {**lowest, name: value}
+        others = [
+            {**lowest, name: value}
+            for name, item in self.space.items()
+            for value in item.probes[1:]
+        ]
+        return [self.config(values) for values in (lowest, *others)]
 
     def config(self, values: Mapping[str, Any]) -> Config:
         """The configuration of a trial.
@@ -185,8 +193,7 @@ def compose_search(arguments: Sequence[str]) -> Search:
     search = Search(
         name, filled(SearchConfig, given.settings, f"{SEARCH}."), space, tuple(given.fixed.values())
     )
-    for values in search.corners():  # at every bound and choice: no trial fails for its values
-        search.config(values)
+    _ = search.corners  # composed now: no trial fails for its values
     return search
 
 

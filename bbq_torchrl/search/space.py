@@ -14,12 +14,13 @@ from bbq_torchrl.options.settings import (
     ConfigError,
     filled,
     integers,
+    one_of,
     optional,
     setting,
 )
 from bbq_torchrl.text import shown
 
-__all__ = ["Choices", "Parameter", "Range", "parse_parameter"]
+__all__ = ["Choices", "Parameter", "Range", "as_entry", "parse_parameter"]
 
 NUMBER = Allowed(
     "a number",
@@ -38,8 +39,9 @@ CHOICES = Allowed(
 
 @dataclass
 class Range:
-    """Numbers from ``low`` to ``high``, which are integers where it says so."""
+    """Numbers from ``low`` to ``high``."""
 
+    type: str = setting("float", one_of("float"), "what kind of values")
     low: float = setting(REQUIRED, NUMBER, "least value")
     high: float = setting(REQUIRED, NUMBER, "greatest value")
     log: bool = setting(False, BOOLEAN, "whether values are drawn evenly on a logarithmic scale")
@@ -55,6 +57,7 @@ class Range:
 class IntegerRange(Range):
     """Integers from ``low`` to ``high``."""
 
+    type: str = setting("int", one_of("int"), "what kind of values")
     low: int = setting(REQUIRED, INTEGER, "least value")
     high: int = setting(REQUIRED, INTEGER, "greatest value")
     step: int | None = setting(None, optional(INTEGER, "any value"), "distance of the values")
@@ -64,6 +67,7 @@ class IntegerRange(Range):
 class Choices:
     """Some values."""
 
+    type: str = setting("categorical", one_of("categorical"), "what kind of values")
     choices: list[Any] = setting(REQUIRED, CHOICES, "the values")
 
     @property
@@ -96,7 +100,7 @@ def parse_parameter(key: str, plain: Any) -> Parameter:
             f"{key} must be a mapping such as {{type: float, low: 0, high: 1}}, got {shown(plain)}"
         )
     given = {str(name): value for name, value in plain.items()}
-    kind = given.pop("type", None)
+    kind = given.get("type")
     if kind not in KINDS:
         raise ConfigError(f"{key}.type must be one of {', '.join(KINDS)}, got {shown(kind)}")
     parameter: Parameter = filled(KINDS[kind], given, f"{key}.")
@@ -113,6 +117,4 @@ def parse_parameter(key: str, plain: Any) -> Parameter:
 
 def as_entry(parameter: Parameter) -> dict[str, Any]:
     """Returns the entry of a YAML file that stands for a parameter."""
-    kind = next(name for name, schema in KINDS.items() if type(parameter) is schema)
-    values = {key: value for key, value in asdict(parameter).items() if value is not None}
-    return {"type": kind, **values}
+    return {key: value for key, value in asdict(parameter).items() if value is not None}
