@@ -60,14 +60,12 @@ def explain(error: Exception, overrides: Sequence[str], root: type = Config) -> 
         return _missing_option(error)
     if isinstance(cause, InterpolationResolutionError):
         return f"{cause.full_key}: {_first_line(cause)}" if cause.full_key else _first_line(cause)
-    if isinstance(cause, ValidationError):
-        return _wrong_type(cause, overrides)
     if not isinstance(error, (HydraException, OmegaConfBaseException)):
         return _too_much(error, overrides)
     return (
         _several_values(error, root)
+        or _wrong_value(error, cause)
         or _removed(overrides)
-        or _not_merged(error, cause)
         or _unknown_key(error, cause, root)
         or sentence(error)
     )
@@ -127,18 +125,6 @@ def _too_much(error: Exception, overrides: Sequence[str]) -> str:
     return unreadable(longest, reason)
 
 
-def _not_merged(error: Exception, cause: BaseException | None) -> str | None:
-    """A sentence for a value that does not fit its key, where OmegaConf does not say which."""
-    match = re.match(r"Error merging override ([^=]+)=(.*)", _first_line(error))
-    if match is None or cause is None:
-        return None
-    key = match[1].lstrip("+~")
-    allowed = _allowed(key, None)
-    if allowed is None:
-        return unreadable(f"{key}={match[2]}", _first_line(cause))
-    return f"{key} must be {allowed}, got {shown(match[2])}"
-
-
 def _first_line(error: BaseException) -> str:
     return str(error).splitlines()[0]
 
@@ -156,24 +142,23 @@ def _missing_option(error: MissingConfigException) -> str:
     return _first_line(error)
 
 
-def _wrong_type(error: ValidationError, overrides: Sequence[str]) -> str:
-    key = str(error.full_key or "").split("[")[0]
-    given = _given(key, overrides)
-    got = f", got {given}" if given is not None else f": {_first_line(error)}"
-    allowed = _allowed(key, error.object_type)
-    if allowed is not None:
+def _wrong_value(error: Exception, cause: BaseException | None) -> str | None:
+    """A sentence for a value that does not fit its key."""
+    match = re.match(r"Error merging override ([^=]+)=(.*)", _first_line(error))
+    if isinstance(cause, ValidationError):
+        key, schema = str(cause.full_key or "").split("[")[0], cause.object_type
+    elif match is not None and cause is not None:  # OmegaConf does not say which key it is
+        key, schema = match[1].lstrip("+~"), None
+    else:
+        return None
+    got = f": {_first_line(cause)}" if match is None else f", got {shown(match[2])}"
+    if (allowed := _allowed(key, schema)) is not None:
         return f"{key} must be {allowed}{got}"
     if key in schemas():
         return f"{key} must be one option, as {key}={next(iter(schemas()[key]))}{got}"
-    return f"{key}: {_first_line(error)}"
-
-
-def _given(key: str, overrides: Sequence[str]) -> str | None:
-    for override in reversed(overrides):
-        name, equals, value = override.partition("=")
-        if equals and name.lstrip("+") == key:
-            return shown(value)
-    return None
+    if isinstance(cause, ValidationError) or match is None:
+        return f"{key}: {_first_line(cause)}"
+    return unreadable(f"{key}={match[2]}", _first_line(cause))
 
 
 def _allowed(key: str, schema: Any) -> str | None:

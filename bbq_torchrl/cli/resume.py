@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 from pathlib import Path
@@ -144,23 +145,27 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
     assert given.resume is not None
     folder = Path(given.resume).expanduser().resolve()
     saved = run_config(folder)
-    config = dataclasses.replace(saved, resume=str(folder))
+    config = copy.deepcopy(saved)
+    config.resume = str(folder)
     for override in overrides:
         key = override.lstrip("+~").partition("=")[0]
         if key == "resume":
             continue
-        if key in (EXPERIMENT, "hydra.run.dir"):
-            raise ConfigError(_refusal(override, folder))
-        if key == "protocol.rounds":
-            config.protocol.rounds = _extended(saved, given, folder)
-        elif key == "protocol.keep_checkpoints":
-            config.protocol.keep_checkpoints = given.protocol.keep_checkpoints
-        elif key.partition(".")[0] == "logger":
-            config.logger = given.logger
-        elif key == "device":
-            config.device = given.device
-        elif _value(given, key) != _value(saved, key):
-            raise ConfigError(_refusal(override, folder))
+        if key in ("protocol.rounds", "protocol.keep_checkpoints"):
+            name = key.partition(".")[2]
+            setattr(config.protocol, name, getattr(given.protocol, name))
+        elif (name := key.partition(".")[0]) in ("logger", "device"):
+            setattr(config, name, getattr(given, name))
+        elif key in (EXPERIMENT, "hydra.run.dir") or _value(given, key) != _value(saved, key):
+            raise ConfigError(
+                f"{override} contradicts the run in {folder}: beside resume only "
+                f"{', '.join(CHANGEABLE)} can be given"
+            )
+    if config.protocol.rounds < saved.protocol.rounds:
+        raise ConfigError(
+            f"protocol.rounds must be at least {saved.protocol.rounds}, which {folder} was started "
+            f"with, got {config.protocol.rounds}"
+        )
     if is_finished(folder, config.protocol.rounds):
         only = " of a run with protocol.keep_checkpoints=last"
         extended = only if config.protocol.keep_checkpoints == "weights" else ""
@@ -187,23 +192,6 @@ def restarted_config(config: Config, folder: Path) -> Config:
             "another hydra.sweep.dir, or a hydra.sweep.subdir with a folder of its own for each job"
         )
     return dataclasses.replace(config, resume=str(folder))
-
-
-def _extended(saved: Config, given: Config, folder: Path) -> int:
-    before, after = saved.protocol.rounds, given.protocol.rounds
-    if after < before:
-        raise ConfigError(
-            f"protocol.rounds must be at least {before}, which {folder} was started with, "
-            f"got {after}"
-        )
-    return after
-
-
-def _refusal(override: str, folder: Path) -> str:
-    return (
-        f"{override} contradicts the run in {folder}: beside resume only "
-        f"{', '.join(CHANGEABLE)} can be given"
-    )
 
 
 def _value(config: Any, key: str) -> Any:

@@ -51,8 +51,8 @@ __all__ = [
 
 Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
 
-ROOTS = {"config": Config, "evaluate": EvaluateConfig, "calibrate": CalibrateConfig}
-"""YAML file of a root -> its schema."""
+ROOTS = {Config: "config", EvaluateConfig: "evaluate", CalibrateConfig: "calibrate"}
+"""Schema of a root -> its YAML file."""
 
 _registered: set[tuple[str, str]] = set()
 
@@ -60,7 +60,7 @@ _registered: set[tuple[str, str]] = set()
 def register_options() -> None:
     """Tells Hydra of the roots, and of every option that it does not know yet."""
     store = ConfigStore.instance()
-    for name, root in ROOTS.items():
+    for root, name in ROOTS.items():
         store.store(name=f"_{name}", node=root)
     for group, known in schemas().items():
         for name, option in known.items():
@@ -120,7 +120,7 @@ def session() -> Iterator[Any]:
         hydra.hydra = before
 
 
-def compose_raw(overrides: Sequence[str], name: str = "config") -> DictConfig:
+def compose_raw(overrides: Sequence[str], root: type = Config) -> DictConfig:
     """Composes YAML files and overrides inside a :func:`session`, Hydra's own part too.
 
     Values have the types of their keys, but are not yet checked.
@@ -128,11 +128,11 @@ def compose_raw(overrides: Sequence[str], name: str = "config") -> DictConfig:
     Raises:
         ConfigError: an unknown group, option or key, or a value of the wrong type.
     """
-    refusal = too_large(overrides) or not_an_option(overrides, ROOTS[name])
+    refusal = too_large(overrides) or not_an_option(overrides, root)
     if refusal is not None:
         raise ConfigError(refusal)
     try:
-        return hydra_compose(name, searched(overrides), return_hydra_config=True)
+        return hydra_compose(ROOTS[root], searched(overrides), return_hydra_config=True)
     # The last three: very long or deep texts, and numbers of thousands of digits.
     except (
         HydraException,
@@ -142,7 +142,7 @@ def compose_raw(overrides: Sequence[str], name: str = "config") -> DictConfig:
         OverflowError,
         RecursionError,
     ) as error:
-        raise ConfigError(explain(error, overrides, ROOTS[name])) from error
+        raise ConfigError(explain(error, overrides, root)) from error
 
 
 def searched(overrides: Sequence[str]) -> list[str]:
@@ -169,9 +169,12 @@ def to_config(typed: DictConfig, root: type[Root]) -> Root:
     for key in sorted(OmegaConf.missing_keys(typed)):
         raise _not_given(key)
     config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
-    for group in schemas():
-        option = getattr(config, group, None)
-        if option is not None and option.name != type(option).name:
+    chosen = {group: getattr(config, group) for group in schemas() if hasattr(config, group)}
+    for group, part in {"": config, **chosen}.items():
+        for key in vars(part).keys() - part.__dataclass_fields__.keys():  # added by a plus
+            raise ConfigError(unknown_key(f"{group}.{key}".strip("."), type(part)))
+    for group, option in chosen.items():
+        if option.name != type(option).name:
             raise ConfigError(
                 f"{group}.name must be {type(option).name!r}, got {option.name!r}: "
                 f"choose by {group}={option.name}"
@@ -256,6 +259,5 @@ def compose(overrides: Sequence[str] = (), root: type[Root] = Config) -> Root:  
         >>> compose(["env=domain_ext"]).protocol.rounds
         200
     """
-    name = next(name for name, schema in ROOTS.items() if schema is root)
     with session():
-        return to_config(compose_raw(overrides, name), root)
+        return to_config(compose_raw(overrides, root), root)

@@ -20,8 +20,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from bbq_torchrl.cli.messages import too_large, unreadable
-from bbq_torchrl.cli.store import compose_raw, session, to_config
-from bbq_torchrl.options import Config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options.registry import config_folders, options
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
@@ -39,6 +38,8 @@ from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from bbq_torchrl.options import Config
 
 __all__ = ["SEARCH", "Search", "SearchConfig", "compose_search"]
 
@@ -126,8 +127,7 @@ class Search:
         Raises:
             ConfigError: the values cannot be run.
         """
-        with session():
-            return to_config(compose_raw(self.overrides(values)), Config)
+        return compose(self.overrides(values))
 
     def definition(self) -> dict[str, Any]:
         """All that the outcomes of trials depend on, as plain values by dotted key."""
