@@ -1,20 +1,18 @@
 """What cannot be done is refused in one short sentence, and nothing is left in the way.
 
 The table ``bad_input.yaml`` says by which command, what was done to its folder before, and what
-must stand in the sentence. All rows without damage are tried in every run of the tests, a
-sample of the others and a few commands in processes of their own where it is asked for.
+must stand in the sentence. All rows without damage are tried in every run of the tests, a sample of
+the others where it is asked for.
 """
 
 from __future__ import annotations
 
 import importlib
-import os
 import random
 import re
 import shlex
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import forked
@@ -30,9 +28,6 @@ from .commands import PROGRAMS
 TABLE = yaml.safe_load((Path(__file__).parent / "bad_input.yaml").read_text(encoding="utf-8"))
 PLAIN = [row for row in TABLE if "damage" not in row]
 DAMAGED = [row for row in TABLE if "damage" in row]
-IN_OWN_PROCESS = 3
-"""Commands that are started as a person does, each with a Python of its own."""
-
 LONG = {"<long>": "x" * 2_000_000, "<deep>": "[" * 50_000, "<digits>": "9" * 5_000}
 """What is too long for a table."""
 
@@ -99,7 +94,16 @@ def left_in(folder, before):
     return new - locks - {parent for path in locks for parent in path.parents}
 
 
-def check(row, code, err, left):
+def identity(row):
+    return re.sub(r"\W+", "-", f"{row['command']} {row.get('damage', '')}")[:80]
+
+
+def refuse(row, folder):
+    """Runs the command of a row in a child of this process, and checks how it ends."""
+    before = paths(folder)
+    program, _, rest = row["command"].partition(" ")
+    main = importlib.import_module(PROGRAMS[program]).main
+    code, _, err = forked.end(main, *arguments(rest), cwd=folder)
     assert code in (1, 2), err
     assert "Traceback" not in err
     message = " ".join(err.split())
@@ -112,20 +116,7 @@ def check(row, code, err, left):
         assert first.startswith("error: ")
         assert not rest or re.search(r"has \d+ faults:$", first)
         assert all(line.startswith("  ") for line in rest)
-    assert not left
-
-
-def identity(row):
-    return re.sub(r"\W+", "-", f"{row['command']} {row.get('damage', '')}")[:80]
-
-
-def refuse(row, folder):
-    """Runs the command of a row in a child of this process, and checks how it ends."""
-    before = paths(folder)
-    program, _, rest = row["command"].partition(" ")
-    main = importlib.import_module(PROGRAMS[program]).main
-    code, _, err = forked.end(main, *arguments(rest), cwd=folder)
-    check(row, code, err, left_in(folder, before))
+    assert not left_in(folder, before)
 
 
 @pytest.mark.parametrize("row", PLAIN, ids=identity)
@@ -140,31 +131,6 @@ def test_what_cannot_be_done_is_a_sentence(undamaged, row):
 def test_what_is_damaged_is_a_sentence(place, row, record_property):
     refuse(row, place(row["damage"]))
     record_property("bad inputs: refused in a sentence", 1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "row",
-    random.Random(SEED).sample([row for row in TABLE if "<" not in row["command"]], IN_OWN_PROCESS),
-    ids=identity,
-)
-def test_a_person_reads_the_same(place, row):
-    folder = place(row.get("damage"))
-    before = paths(folder)
-    program, _, rest = row["command"].partition(" ")
-    start = {"train": [str(forked.ROOT / "train.py")], "domains": ["-m", "bbq_torchrl.domains"]}
-    module = PROGRAMS[program].removesuffix(".__main__")
-
-    ended = subprocess.run(
-        [sys.executable, *start.get(program, ["-m", module]), *arguments(rest)],
-        cwd=folder,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(forked.ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=1_800,
-    )
-
-    check(row, ended.returncode, ended.stderr, left_in(folder, before))
 
 
 def test_a_table_has_no_row_twice():

@@ -10,10 +10,13 @@ import json
 
 import forked
 import pytest
+import torch
 from tiny import TINY, rows
 
-from bbq_torchrl import evaluate
+from bbq_torchrl import evaluate, load_run
 from bbq_torchrl.cli.train import main as train_main
+from bbq_torchrl.evaluation.play import evaluate as evaluate_policy
+from bbq_torchrl.evaluation.results import read_result
 
 TRAIN = forked.ROOT / "train.py"
 
@@ -85,6 +88,22 @@ def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, c
     assert answers["mean"]["env"] == "domain_ext"
     assert answers["mean"]["dialogues"] == 75
     assert [answers[mode]["mode"] for mode in answers] == ["mean", "average", "thompson"]
+
+
+def test_a_loaded_run_plays_as_it_was_reported(finished):
+    env, policy, config, mode = load_run(finished, dialogues=30)
+    assert mode == "mean"
+    assert env.round == 2
+    played = evaluate_policy(env, policy, 30, seed=config.seed)
+    reported = [item.success_rate for item in read_result(finished).per_replica]
+    assert played.success.double().mean(-1).tolist() == pytest.approx(reported)
+
+
+def test_a_loaded_run_is_a_policy_for_its_environment(finished):
+    loaded = load_run(finished, dialogues=3, mode="thompson", weights="best")
+    rollout = loaded.env.rollout(4, loaded.policy, break_when_any_done=False)
+    assert rollout.batch_size == torch.Size([3, 3, 4])
+    assert loaded.mode == "thompson"
 
 
 def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(

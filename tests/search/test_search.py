@@ -258,40 +258,13 @@ def test_values_that_cannot_be_run_fail_their_trial_and_the_search_goes_on(tmp_p
     assert {number for number, _ in training.played} == {0, 2}
 
 
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(
-        ConfigError, match=r"search\.folder=.*file/search cannot be used: .*Not a dir"
-    ):
-        run_search(search(tmp_path / "file" / "search"), Training())
-
-
-@pytest.mark.parametrize(
-    "url",
-    [
-        "nonsense",
-        "nonsense://host/name",
-        "sqlite:////nowhere/study.db",
-        "postgresql://nobody@localhost:1/none",
-        "mysql://nobody@localhost:1/none",
-    ],
-)
-def test_a_storage_that_cannot_be_used_is_refused(tmp_path, url):
-    with pytest.raises(ConfigError, match="cannot be used") as refused:
-        run_search(search(tmp_path, f"search.storage={url}"), Training())
-    assert f"search.storage={url}" in str(refused.value)
-
-
 def test_a_damaged_study_or_definition_is_refused(tmp_path):
     run_search(search(tmp_path, trials=1), Training())
-    definition = (tmp_path / "search.yaml").read_text()
-    for text in ("[", "- a list", "\x00"):
-        (tmp_path / "search.yaml").write_text(text)
-        with pytest.raises(ConfigError, match=r"search\.yaml is damaged"):
-            run_search(search(tmp_path, trials=2), Training())
-    (tmp_path / "search.yaml").write_text(definition)
     (tmp_path / "study.db").write_bytes(b"not a database" * 100)
     with pytest.raises(ConfigError, match=r"study\.db cannot be used"):
+        run_search(search(tmp_path, trials=2), Training())
+    (tmp_path / "search.yaml").write_text("- a list")
+    with pytest.raises(ConfigError, match=r"search\.yaml is damaged"):
         run_search(search(tmp_path, trials=2), Training())
 
 
