@@ -1,4 +1,4 @@
-"""The folders of runs and sweeps: named, made, and nobody else's."""
+"""The folder of a run or a sweep: named, made, and nobody else's."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from filelock import FileLock, Timeout
-from omegaconf import open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -24,20 +23,17 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LOCK",
-    "job_subfolder",
+    "named_folder",
     "quoted",
     "refuse_other_folder",
+    "reserve",
     "run_folder",
     "run_lock",
-    "sweep_folder",
 ]
 
 
 LOCK = ".lock"
 """The file in a run folder that is locked; the file stays, the lock ends with its process."""
-
-SWEEP_CONFIG = "multirun.yaml"
-"""What Hydra writes into the folder of a sweep before its first job."""
 
 
 def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
@@ -54,18 +50,18 @@ def run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> l
     if resumed is not None:
         # Hydra's own record stays as the first process wrote it.
         return [f"hydra.run.dir={quoted(resumed)}", "hydra.output_subdir=null"]
-    chosen = _named_folder(composed, "run")
+    chosen = named_folder(composed, "run")
     if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
         held.enter_context(run_lock(chosen))
         if (chosen / CONFIG).exists():
             raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")
         return []
-    folder = _reserve(chosen)
+    folder = reserve(chosen)
     held.enter_context(run_lock(folder))
     return [f"hydra.run.dir={quoted(folder)}"]
 
 
-def _named_folder(composed: DictConfig, kind: str) -> Path:
+def named_folder(composed: DictConfig, kind: str) -> Path:
     """What ``hydra.run.dir`` or ``hydra.sweep.dir`` names."""
     key = f"hydra.{kind}.dir"
     try:
@@ -77,47 +73,7 @@ def _named_folder(composed: DictConfig, kind: str) -> Path:
     return Path(name)
 
 
-def sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> Path:
-    """The folder of a sweep: the one given, new or of a sweep to go on with, or of a free name."""
-    folder = _named_folder(composed, "sweep")
-    _check_jobs_folder(composed, jobs)
-    if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
-        return _reserve(folder)
-    try:
-        folder.mkdir(parents=True)
-    except FileExistsError:
-        if not (folder / SWEEP_CONFIG).is_file():
-            raise ConfigError(
-                "hydra.sweep.dir must be a folder that is not there yet, or that of a sweep to go "
-                f"on with, got {folder}, which is there and has no {SWEEP_CONFIG}"
-            ) from None
-    except OSError as error:
-        raise ConfigError(
-            f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"
-        ) from error
-    return folder
-
-
-def job_subfolder(composed: DictConfig, number: int) -> str:
-    """The folder of a job of a sweep, in that of the sweep."""
-    with read_write(composed), open_dict(composed):
-        composed.hydra.job.num = number
-        composed.hydra.job.id = str(number)
-        return str(composed.hydra.sweep.subdir)
-
-
-def _check_jobs_folder(composed: DictConfig, jobs: int) -> None:
-    """Refuses folders of jobs that are not each job's own, in that of the sweep."""
-    name = str(composed.hydra.sweep._get_node("subdir")._value())  # with what is known in a job
-    parts = Path(name).parts
-    if not parts or Path(name).is_absolute() or ".." in parts or (jobs > 1 and "${" not in name):
-        raise ConfigError(
-            "hydra.sweep.subdir must name a folder of its own for each job, in that of the sweep, "
-            f"such as ${{hydra.job.num}}, got {shown(name)}"
-        )
-
-
-def _reserve(folder: Path) -> Path:
+def reserve(folder: Path) -> Path:
     """Makes a folder that nobody else has: the given one, or the first free ``<folder>_<n>``."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     candidate, number = folder, 1

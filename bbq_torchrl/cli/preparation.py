@@ -9,63 +9,37 @@ of that folder.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import shutil
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from hydra._internal.callbacks import Callbacks
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import run_job
-from hydra.errors import HydraException
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.folders import (
-    SWEEP_CONFIG,
-    job_subfolder,
-    quoted,
-    refuse_other_folder,
-    run_folder,
-    run_lock,
-    sweep_folder,
-)
-from bbq_torchrl.cli.messages import LAUNCHER, explain, too_large
-from bbq_torchrl.cli.resume import restarted_config, resumed_config
-from bbq_torchrl.cli.store import (
-    compose_raw,
-    register_options,
-    searched,
-    session,
-    to_config,
-)
-from bbq_torchrl.cli.sweeps import table_of_runs
+from bbq_torchrl import output
+from bbq_torchrl.cli.folders import quoted, refuse_other_folder, run_folder, run_lock
+from bbq_torchrl.cli.messages import too_large
+from bbq_torchrl.cli.resume import resumed_config
+from bbq_torchrl.cli.store import compose_raw, register_options, searched, session, to_config
+from bbq_torchrl.cli.sweeps import Check, Sweep, prepare_sweep
 from bbq_torchrl.options import Config
-from bbq_torchrl.options.registry import EXPERIMENT, load_folder
+from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator
+    from collections.abc import Callable, Sequence
+    from contextlib import ExitStack
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["FULL_ERROR", "Check", "Prepared", "SingleRun", "Sweep", "prepare"]
-
-FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
-
-_SLURM = ("slurm", "submitit_slurm")
-
-Check = Callable[[Config], "Domain | None"]
+__all__ = ["Prepared", "SingleRun", "prepare"]
 
 
 @dataclass(frozen=True)
@@ -93,46 +67,12 @@ class SingleRun:
 
 
 @dataclass(frozen=True)
-class Sweep:
-    """Where a sweep's runs are, and how many (0 where only its sweeper knows)."""
-
-    folder: Path
-    jobs: int
-    launcher: str
-
-    @contextmanager
-    def interruptible(self) -> Iterator[None]:
-        """Within it, a signal has the jobs on this machine end their rounds first."""
-        interruption.tell(lambda: "in a sweep", self.how_to_go_on)
-        if self.launcher not in ("cores", "joblib", "basic"):
-            yield
-            return
-        with interruption.gently(_stop_workers):
-            yield
-
-    def show(self) -> None:
-        """Writes the table of its runs to stderr."""
-        output.complain(table_of_runs(self.folder, self.jobs))
-
-    def how_to_go_on(self) -> str:
-        """What is finished, and what goes on with the others."""
-        finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
-        return f"{finished}; the same command with hydra.sweep.dir={self.folder} goes on"
-
-
-@dataclass(frozen=True)
 class Prepared:
     """A command line for Hydra; a single run or a sweep where it is one."""
 
     arguments: list[str]
     run: SingleRun | None = None
     sweep: Sweep | None = None
-
-
-def _stop_workers() -> None:
-    os.environ[FULL_ERROR] = "1"  # what becomes of the jobs is not told one by one
-    for worker in multiprocessing.active_children():
-        worker.terminate()
 
 
 def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared:
@@ -175,28 +115,7 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
             _override_hydra(composed, extra, hydra_session)
             run = SingleRun(composed, config, domain, hydra_session.config_loader)
             return Prepared([*arguments, *extra], run=run)
-        composed, jobs = _sweep(hydra_session, parsed.overrides)
-        refuse_other_folder(parsed.overrides, "run", "a single run", "sweep")
-        launcher = composed.hydra.runtime.choices[LAUNCHER]
-        if composed.hydra.launcher.get("n_jobs") == 0:
-            raise ConfigError("hydra.launcher.n_jobs must be a number of processes or -1, got 0")
-        if launcher in _SLURM and shutil.which("sbatch") is None:
-            raise ConfigError(
-                f"{LAUNCHER}={launcher} needs the program sbatch, which is not on this machine: "
-                "start the sweep where SLURM's jobs are submitted"
-            )
-        configs = []
-        for job in jobs:
-            if job.resume is not None:
-                raise ConfigError("resume cannot be combined with --multirun")
-            configs.append(to_config(job, Config))
-            check(configs[-1])
-        folder = sweep_folder(composed, parsed.overrides, len(jobs))
-        if (folder / SWEEP_CONFIG).is_file():
-            # Hydra writes into a job's folder before the job can refuse it.
-            for number, (job, config) in enumerate(zip(jobs, configs, strict=True)):
-                restarted_config(config, folder / job_subfolder(job, number))
-        sweep = Sweep(folder, len(jobs), launcher)
+        sweep = prepare_sweep(hydra_session, parsed.overrides, check)
     return Prepared([*arguments, f"hydra.sweep.dir={quoted(sweep.folder)}"], sweep=sweep)
 
 
@@ -210,40 +129,6 @@ def _refuse_unread(parsed: Namespace) -> None:
         if getattr(parsed, flag, None) is not None:
             name = "--" + flag.replace("_", "-")
             raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
-
-
-def _sweep(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[DictConfig]]:
-    """The configuration of a sweep, and those of its jobs, with Hydra's part.
-
-    Only Hydra's own sweeper says beforehand what its jobs are. Of another one (Optuna's, say) none
-    are returned: each job is checked when it starts.
-    """
-    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
-    try:
-        parsed = parser.parse_overrides(list(arguments))
-        of_sweeper = [
-            str(item.input_line)
-            for item in parsed
-            if not item.is_sweep_override()
-            and item.key_or_group.partition(".")[0].partition("/")[0] in ("hydra", EXPERIMENT)
-        ]
-        composed = compose_raw(of_sweeper)
-        sweeper = composed.hydra.sweeper
-        if not str(sweeper._target_).endswith(f".{BasicSweeper.__name__}"):
-            return composed, []
-        swept = [f"{key}={value}" for key, value in (sweeper.params or {}).items()]
-        parsed = parser.parse_overrides([*swept, *arguments])
-        jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
-    except HydraException as error:
-        raise ConfigError(explain(error, arguments)) from error
-    if not jobs:
-        raise ConfigError(
-            f"{sentence(' '.join(arguments))} is a sweep without a job: a range() is empty, or a "
-            "glob() names no option "
-            "(globs of a folder of options stand behind its name: '+experiment/agents=glob(*)')"
-        )
-    composed_jobs = [compose_raw(job) for job in jobs]
-    return composed_jobs[0], composed_jobs
 
 
 def _resumed_folder(resume: str | None) -> Path | None:

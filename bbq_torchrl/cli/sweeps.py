@@ -1,23 +1,198 @@
-"""What a sweep leaves: a table of its runs."""
+"""A sweep: its jobs, checked before the first one starts, its folder, and the table of its runs."""
 
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
 import re
-from typing import TYPE_CHECKING
+import shutil
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import yaml
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import open_dict, read_write
 
-from bbq_torchrl.cli.resume import is_finished, run_config
+from bbq_torchrl import interruption, output
+from bbq_torchrl.cli.folders import named_folder, refuse_other_folder, reserve
+from bbq_torchrl.cli.messages import LAUNCHER, explain
+from bbq_torchrl.cli.resume import is_finished, restarted_config, run_config
+from bbq_torchrl.cli.store import compose_raw, to_config
+from bbq_torchrl.options import Config
+from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import RESULT
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Iterator, Sequence
 
-__all__ = ["table_of_runs"]
+    from omegaconf import DictConfig
 
+    from bbq_torchrl.domains import Domain
+
+__all__ = ["FULL_ERROR", "Check", "Sweep", "prepare_sweep", "table_of_runs"]
+
+FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
+
+_SLURM = ("slurm", "submitit_slurm")
 _HEAD = ("run", "overrides", "final success", "state")
+
+SWEEP_CONFIG = "multirun.yaml"
+"""What Hydra writes into the folder of a sweep before its first job."""
+
+Check = Callable[[Config], "Domain | None"]
+"""Checks a configuration before anything runs; returns the domain that it has loaded, if any."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Where a sweep's runs are, and how many (0 where only its sweeper knows)."""
+
+    folder: Path
+    jobs: int
+    launcher: str
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Within it, a signal has the jobs on this machine end their rounds first."""
+        interruption.tell(lambda: "in a sweep", self.how_to_go_on)
+        if self.launcher not in ("cores", "joblib", "basic"):
+            yield
+            return
+        with interruption.gently(_stop_workers):
+            yield
+
+    def show(self) -> None:
+        """Writes the table of its runs to stderr."""
+        output.complain(table_of_runs(self.folder, self.jobs))
+
+    def how_to_go_on(self) -> str:
+        """What is finished, and what goes on with the others."""
+        finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
+        return f"{finished}; the same command with hydra.sweep.dir={self.folder} goes on"
+
+
+def prepare_sweep(hydra_session: Any, overrides: Sequence[str], check: Check) -> Sweep:
+    """Composes and checks every job of a sweep, and makes its folder.
+
+    Args:
+        hydra_session: of :func:`~bbq_torchrl.cli.store.session`.
+        overrides: the command line.
+        check: what else to check of a job's configuration.
+
+    Raises:
+        ConfigError: one sentence that says what is wrong and what is allowed.
+        ValueError or OSError: what ``check`` raises.
+    """
+    composed, jobs = _composed(hydra_session, overrides)
+    refuse_other_folder(overrides, "run", "a single run", "sweep")
+    launcher = composed.hydra.runtime.choices[LAUNCHER]
+    if composed.hydra.launcher.get("n_jobs") == 0:
+        raise ConfigError("hydra.launcher.n_jobs must be a number of processes or -1, got 0")
+    if launcher in _SLURM and shutil.which("sbatch") is None:
+        raise ConfigError(
+            f"{LAUNCHER}={launcher} needs the program sbatch, which is not on this machine: "
+            "start the sweep where SLURM's jobs are submitted"
+        )
+    configs = []
+    for job in jobs:
+        if job.resume is not None:
+            raise ConfigError("resume cannot be combined with --multirun")
+        configs.append(to_config(job, Config))
+        check(configs[-1])
+    folder = _sweep_folder(composed, overrides, len(jobs))
+    if (folder / SWEEP_CONFIG).is_file():
+        # Hydra writes into a job's folder before the job can refuse it.
+        for number, (job, config) in enumerate(zip(jobs, configs, strict=True)):
+            restarted_config(config, folder / _job_subfolder(job, number))
+    return Sweep(folder, len(jobs), launcher)
+
+
+def _stop_workers() -> None:
+    os.environ[FULL_ERROR] = "1"  # what becomes of the jobs is not told one by one
+    for worker in multiprocessing.active_children():
+        worker.terminate()
+
+
+def _composed(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[DictConfig]]:
+    """The configuration of a sweep, and those of its jobs, with Hydra's part.
+
+    Only Hydra's own sweeper says beforehand what its jobs are. Of another one (Optuna's, say) none
+    are returned: each job is checked when it starts.
+    """
+    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
+    try:
+        parsed = parser.parse_overrides(list(arguments))
+        of_sweeper = [
+            str(item.input_line)
+            for item in parsed
+            if not item.is_sweep_override()
+            and item.key_or_group.partition(".")[0].partition("/")[0] in ("hydra", EXPERIMENT)
+        ]
+        composed = compose_raw(of_sweeper)
+        sweeper = composed.hydra.sweeper
+        if not str(sweeper._target_).endswith(f".{BasicSweeper.__name__}"):
+            return composed, []
+        swept = [f"{key}={value}" for key, value in (sweeper.params or {}).items()]
+        parsed = parser.parse_overrides([*swept, *arguments])
+        jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
+    except HydraException as error:
+        raise ConfigError(explain(error, arguments)) from error
+    if not jobs:
+        raise ConfigError(
+            f"{sentence(' '.join(arguments))} is a sweep without a job: a range() is empty, or a "
+            "glob() names no option "
+            "(globs of a folder of options stand behind its name: '+experiment/agents=glob(*)')"
+        )
+    composed_jobs = [compose_raw(job) for job in jobs]
+    return composed_jobs[0], composed_jobs
+
+
+def _sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> Path:
+    """The folder of a sweep: the one given, new or of a sweep to go on with, or of a free name."""
+    folder = named_folder(composed, "sweep")
+    _check_jobs_folder(composed, jobs)
+    if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
+        return reserve(folder)
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        if not (folder / SWEEP_CONFIG).is_file():
+            raise ConfigError(
+                "hydra.sweep.dir must be a folder that is not there yet, or that of a sweep to go "
+                f"on with, got {folder}, which is there and has no {SWEEP_CONFIG}"
+            ) from None
+    except OSError as error:
+        raise ConfigError(
+            f"hydra.sweep.dir must be a folder that can be made, got {folder}: {error.strerror}"
+        ) from error
+    return folder
+
+
+def _job_subfolder(composed: DictConfig, number: int) -> str:
+    """The folder of a job of a sweep, in that of the sweep."""
+    with read_write(composed), open_dict(composed):
+        composed.hydra.job.num = number
+        composed.hydra.job.id = str(number)
+        return str(composed.hydra.sweep.subdir)
+
+
+def _check_jobs_folder(composed: DictConfig, jobs: int) -> None:
+    """Refuses folders of jobs that are not each job's own, in that of the sweep."""
+    name = str(composed.hydra.sweep._get_node("subdir")._value())  # with what is known in a job
+    parts = Path(name).parts
+    if not parts or Path(name).is_absolute() or ".." in parts or (jobs > 1 and "${" not in name):
+        raise ConfigError(
+            "hydra.sweep.subdir must name a folder of its own for each job, in that of the sweep, "
+            f"such as ${{hydra.job.num}}, got {shown(name)}"
+        )
 
 
 def table_of_runs(sweep: Path, jobs: int) -> str:

@@ -23,9 +23,10 @@ from hydra.errors import CompactHydraException, HydraException
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import quoted
 from bbq_torchrl.cli.messages import explain, train_command
-from bbq_torchrl.cli.preparation import FULL_ERROR, Sweep, prepare
+from bbq_torchrl.cli.preparation import prepare
 from bbq_torchrl.cli.resume import restarted_config
 from bbq_torchrl.cli.store import to_config
+from bbq_torchrl.cli.sweeps import FULL_ERROR
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.options.settings import ConfigError
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from bbq_torchrl.cli.preparation import SingleRun
+    from bbq_torchrl.cli.sweeps import Sweep
     from bbq_torchrl.domains import Domain
 
 __all__ = ["REFUSED", "UsageError", "main"]
