@@ -36,9 +36,10 @@ CELLS = [
 VARIANTS = {
     "BBQN-MC": ("agent=bbqn", "agent.target=mc"),
     "shared target noise": ("agent=bbqn", "agent.target=mc", "agent.target_noise=shared"),
-    "Double DQN": ("agent=dqn", "agent.double=true"),
-    "separate networks": ("agent=bootstrap", "agent.trunk_layers=0"),
-    "prior functions": ("agent=bootstrap", "agent.prior_scale=3", "agent.double=true"),
+    "separate networks with priors": (
+        *("agent=bootstrap", "agent.trunk_layers=0"),
+        *("agent.prior_scale=3", "agent.double=true"),
+    ),
     "VIME-MC": ("agent=bbqn", "intrinsic=vime", "intrinsic.weights=mc"),
     "dynamics now and then": ("agent=dqn", "intrinsic=vime", "intrinsic.dynamics_every=3"),
 }
