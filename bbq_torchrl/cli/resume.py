@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.store import read_config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
+from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,11 +52,8 @@ _NOT_OF_THE_TRAINING = (
 )
 """Keys, and groups, that a checkpoint does not depend on."""
 
-_ADDED = {"intrinsic": "none"}
-"""Groups that configurations of earlier versions lack, and the option that those versions were."""
-
-_ADDED_KEYS = {"protocol": {"eval_every": 0}}
-"""Keys that configurations of earlier versions lack, and what those versions did."""
+_ADDED = {"intrinsic": {"name": "none"}, "protocol": {"eval_every": 0}}
+"""Groups and keys that configurations of earlier versions lack, and what those versions did."""
 
 _REMOVED_KEYS = ("cuda_graph",)
 """Keys of earlier versions that changed no number."""
@@ -118,18 +117,12 @@ def load_config(file: Path) -> Config:
         raise ConfigError(f"{file} must hold a mapping of groups, got a list")
     for key in _REMOVED_KEYS:
         plain.pop(key, None)
-    for group, option in _ADDED.items():
-        if group not in plain and "agent" in plain:
-            plain[group] = {"name": option}
-    for group, keys in _ADDED_KEYS.items():
-        if OmegaConf.is_dict(plain.get(group)):
-            for key, value in keys.items():
-                if key not in plain[group]:
-                    plain[group][key] = value
     try:
+        if OmegaConf.is_dict(plain.get("protocol")):
+            plain = OmegaConf.merge(plain, _ADDED, plain)
         return read_config(plain)
-    except ConfigError as error:
-        raise ConfigError(f"{file}: {error}") from error
+    except (ConfigError, OmegaConfBaseException) as error:
+        raise ConfigError(f"{file}: {sentence(error)}") from error
 
 
 def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
