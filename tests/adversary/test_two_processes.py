@@ -49,6 +49,26 @@ def first(commands, kind, folder):
 
 
 @pytest.mark.parametrize("one", ["new", "resume"])
+@pytest.mark.parametrize("other", ["new", "resume", "extend"])
+def test_who_comes_second_is_told_so(commands, references, place, record_property, one, other):
+    reference = references(NAME)
+    command = first(commands, one, place)
+    arguments = {
+        "new": new(place),
+        "resume": (f"resume={place}",),
+        "extend": (f"resume={place}", "protocol.rounds=9"),
+    }[other]
+
+    ended = commands.run("train", *arguments, code=2)
+
+    assert BUSY in ended.line
+    command.send(signal.SIGCONT)
+    assert command.end().code == 0
+    assert_same(place, reference.folder)
+    record_property(TWO, 1)
+
+
+@pytest.mark.parametrize("one", ["new", "resume"])
 def test_an_evaluation_beside_a_training_harms_neither(
     commands, references, place, record_property, one
 ):
