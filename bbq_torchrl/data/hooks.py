@@ -1,4 +1,4 @@
-"""What a transform of a replay may have besides TorchRL's methods, and who calls it."""
+"""What a module of a replay's transform may have besides TorchRL's methods, and who calls it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Seeded(Protocol):
 
 
 class Measured(Protocol):
-    """A transform that notes something worth a metric. Of others there is none."""
+    """A transform that notes something worth a metric. Others add none."""
 
     def pop_metrics(self) -> Mapping[str, Tensor]:
         """Returns metrics by name, each [replicas], of what was stored since the last call."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
-from tensordict import pad_sequence
+from tensordict import TensorDict, pad_sequence
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
-from torchrl.envs import Compose
+from torchrl.envs import Transform
 
-from bbq_torchrl.data.epoch import Batch, EpochMemory
-from bbq_torchrl.data.hooks import Seeded
-from bbq_torchrl.data.stored_rows import buffer_state, load_buffer_state, map_stored_rows
+from bbq_torchrl.data.hooks import Measured, Seeded
+from bbq_torchrl.data.rows import Batch, EpochMemory, map_stored_rows
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.hooks import provides
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from tensordict import NestedKey, TensorDictBase
-    from torchrl.envs import Transform
+    from torch import nn
 
 __all__ = ["TRANSITION_KEYS", "ReplicaReplay"]
 
@@ -42,7 +41,8 @@ class ReplicaReplay:
 
     There are R buffers, and not one of R columns, because replicas play dialogues of different
     lengths: their buffers fill, turn over and drop what was protected at different times, while
-    TorchRL's storages, samplers and writers have one length and one cursor.
+    TorchRL's storages, samplers and writers have one length and one cursor, and its
+    ``ReplayBufferEnsemble`` reads equally many rows of each buffer.
 
     A replica's buffer holds its own transitions only, is shuffled by its own generator and so is
     independent of what the other replicas do. An epoch is one permutation of each buffer
@@ -59,8 +59,8 @@ class ReplicaReplay:
         transform (Transform, optional): as in TorchRL's replay buffers: ``transform.inv`` runs on
             rows when they are stored, and what it adds (its ``out_keys_inv``) is stored with them;
             ``transform`` runs on an epoch's rows when they are read. Both see batch size
-            [replicas, rows] with the entry ``valid``. Parts of it that are
-            :class:`~bbq_torchrl.data.hooks.Seeded` are seeded along with the shuffling.
+            [replicas, rows] with the entry ``valid``. What its modules may have besides is in
+            :mod:`bbq_torchrl.data.hooks`.
         device (torch.device or str): where the transitions are kept. Default: ``"cpu"``.
 
     Attributes:
@@ -100,7 +100,9 @@ class ReplicaReplay:
         self.replicas = replicas
         self.keys = tuple(keys)
         self.transform = transform
-        added = [key for part in _parts(transform) for key in part.out_keys_inv]
+        self._parts: list[nn.Module] = [] if transform is None else list(transform.modules())
+        transforms = [part for part in self._parts if isinstance(part, Transform)]
+        added = [key for part in transforms for key in part.out_keys_inv]
         self.stored_keys = (*self.keys, *(key for key in added if key not in self.keys))
         self._device = torch.device(device)
         self._generators = [torch.Generator(self._device) for _ in range(replicas)]
@@ -143,9 +145,17 @@ class ReplicaReplay:
             # forgets it, so that an epoch depends on this seed alone, not on the epochs before.
             buffer.set_sampler(SamplerWithoutReplacement(drop_last=False))
             buffer.set_rng(generator.manual_seed(seed))
-        for part in _parts(self.transform):
+        for part in self._parts:
             if provides(part, Seeded):
                 part.set_seeds(seeds)
+
+    def pop_metrics(self) -> dict[str, Tensor]:
+        """Returns metrics that the transform noted since the last call, [replicas] each."""
+        found: dict[str, Tensor] = {}
+        for part in self._parts:
+            if provides(part, Measured):
+                found |= part.pop_metrics()
+        return found
 
     def extend(self, rows: Sequence[TensorDictBase]) -> None:
         """Stores each replica's new transitions; the oldest unprotected ones make room.
@@ -240,24 +250,27 @@ class ReplicaReplay:
     def _batches(
         self, lengths: tuple[int, ...], batch_size: int, epoch_number: int
     ) -> Iterator[Batch]:
-        rows = self._memory.gather(lengths, batch_size, self._computed, self.transform)
-        counts = [-(-length // batch_size) for length in lengths]
-        # A batch's first row counts if any does.
-        active = rows["valid"][..., 0].unbind(1)
-        for number, batch in enumerate(rows.unbind(1)):
+        rows: TensorDictBase = self._memory.gather(lengths, batch_size, self._computed)
+        if self.transform is not None:
+            rows = self.transform(rows)
+        batches = rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
+        for number, batch in enumerate(batches):
             if epoch_number != self._epochs_begun:
                 raise RuntimeError("a new epoch has begun: the batches of the one before are gone")
-            yield Batch(batch, tuple(number < count for count in counts), active[number])
+            yield Batch(batch, tuple(number * batch_size < length for length in lengths))
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the transitions, the writers' positions and the transform's state.
 
         Not the generators: see :meth:`seed`.
         """
-        state: dict[str, Any] = {
-            str(replica): buffer_state(buffer, self.stored_keys)
-            for replica, buffer in enumerate(self.buffers)
-        }
+        state: dict[str, Any] = {}
+        for replica, buffer in enumerate(self.buffers):
+            rows: dict[str, Tensor] = {}  # by their flat names, each [rows, ...]
+            if len(buffer):
+                stored = buffer.storage.get(slice(0, len(buffer))).select(*self.stored_keys)
+                rows = dict(stored.flatten_keys("/").items())
+            state[str(replica)] = {"rows": rows, "writer": buffer.writer.state_dict()}
         if self.transform is not None:
             state["transform"] = dict(self.transform.state_dict())
         return state
@@ -277,11 +290,13 @@ class ReplicaReplay:
         if self.transform is not None:
             self.transform.load_state_dict(state_dict["transform"])
         for replica, buffer in enumerate(self.buffers):
-            load_buffer_state(buffer, state_dict[str(replica)], self.capacity, self._device)
-
-
-def _parts(transform: Transform | None) -> list[Transform]:
-    """Returns the transforms that one consists of."""
-    if transform is None:
-        return []
-    return list(transform.transforms) if isinstance(transform, Compose) else [transform]
+            state = state_dict[str(replica)]
+            buffer.empty()
+            if state["rows"]:
+                rows = TensorDict(dict(state["rows"])).auto_batch_size_(1)
+                if len(rows) > self.capacity:
+                    raise ValueError(
+                        f"the state must fit the capacity {self.capacity}, got {len(rows)} rows"
+                    )
+                buffer.extend(rows.unflatten_keys("/").to(self._device))
+            buffer.writer.load_state_dict(state["writer"])

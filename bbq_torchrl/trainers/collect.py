@@ -10,9 +10,6 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl.data.hooks import Measured
-from bbq_torchrl.hooks import provides
-
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
@@ -25,7 +22,6 @@ __all__ = [
     "outcomes",
     "play",
     "play_dialogues",
-    "pop_metrics",
     "rows_per_replica",
 ]
 
@@ -176,7 +172,7 @@ def collect_dialogues(
         dialogues (int): how many dialogues each replica plays.
         max_steps (int): the most turns of a dialogue.
     """
-    pop_metrics(replay.transform)  # what was stored before, in spiking, is not of these
+    replay.pop_metrics()  # what was stored before, in spiking, is not of these
     totals: Tensor | None = None
     for rollout in play_dialogues(env, policy, dialogues, max_steps=max_steps):
         result = outcomes(rollout)
@@ -185,18 +181,4 @@ def collect_dialogues(
         replay.extend(rows_per_replica(rollout, replay.keys))
     assert totals is not None
     means = dict(zip(("success_rate", "reward", "turns"), totals / dialogues, strict=True))
-    return {**means, **pop_metrics(replay.transform)}
-
-
-def pop_metrics(transform: nn.Module | None) -> dict[str, Tensor]:
-    """Returns metrics that a replay's transform noted since the last call, [replicas] each.
-
-    Args:
-        transform (nn.Module, optional): of its modules those count that are
-            :class:`~bbq_torchrl.data.hooks.Measured`.
-    """
-    found: dict[str, Tensor] = {}
-    for module in () if transform is None else transform.modules():
-        if provides(module, Measured):
-            found |= module.pop_metrics()
-    return found
+    return {**means, **replay.pop_metrics()}

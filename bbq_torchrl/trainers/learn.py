@@ -30,8 +30,8 @@ _AT_ONCE = 64
 class LossSums:
     """Sums over updates of every per-replica entry that a loss returns, kept on the device.
 
-    On a CPU, where handling a few numbers costs as much as a small matrix product, the entries of
-    several updates are added at once; the sums are the same bit for bit.
+    Handling a few numbers costs as much as a small matrix product, so the entries of several
+    updates are added at once; on a CPU the sums are the same bit for bit.
 
     Args:
         replicas (int): the number of replicas.
@@ -60,7 +60,7 @@ class LossSums:
             batch (Batch): what it was computed from.
         """
         counted = zip(self.updates, batch.active, strict=True)
-        self.updates = [count + is_active for count, is_active in counted]
+        self.updates = [count + learned for count, learned in counted]
         if self._sums is None:
             self._names = tuple(
                 name
@@ -76,10 +76,10 @@ class LossSums:
             )
         values = [losses.get(name) for name in self._names]
         if not all(batch.active):
-            values = [torch.where(batch.active_mask, value.detach(), 0.0) for value in values]
+            is_active = batch.transitions["valid"].any(-1)
+            values = [torch.where(is_active, value.detach(), 0.0) for value in values]
         self._pending += values
-        limit = _AT_ONCE if self._sums.device.type == "cpu" else 1
-        if len(self._pending) >= limit * len(self._names):
+        if len(self._pending) >= _AT_ONCE * len(self._names):
             self._add_pending()
 
     @torch.no_grad()

@@ -9,7 +9,7 @@ import torch
 from numbered_rows import KEYS, rows
 
 from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.data.stored_rows import map_stored_rows
+from bbq_torchrl.data.rows import map_stored_rows
 
 KEY = ("next", "square")
 
@@ -79,11 +79,11 @@ def test_every_call_has_the_same_shape_and_sees_only_stored_transitions():
     def watched(transitions):
         shapes.append(tuple(transitions.shape))
         stored = transitions["observation"]
-        assert ((stored % 10_000) < 70).all()
+        assert ((stored % 10_000) < 1100).all()
         return stored
 
-    map_stored_rows(filled(70, 9).buffers, watched, 32)
-    assert shapes == [(2, 32)] * 3
+    map_stored_rows(filled(1100, 9).buffers, watched)
+    assert shapes == [(2, 512)] * 3
 
 
 def test_a_replicas_values_do_not_depend_on_anothers_length():
@@ -100,13 +100,3 @@ def test_a_replicas_values_do_not_depend_on_anothers_length():
 def test_computing_for_nothing_is_refused():
     with pytest.raises(ValueError, match="every replica needs a transition"):
         ReplicaReplay(10, keys=KEYS).compute(KEY, square)
-
-
-def test_weights_of_a_batchs_rows_add_up_to_one_over_those_that_count():
-    replay = filled(70, 9)
-    for number, batch in enumerate(replay.epoch(32)):
-        weight, valid = batch.transitions["row_weight"], batch.transitions["valid"]
-        assert torch.equal(weight > 0, valid)
-        expected = [1.0, float(number == 0)]
-        torch.testing.assert_close(weight.sum(-1), torch.tensor(expected))
-        assert all(len(own[own > 0].unique()) <= 1 for own in weight)

@@ -56,7 +56,6 @@ def test_batches_have_one_shape_and_say_who_is_active():
         (True, False, False),
     ]
     for batch in batches:
-        assert batch.active_mask.tolist() == list(batch.active)
         assert batch.transitions["valid"].any(-1).tolist() == list(batch.active)
 
 
@@ -75,7 +74,7 @@ def test_only_the_chosen_entries_are_stored():
 
     batch = next(replay.epoch(2)).transitions
 
-    expected = {"observation", ("next", "reward"), "valid", "row_weight"}
+    expected = {"observation", ("next", "reward"), "valid"}
     assert set(batch.keys(True, True)) == expected
 
 

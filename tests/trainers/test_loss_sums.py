@@ -13,7 +13,8 @@ from bbq_torchrl.trainers.learn import LossSums
 def added(sums: LossSums, values: torch.Tensor, *active: bool) -> None:
     """Adds an update that reported values [2, replicas] of a batch that is active for some."""
     reported = TensorDict({"loss_value": values[0], "kl": values[1], "loss": values.sum()})
-    sums.add(reported, Batch(TensorDict(), active, torch.tensor(active)))
+    valid = torch.tensor(active).unsqueeze(-1)
+    sums.add(reported, Batch(TensorDict(valid=valid), active))
 
 
 @pytest.mark.parametrize("updates", [1, 63, 64, 65, 200])
