@@ -75,13 +75,9 @@ class OneStepQLoss(DQNLoss):
         Attributes:
             next_state_value (NestedKey): under "next", what :meth:`next_state_values` returned; may
                 be absent. Defaults to ``"next_state_value"``.
-            row_weight (NestedKey): weights of the rows that add up to 1 over the batch, [*replicas,
-                *batch]; where they are there, the loss mask is not read. May be absent. Defaults
-                to ``"row_weight"``.
         """
 
         next_state_value: NestedKey = "next_state_value"
-        row_weight: NestedKey = "row_weight"
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
@@ -279,16 +275,10 @@ class OneStepQLoss(DQNLoss):
 
     def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
         """Returns row weights [*replicas, *batch, 1] that add up to 1, None if all are the same."""
-        keys = []
+        keys = self._loss_mask_keys()
         if self.use_prioritized_weights in (True, "auto"):
-            keys.append(self.tensor_keys.priority_weight)
-        weight = tensordict.get(self.tensor_keys.row_weight, None)
-        if weight is None:
-            keys += self._loss_mask_keys()
-        else:
-            weight = weight.unsqueeze(-1).to(like.dtype)
-            if not keys or tensordict.get(keys[0], None) is None:
-                return weight
+            keys = (self.tensor_keys.priority_weight, *keys)
+        weight: Tensor | None = None
         for key in keys:
             mask = tensordict.get(key, None)
             if mask is None:

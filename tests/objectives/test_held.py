@@ -170,26 +170,10 @@ def test_what_is_held_is_not_copied_or_saved():
     assert set(loss.state_dict()) == set(bayes_loss(target="mc")[0].state_dict())
 
 
-@pytest.mark.parametrize("name", FIXED)
-@pytest.mark.parametrize("replicas", [(), (3,)], ids=str)
-def test_row_weights_at_hand_are_those_of_the_mask(name, replicas):
-    loss, _ = FIXED[name](replicas, dtype=torch.double)
-    td = transitions(replicas, dtype=torch.double)
-    td["valid"] = torch.rand(td.shape) < 0.7
-    expected = gradients(loss, td)
-    td["row_weight"] = td["valid"] / td["valid"].sum(-1, keepdim=True).double()
-    td["valid"].zero_()  # not read any more
-
-    found = gradients(loss, td)
-
-    torch.testing.assert_close(found[0]["loss_value"], expected[0]["loss_value"])
-    torch.testing.assert_close(found[1], expected[1])
-
-
-def test_row_weights_and_priority_weights_multiply():
+def test_a_mask_and_priority_weights_multiply():
     loss, _ = plain_loss(dtype=torch.double)
     td = transitions(dtype=torch.double)
     td["priority_weight"] = torch.rand(td.shape).double()
     expected = loss(td[:8])["loss"]
-    td["row_weight"] = (torch.arange(32) < 8) / 8
+    td["valid"] = torch.arange(32) < 8
     torch.testing.assert_close(loss(td)["loss"], expected)
