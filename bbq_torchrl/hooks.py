@@ -8,9 +8,12 @@ a protocol; each says what happens where an object does not follow it.
 
 from __future__ import annotations
 
-from typing import TypeGuard, TypeVar
+from typing import TYPE_CHECKING, TypeGuard, TypeVar, cast
 
-__all__ = ["provides"]
+if TYPE_CHECKING:
+    from torch import nn
+
+__all__ = ["modules_with", "provides"]
 
 Hooks = TypeVar("Hooks")
 
@@ -37,3 +40,17 @@ def provides(owner: object, hooks: type[Hooks]) -> TypeGuard[Hooks]:
         callable(getattr(owner, name, None)) if callable(item) else hasattr(owner, name)
         for name, item in named.items()
     )
+
+
+def modules_with(root: nn.Module | None, hooks: type[Hooks]) -> list[Hooks]:
+    """Returns the modules within one that have all that a protocol names; none of None.
+
+    What a wrapper such as ``TensorDictModule`` hands on is not its own: what it wraps is among the
+    modules, and is not to be called twice.
+
+    Args:
+        root: the module.
+        hooks: the protocol.
+    """
+    modules = () if root is None else root.modules()
+    return [cast("Hooks", module) for module in modules if provides(type(module), hooks)]

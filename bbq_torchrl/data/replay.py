@@ -8,19 +8,19 @@ import torch
 from tensordict import TensorDict, pad_sequence
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
-from torchrl.envs import Transform
+from torchrl.envs import Compose
 
 from bbq_torchrl.data.hooks import Measured, Seeded
 from bbq_torchrl.data.rows import Batch, EpochMemory, map_stored_rows
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.hooks import modules_with
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from tensordict import NestedKey, TensorDictBase
-    from torch import nn
+    from torchrl.envs import Transform
 
 __all__ = ["TRANSITION_KEYS", "ReplicaReplay"]
 
@@ -100,9 +100,7 @@ class ReplicaReplay:
         self.replicas = replicas
         self.keys = tuple(keys)
         self.transform = transform
-        self._parts: list[nn.Module] = [] if transform is None else list(transform.modules())
-        transforms = [part for part in self._parts if isinstance(part, Transform)]
-        added = [key for part in transforms for key in part.out_keys_inv]
+        added = [key for part in _parts(transform) for key in part.out_keys_inv]
         self.stored_keys = (*self.keys, *(key for key in added if key not in self.keys))
         self._device = torch.device(device)
         self._generators = [torch.Generator(self._device) for _ in range(replicas)]
@@ -145,16 +143,14 @@ class ReplicaReplay:
             # forgets it, so that an epoch depends on this seed alone, not on the epochs before.
             buffer.set_sampler(SamplerWithoutReplacement(drop_last=False))
             buffer.set_rng(generator.manual_seed(seed))
-        for part in self._parts:
-            if provides(part, Seeded):
-                part.set_seeds(seeds)
+        for part in modules_with(self.transform, Seeded):
+            part.set_seeds(seeds)
 
     def pop_metrics(self) -> dict[str, Tensor]:
         """Returns metrics that the transform noted since the last call, [replicas] each."""
         found: dict[str, Tensor] = {}
-        for part in self._parts:
-            if provides(part, Measured):
-                found |= part.pop_metrics()
+        for part in modules_with(self.transform, Measured):
+            found |= part.pop_metrics()
         return found
 
     def extend(self, rows: Sequence[TensorDictBase]) -> None:
@@ -300,3 +296,10 @@ class ReplicaReplay:
                     )
                 buffer.extend(rows.unflatten_keys("/").to(self._device))
             buffer.writer.load_state_dict(state["writer"])
+
+
+def _parts(transform: Transform | None) -> list[Transform]:
+    """Returns the transforms that one consists of."""
+    if transform is None:
+        return []
+    return list(transform.transforms) if isinstance(transform, Compose) else [transform]

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.exploration.hooks import Annealed, Resampled
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.hooks import modules_with
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import Policy, collect_dialogues
@@ -240,9 +240,8 @@ class RoundTrainer:
         )
         collected_at = time.perf_counter()
         learned = self._learn(round_number)
-        for module in self.policy.modules():
-            if provides(module, Annealed):
-                module.step(1)  # epsilon, temperature
+        for module in modules_with(self.policy, Annealed):
+            module.step(1)  # epsilon, temperature
         learned_at = time.perf_counter()
         evaluated = {} if self.evaluator is None else self.evaluator(round_number)
         ended = time.perf_counter()
@@ -263,9 +262,8 @@ class RoundTrainer:
     def _collect(self, round_number: int) -> dict[str, Tensor]:
         """Plays the round's dialogues and stores them. Returns mean outcomes, [replicas] each."""
         self._begin_phase("collect", round_number)
-        for module in self.policy.modules():
-            if provides(module, Resampled):
-                module.resample()
+        for module in modules_with(self.policy, Resampled):
+            module.resample()
         return collect_dialogues(
             self.replay,
             self.env,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.envs import InitTracker, TransformedEnv
 from torchrl.modules import EGreedyModule
@@ -11,7 +12,7 @@ from trainer_parts import GuessEnv
 from bbq_torchrl.data import BootstrapMask
 from bbq_torchrl.data.hooks import Measured, Seeded
 from bbq_torchrl.exploration.hooks import Annealed, Resampled
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.hooks import modules_with, provides
 from bbq_torchrl.trainers import RoundEnv
 
 
@@ -31,6 +32,9 @@ def test_torchrls_own_modules_and_foreign_ones_need_not_inherit():
     assert provides(greedy, Annealed)
     assert not provides(greedy, Resampled)
     assert not provides(Counts(), Annealed)
+    # a wrapper that hands on what it wraps is not called besides
+    policy = nn.Sequential(TensorDictModule(greedy, ["a"], ["b"]), Counts())
+    assert modules_with(policy, Annealed) == [greedy]
     mask = BootstrapMask(2)
     assert provides(mask, Seeded)
     assert not provides(mask, Measured)
