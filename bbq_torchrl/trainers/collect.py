@@ -172,7 +172,6 @@ def collect_dialogues(
         dialogues (int): how many dialogues each replica plays.
         max_steps (int): the most turns of a dialogue.
     """
-    replay.pop_metrics()  # what was stored before, in spiking, is not of these
     totals: Tensor | None = None
     for rollout in play_dialogues(env, policy, dialogues, max_steps=max_steps):
         result = outcomes(rollout)

@@ -7,7 +7,7 @@ import math
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.trainers.collect import Policy, outcomes, play_dialogues, rows_per_replica
+from bbq_torchrl.trainers.collect import Policy, collect_dialogues
 from bbq_torchrl.trainers.errors import SpikeError
 
 if TYPE_CHECKING:
@@ -45,21 +45,16 @@ def spike_replay(
     Raises:
         SpikeError: a ``ValueError``, if the transitions would fill a replica's capacity.
     """
-    successes = [0] * replay.replicas
-    for rollout in play_dialogues(env, policy, spike.dialogues, max_steps=max_steps):
-        rows = rows_per_replica(rollout, replay.keys)
-        for length, td in zip(replay.lengths, rows, strict=True):
-            if length + len(td) >= replay.capacity:
-                raise SpikeError(
-                    f"the transitions of {spike.dialogues} spiked dialogues must be fewer than the "
-                    f"capacity {replay.capacity}: raise the capacity or spike with fewer dialogues"
-                )
-        replay.extend(rows)
-        found = outcomes(rollout).success.sum(-1).tolist()
-        successes = [before + new for before, new in zip(successes, found, strict=True)]
+    played = collect_dialogues(replay, env, policy, spike.dialogues, max_steps=max_steps)
+    if max(replay.lengths) >= replay.capacity:
+        raise SpikeError(
+            f"the transitions of {spike.dialogues} spiked dialogues must be fewer than the "
+            f"capacity {replay.capacity}: raise the capacity or spike with fewer dialogues"
+        )
     if spike.protect:
         replay.protect()
-    without = [str(replica) for replica, count in enumerate(successes) if not count]
+    rates = played["success_rate"].tolist()
+    without = [str(replica) for replica, rate in enumerate(rates) if not rate]
     if without:
         _LOG.warning(
             "none of the %d spiked dialogues of replica %s is a success",
