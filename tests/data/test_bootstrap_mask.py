@@ -49,7 +49,7 @@ def test_masks_have_the_replicas_the_rows_and_the_heads(replicas):
     assert masks(transform, *replicas).shape == (*replicas, 4)  # one transition
 
 
-def test_elements_have_streams_of_their_own():
+def test_replicas_have_streams_of_their_own_at_first_from_torchs():
     transform = BootstrapMask(4, replicas=(3,))
     transform.set_seeds([1, 2, 1])
     drawn = masks(transform, 3, 40)
@@ -58,9 +58,6 @@ def test_elements_have_streams_of_their_own():
     single = BootstrapMask(4)
     single.set_seeds([2])
     assert torch.equal(masks(single, 40), drawn[1])
-
-
-def test_the_seed_at_first_is_torchs():
     drawn = []
     for seed in (0, 0, 1):
         torch.manual_seed(seed)
@@ -88,29 +85,6 @@ def test_masks_do_not_depend_on_padding_calls_or_the_other_elements():
     assert torch.equal(drawn[0][1, valid[1]], expected[1])
 
 
-def test_a_mask_that_is_there_already_stays():
-    transform = BootstrapMask(4)
-    state = transform.generator_state.clone()
-    td = rows(6).set("bootstrap_mask", torch.ones(6, 4, dtype=torch.bool))
-    assert transform.inv(td)["bootstrap_mask"].all()
-    assert torch.equal(transform.generator_state, state)
-
-
-def test_sampling_changes_nothing_and_storing_not_what_is_given():
-    transform, td = BootstrapMask(4), rows(6)
-    assert transform(td) is td
-    transform.inv(td)
-    assert set(td.keys()) == {"number"}
-
-
-def test_entries_may_have_other_names():
-    transform = BootstrapMask(4, mask_key=("my", "mask"), valid_key=("my", "rows"))
-    td = rows(3)
-    td["my", "rows"] = torch.tensor([True, False, True])
-    assert not transform.inv(td)["my", "mask"][1].any()
-    assert transform.out_keys_inv == [("my", "mask")]
-
-
 def test_copies_and_states_go_on_with_the_same_numbers():
     transform = BootstrapMask(4, replicas=(2,))
     masks(transform, 2, 5)
@@ -126,22 +100,34 @@ def test_copies_and_states_go_on_with_the_same_numbers():
     assert not torch.equal(masks(transform, 2, 40), expected)
 
 
-def test_torchrls_replay_buffer_keeps_each_transitions_mask():
+def test_storing_writes_a_copy_where_there_is_no_mask_and_sampling_changes_nothing():
+    transform, td = BootstrapMask(4), rows(6)
+    assert transform(td) is td
+    transform.inv(td)
+    assert set(td.keys()) == {"number"}
+    state = transform.generator_state.clone()
+    td["bootstrap_mask"] = torch.ones(6, 4, dtype=torch.bool)
+    assert transform.inv(td)["bootstrap_mask"].all()
+    assert torch.equal(transform.generator_state, state)
+
+
+def test_torchrls_replay_buffer_keeps_each_transitions_mask_under_any_name():
     buffer = TensorDictReplayBuffer(
         storage=LazyTensorStorage(100),
         sampler=SamplerWithoutReplacement(),
-        transform=BootstrapMask(4),
+        transform=BootstrapMask(4, mask_key=("my", "mask"), valid_key=("my", "rows")),
         batch_size=10,
     )
-    buffer.extend(rows(30))
-    buffer.add(TensorDict(number=torch.tensor(30)))
-    stored = buffer[:]["bootstrap_mask"].clone()
-    assert stored.shape == (31, 4)
-    assert stored.any()
-    assert not stored.all()
+    counts = torch.arange(30) != 3
+    buffer.extend(rows(30).set(("my", "rows"), counts))
+    buffer.add(TensorDict(number=torch.tensor(30), my={"rows": torch.tensor(True)}))
+    masks_stored = buffer[:]["my", "mask"].clone()
+    assert masks_stored.shape == (31, 4)
+    assert masks_stored.any()
+    assert not masks_stored[3].any()
     for _ in range(7):
         batch = buffer.sample()
-        assert torch.equal(batch["bootstrap_mask"], stored[batch["number"]])
+        assert torch.equal(batch["my", "mask"], masks_stored[batch["number"]])
 
 
 def test_input_that_does_not_fit_is_refused():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 import torch
-from numbered_rows import KEYS, rows
+from numbered_rows import KEYS, filled, rows
 from torchrl.envs import Compose, Transform
 
 from bbq_torchrl.data import ReplicaReplay
@@ -27,6 +27,9 @@ class Novelty(Transform):
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
         self.seeds = tuple(seeds)
+
+    def pop_metrics(self) -> dict[str, torch.Tensor]:
+        return {"seen": self.seen.flatten()}
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         valid = tensordict["valid"].float()
@@ -50,60 +53,47 @@ class Sign(Transform):
         return tensordict
 
 
-def filled(*lengths: int, capacity: int = 20) -> ReplicaReplay:
-    replay = ReplicaReplay(
-        capacity, replicas=len(lengths), keys=KEYS, transform=Novelty(len(lengths))
-    )
-    replay.extend([rows(1000 * r, length) for r, length in enumerate(lengths)])
-    return replay
+def novelty_of(replay: ReplicaReplay, replica: int) -> list[int]:
+    return replay.buffers[replica][:]["next", "novelty"].flatten().tolist()
 
 
-def test_what_the_transform_adds_is_stored_and_the_reward_stays_as_it_was():
-    replay = filled(5, 2)
-    replay.extend([rows(5, 1), rows(1002, 3)])
+def test_what_is_added_is_stored_and_what_is_changed_only_read():
+    replay = filled(5, 2, transform=Novelty(2))
+    replay.extend([rows(5, 1), rows(10_002, 3)])
 
     for replica, length in enumerate((6, 5)):
-        stored = replay.buffers[replica][:]
-        assert stored["next", "novelty"].flatten().tolist() == list(range(length))
-        expected = [100.0 * (1000 * replica + i) for i in range(length)]
-        assert stored["next", "reward"].flatten().tolist() == expected
-
-
-def test_what_is_read_is_transformed_in_every_epoch_once():
-    replay = filled(5, 2)
-
+        assert novelty_of(replay, replica) == list(range(length))
+        expected = 100 * rows(10_000 * replica, length)["observation"]
+        assert torch.equal(replay.buffers[replica][:]["next", "reward"], expected)
     for _ in range(3):
         for batch in replay.epoch(2):
             transitions = batch.transitions[batch.transitions["valid"]]
-            expected = 100 * transitions["observation"] + transitions["observation"] % 1000
+            expected = 100 * transitions["observation"] + transitions["observation"] % 10_000
             assert torch.equal(transitions["next", "reward"], expected)
 
 
-def test_a_state_holds_the_transforms():
-    replay = filled(5, 2)
-    state = replay.state_dict()
-    other = ReplicaReplay(20, replicas=2, keys=KEYS, transform=Novelty(2))
+def test_it_goes_along_in_a_state_and_when_protected_rows_are_dropped():
+    replay = filled(3, 2, transform=Novelty(2))
+    replay.protect()
+    replay.extend([rows(3, 2), rows(0, 0)])
+    other = ReplicaReplay(2000, replicas=2, keys=KEYS, transform=Novelty(2))
 
-    other.load_state_dict(state)
+    other.load_state_dict(replay.state_dict())
+    other.drop_protected(0)
 
     assert other.transform.seen.flatten().tolist() == [5, 2]
-    assert other.buffers[1][:]["next", "novelty"].flatten().tolist() == [0, 1]
+    assert [novelty_of(other, replica) for replica in (0, 1)] == [[3, 4], [0, 1]]
 
 
-@pytest.mark.parametrize("has_transform", [False, True])
-def test_a_state_of_another_transform_is_refused(has_transform: bool):
-    state = filled(5, 2).state_dict()
-    if has_transform:
-        del state["transform"]
-    other = ReplicaReplay(
-        20, replicas=2, keys=KEYS, transform=Novelty(2) if has_transform else None
-    )
+@pytest.mark.parametrize("transforms", [(Novelty(2), None), (None, Novelty(2))])
+def test_a_state_of_another_transform_is_refused(transforms):
+    ours, theirs = (ReplicaReplay(9, replicas=2, keys=KEYS, transform=t) for t in transforms)
 
     with pytest.raises(ValueError, match="the same transform"):
-        other.load_state_dict(state)
+        ours.load_state_dict(theirs.state_dict())
 
 
-def test_every_part_of_a_composed_transform_runs_and_is_seeded():
+def test_every_part_of_a_composed_transform_runs_is_seeded_and_asked_for_metrics():
     novelty = Novelty(2)
     replay = ReplicaReplay(20, replicas=2, keys=KEYS, transform=Compose(novelty, Sign()))
 
@@ -111,15 +101,6 @@ def test_every_part_of_a_composed_transform_runs_and_is_seeded():
     replay.extend([rows(0, 2), rows(0, 1)])
 
     assert novelty.seeds == (7, 8)
+    assert replay.pop_metrics()["seen"].tolist() == [2, 1]
     assert replay.buffers[0][:]["is_positive"].flatten().tolist() == [False, True]
-    assert replay.buffers[1][:]["next", "novelty"].flatten().tolist() == [0]
-
-
-def test_what_is_added_goes_along_when_protected_rows_are_dropped():
-    replay = filled(3)
-    replay.protect()
-    replay.extend([rows(3, 2)])
-
-    replay.drop_protected(0)
-
-    assert replay.buffers[0][:]["next", "novelty"].flatten().tolist() == [3, 4]
+    assert novelty_of(replay, 1) == [0]

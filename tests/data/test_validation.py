@@ -10,25 +10,20 @@ from bbq_torchrl.data import ReplicaReplay, validate_transitions
 
 
 def transitions() -> TensorDict:
+    """The last one is terminal, and nothing may follow it."""
+    false = torch.zeros(3, 1, dtype=torch.bool)
     return TensorDict(
-        {
-            "observation": torch.zeros(3, 2),
-            "action": torch.tensor([0, 1, 2]),
-            "action_mask": torch.tensor([[True, False, False], [True, True, False], [True] * 3]),
-            "next": {
-                "observation": torch.zeros(3, 2),
-                "reward": torch.zeros(3, 1),
-                "done": torch.tensor([[False], [False], [True]]),
-                "terminated": torch.tensor([[False], [False], [True]]),
-                "action_mask": torch.tensor([[True] * 3, [False, True, False], [False] * 3]),
-            },
-        },
-        [3],
-    )
-
-
-def test_good_transitions_pass_terminal_ones_without_a_next_action_too():
-    validate_transitions(transitions())
+        observation=torch.zeros(3, 2),
+        action=torch.tensor([0, 1, 2]),
+        action_mask=torch.tensor([[True, False, False], [True, True, False], [True] * 3]),
+        next=TensorDict(
+            observation=torch.zeros(3, 2),
+            reward=torch.zeros(3, 1),
+            done=false,
+            terminated=torch.tensor([[False], [False], [True]]),
+            action_mask=torch.tensor([[True] * 3, [False, True, False], [False] * 3]),
+        ),
+    ).auto_batch_size_(1)
 
 
 def test_one_hot_actions_are_understood():
@@ -61,12 +56,10 @@ def test_bad_transitions_are_named_and_nothing_is_stored(key, row, value, messag
         replay.extend([transitions(), bad])
 
     assert replay.lengths == (0, 0)
+    replay.extend([transitions(), transitions()])
 
 
 def test_transitions_without_masks_are_checked_for_what_they_have():
-    rows = TensorDict({"observation": torch.full((2, 1), torch.nan)}, [2])
-
-    validate_transitions(rows.clone().zero_())
+    validate_transitions(TensorDict(action=torch.zeros(2, dtype=torch.long), batch_size=[2]))
     with pytest.raises(ValueError, match="2 of 2 rows"):
-        validate_transitions(rows)
-    validate_transitions(TensorDict({"action": torch.zeros(2, dtype=torch.long)}, [2]))
+        validate_transitions(TensorDict(observation=torch.full((2, 1), torch.nan), batch_size=[2]))

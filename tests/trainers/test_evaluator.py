@@ -17,12 +17,16 @@ def weight_of(trainer) -> torch.Tensor:
     return next(iter(trainer.policy.parameters())).detach().clone()
 
 
-def test_each_replica_keeps_the_weights_of_its_own_best_round(tmp_path):
+def test_each_replica_keeps_the_weights_of_its_own_best_round_resumed_or_not(tmp_path):
     weights = []
-    trainer = make_trainer(
-        tmp_path, rates=RATES, callbacks=[lambda trainer, _: weights.append(weight_of(trainer))]
-    )
-    trainer.train()
+    for rounds in (3, 6):
+        trainer = make_trainer(
+            tmp_path,
+            rates=RATES,
+            rounds=rounds,
+            callbacks=[lambda trainer, _: weights.append(weight_of(trainer))],
+        )
+        trainer.train(resume=rounds == 6)
 
     best = trainer.evaluator.best
     # The first of equals stays; a replica that never succeeds keeps what was evaluated first.
@@ -35,29 +39,12 @@ def test_each_replica_keeps_the_weights_of_its_own_best_round(tmp_path):
         assert not torch.equal(now[replica], weights[5][replica])
 
 
-def test_a_resumed_training_knows_the_best_of_the_rounds_before(tmp_path):
-    whole = make_trainer(tmp_path / "whole", rates=RATES)
-    whole.train()
-    make_trainer(tmp_path / "parts", rates=RATES, rounds=3).train()
-    resumed = make_trainer(tmp_path / "parts", rates=RATES)
-    resumed.train(resume=True)
-
-    assert resumed.evaluator.best.round.tolist() == whole.evaluator.best.round.tolist()
-    for trainer in (whole, resumed):
-        trainer.evaluator.best.put_back()
-    assert torch.equal(weight_of(whole), weight_of(resumed))
-
-
-def test_there_are_no_best_weights_before_an_evaluation():
-    best = BestWeights(nn.Linear(2, 2), replicas=2)
-    with pytest.raises(ValueError, match="no best weights before the first evaluation"):
-        best.put_back()
-
-
 def test_a_best_from_before_a_given_round_does_not_count():
     policy = nn.Module()
     policy.weight = nn.Parameter(torch.zeros(2, 3))
     best = BestWeights(policy, replicas=2)
+    with pytest.raises(ValueError, match="no best weights before the first evaluation"):
+        best.put_back()
     best.update(0, torch.tensor([0.9, 0.9]))
     nn.init.ones_(policy.weight)
     best.update(3, torch.tensor([0.1, 0.95]), since=2)

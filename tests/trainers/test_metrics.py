@@ -11,7 +11,8 @@ from bbq_torchrl.trainers import MetricsFile
 
 
 def columns(round_number: int) -> dict[str, object]:
-    return {"buffer": (7, 9), "loss": [0.1 * (round_number + r) for r in range(2)], "kl": math.pi}
+    loss = [0.1 * (round_number + r) for r in range(2)]
+    return {"buffer": torch.tensor([7, 9]), "loss": loss, "kl": math.pi}
 
 
 def rows(round_number: int) -> list[dict[str, int | float]]:
@@ -37,14 +38,6 @@ def test_rows_are_appended_below_one_header(tmp_path):
     assert lines[0] == "round,replica,buffer,loss,kl"
     assert len(lines) == 7
     assert lines[3] == f"1,0,7,0.1,{math.pi}"
-
-
-def test_one_number_and_a_tensor_are_of_every_replica(tmp_path):
-    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
-
-    metrics.append(0, {"a": torch.tensor([1, 2]), "b": torch.tensor(0.5), "c": 3})
-
-    assert metrics.path.read_text() == "round,replica,a,b,c\n0,0,1,0.5,3\n0,1,2,0.5,3\n"
 
 
 def test_loggers_get_what_the_file_gets_but_for_what_a_round_has_not(tmp_path):
@@ -84,25 +77,18 @@ def test_a_restored_file_is_as_it_was_whatever_lies_there(tmp_path):
     assert len(other.path.read_text().splitlines()) == 7
 
 
-def test_restoring_no_rows_removes_the_file(tmp_path):
-    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
-    empty = metrics.state_dict()
-    metrics.append(0, columns(0))
-
-    metrics.load_state_dict(empty)
-
-    assert not metrics.path.exists()
-    assert metrics.rows == []
-
-
-def test_what_a_round_has_not_is_empty_and_survives(tmp_path):
+def test_what_a_round_has_not_is_empty_and_without_rounds_there_is_no_file(tmp_path):
     metrics = MetricsFile(tmp_path / "metrics.csv", 1)
+    empty = metrics.state_dict()
     metrics.append(0, {"loss": math.nan, "kl": math.inf})
 
     metrics.load_state_dict(metrics.state_dict())
 
     assert metrics.path.read_text().splitlines()[1] == "0,0,,inf"
     assert math.isnan(metrics.rows[0]["loss"])
+    metrics.load_state_dict(empty)
+    assert not metrics.path.exists()
+    assert metrics.rows == []
 
 
 def test_other_columns_are_refused_and_nothing_is_written(tmp_path):

@@ -22,17 +22,17 @@ def row(replica: int, **changed: float) -> dict[str, int | float]:
     }
 
 
-def test_it_shows_means_over_the_replicas(capsys):
+def test_the_bar_shows_means_over_the_replicas_and_the_last_evaluation(capsys):
     bar = RoundProgress(10, done=4, visible=True)
-
-    bar.update([row(0), row(1)])
+    for evaluated in (math.nan, 0.5, math.nan):
+        bar.update([row(r, eval_success_rate=evaluated) for r in (0, 1)])
     bar.close()
 
     shown = capsys.readouterr()
     assert shown.out == ""
+    assert "nan" not in shown.err
     last = shown.err.split("\r")[-1]
-    assert "5/10" in last
-    for part in ("success=0.50", "reward=-8.0", "kl=100"):
+    for part in ("7/10", "success=0.50", "reward=-8.0", "eval=0.50", "kl=100"):
         assert part in last
 
 
@@ -42,17 +42,6 @@ def test_runs_side_by_side_do_not_draw_over_one_another(capsys, monkeypatch):
         monkeypatch.setattr(multiprocessing, "parent_process", lambda parent=parent: parent)
         RoundProgress(2).close()
         assert bool(capsys.readouterr().err) is is_shown
-
-
-def test_the_bar_shows_the_last_evaluation_until_there_is_another(capsys):
-    bar = RoundProgress(3, visible=True)
-    for evaluated in (math.nan, 0.5, math.nan):
-        bar.update([row(0, eval_success_rate=evaluated)])
-    bar.close()
-
-    shown = capsys.readouterr().err.split("\r")
-    assert "eval=0.50" in shown[-1]
-    assert not any("nan" in text for text in shown)
 
 
 def lines(caplog, rounds: int, rows_of, **options) -> list[str]:

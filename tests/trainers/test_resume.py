@@ -68,10 +68,10 @@ def die_within_a_line(trainer: RoundTrainer, _: object) -> None:
         die()
 
 
-def build(folder: Path) -> RoundTrainer:
+def build(folder: Path, rounds: int = ROUNDS) -> RoundTrainer:
     return make_trainer(
         folder,
-        rounds=ROUNDS,
+        rounds=rounds,
         replicas=2,
         spike=SpikeSettings(dialogues=5, drop_above=0.7, drop_window=2),
     )
@@ -130,18 +130,11 @@ def test_a_training_killed_at_the_worst_moment_ends_the_same(tmp_path, reference
     assert not [path for path in (folder / "checkpoint").iterdir() if path.name.startswith(".")]
 
 
-def test_a_training_can_be_resumed_for_more_rounds(tmp_path):
-    make_trainer(tmp_path / "long", rounds=6).train()
-    make_trainer(tmp_path / "short", rounds=3).train()
-
-    make_trainer(tmp_path / "short", rounds=6).train(resume=True)
-
-    assert table(tmp_path / "short") == table(tmp_path / "long")
-
-
-def test_a_damaged_newest_checkpoint_costs_rounds_but_not_the_result(tmp_path, reference, caplog):
+def test_a_training_goes_on_for_more_rounds_and_after_damage_from_the_checkpoint_before(
+    tmp_path, reference, caplog
+):
     folder = tmp_path / "run"
-    train(folder)
+    build(folder, rounds=5).train()
     newest = max((folder / "checkpoint").iterdir())
     newest.write_bytes(newest.read_bytes()[:1000])
 

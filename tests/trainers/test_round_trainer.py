@@ -44,8 +44,9 @@ def test_metrics_have_a_row_for_every_round_and_replica(tmp_path):
         table = list(csv.DictReader(file))
     assert [{k: float(v) for k, v in line.items()} for line in table] == rows
     assert list(rows[0]) == [
-        *("round", "replica", "dialogues", "success_rate", "reward", "turns", "loss", "q_value"),
-        *("buffer", "updates", "epsilon", "seconds", "seconds_collect", "seconds_learn"),
+        *("round", "replica", "dialogues", "success_rate", "reward", "turns"),
+        *("td_error", "q_value", "loss", "buffer", "updates", "epsilon"),
+        *("seconds", "seconds_collect", "seconds_learn"),
     ]
 
 
@@ -65,7 +66,7 @@ def test_metrics_are_what_was_played_and_learned(tmp_path):
     assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
 
 
-def test_a_rounds_phases_follow_the_protocol(tmp_path):
+def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path):
     trainer = make_trainer(tmp_path, rounds=2, replicas=1)
     events: list[str] = []
     freeze, loss_forward = trainer.target_updater.step, trainer.loss.forward
@@ -87,16 +88,9 @@ def test_a_rounds_phases_follow_the_protocol(tmp_path):
     for row in rows:
         expected += 2 * ["freeze", *["update"] * (int(row["updates"]) // 2)]
     assert events == expected
-
-
-def test_schedules_move_once_a_round_and_the_environment_knows_the_round(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=3, replicas=1)
-
-    rows = trainer.train()
-
-    assert [row["epsilon"] for row in rows] == pytest.approx([0.8, 0.4, 0.2])
-    assert trainer.policy.explore.resampled == 3
-    assert trainer.env.rounds_seen == [0, 0, 1, 2]  # the spike plays in the state of round 0
+    assert [row["epsilon"] for row in rows] == pytest.approx([0.8, 0.4])
+    assert trainer.policy[-1].module.resampled == 2
+    assert trainer.env.rounds_seen == [0, 0, 1]  # the spike plays in the state of round 0
 
 
 @pytest.mark.parametrize("dialogues", [0, 8, 13])
@@ -106,14 +100,13 @@ def test_the_spike_fills_every_replica_with_dialogues_of_its_own(tmp_path, dialo
     trainer.train()
 
     assert trainer.replay.protected == trainer.replay.lengths
-    if not dialogues:
-        assert trainer.replay.lengths == (0, 0, 0)
-        return
-    stored = [buffer[:] for buffer in trainer.replay.buffers]
-    assert [int(td["next", "done"].sum()) for td in stored] == [dialogues] * 3
-    observations = [set(map(tuple, td["observation"].tolist())) for td in stored]
-    assert observations[0].isdisjoint(observations[1])
-    assert observations[1].isdisjoint(observations[2])
+    seen: set[tuple[float, ...]] = set()
+    for buffer in trainer.replay.buffers if dialogues else ():
+        assert int(buffer[:]["next", "done"].sum()) == dialogues
+        own = set(map(tuple, buffer[:]["observation"].tolist()))
+        assert seen.isdisjoint(own)
+        seen |= own
+    assert bool(seen) == bool(dialogues)
 
 
 def test_a_spike_without_a_success_is_told(tmp_path, caplog):
@@ -126,22 +119,19 @@ def test_a_spike_without_a_success_is_told(tmp_path, caplog):
 
 
 def test_the_spike_is_protected_by_default_and_evicted_otherwise(tmp_path):
-    kept = make_trainer(tmp_path / "a", rounds=0, capacity=60)
-    kept.train()
-    spiked = [buffer[:]["observation"].clone() for buffer in kept.replay.buffers]
+    for protect in (True, False):
+        spike = SpikeSettings(dialogues=5, protect=protect)
+        trainer = make_trainer(tmp_path / str(protect), rounds=6, capacity=40, spike=spike)
+        trainer.begin()
+        spiked = [buffer[:]["observation"].clone() for buffer in trainer.replay.buffers]
+        while trainer.rounds_done < 6:
+            trainer.train_round()
 
-    kept = make_trainer(tmp_path / "b", rounds=12, capacity=60)
-    evicted = make_trainer(
-        tmp_path / "c", rounds=12, capacity=60, spike=SpikeSettings(dialogues=5, protect=False)
-    )
-    for trainer in (kept, evicted):
-        trainer.train()
-        assert trainer.replay.lengths == (60, 60, 60)
-
-    for replica, rows in enumerate(spiked):
-        assert torch.equal(kept.replay.buffers[replica][:]["observation"][: len(rows)], rows)
-        left = set(map(tuple, evicted.replay.buffers[replica][:]["observation"].tolist()))
-        assert left.isdisjoint(map(tuple, rows.tolist()))
+        assert trainer.replay.lengths == (40, 40, 40)
+        for buffer, rows in zip(trainer.replay.buffers, spiked, strict=True):
+            left = set(map(tuple, buffer[:]["observation"].tolist()))
+            assert left.issuperset(map(tuple, rows.tolist())) == protect
+            assert protect or left.isdisjoint(map(tuple, rows.tolist()))
 
 
 def test_the_spike_is_dropped_where_the_mean_success_passes_the_threshold(tmp_path):
@@ -247,7 +237,7 @@ def weights_after(folder: Path, stops: Sequence[int], **settings: float) -> list
     """Returns the weights after each of the rounds in which the training stopped."""
     seen = []
     for stop in stops:
-        trainer = make_trainer(folder, rounds=max(stops), checkpoint_every=1, **settings)
+        trainer = make_trainer(folder, rounds=4, checkpoint_every=1, **settings)
         trainer.begin(resume=folder.exists())
         while trainer.rounds_done < stop:
             trainer.train_round()
@@ -255,18 +245,13 @@ def weights_after(folder: Path, stops: Sequence[int], **settings: float) -> list
     return seen
 
 
-def test_the_learning_rate_falls_after_its_share_of_the_rounds(tmp_path):
+def test_the_learning_rate_falls_after_its_share_of_the_rounds_resumed_or_not(tmp_path):
     constant = weights_after(tmp_path / "constant", (2, 4))
     falls = weights_after(tmp_path / "falls", (2, 3, 4), lr_final=0.0, lr_decay_from=0.5)
+    (through,) = weights_after(tmp_path / "through", (3,), lr_final=0.0)
 
     assert torch.equal(falls[0], constant[0])
     assert not torch.equal(falls[1], falls[0])  # at half of the rate
+    assert torch.equal(falls[1], through)
     assert torch.equal(falls[2], falls[1])  # at 0: nothing moves in the last round
     assert not torch.equal(constant[1], falls[2])
-
-
-def test_a_resumed_training_goes_on_at_the_rate_of_its_round(tmp_path):
-    settings = {"lr_final": 0.1, "lr_decay_from": 0.25}
-    (through,) = weights_after(tmp_path / "through", (4,), **settings)
-    *_, resumed = weights_after(tmp_path / "resumed", (1, 2, 3, 4), **settings)
-    assert torch.equal(through, resumed)

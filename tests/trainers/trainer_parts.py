@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
-from torchrl.objectives import HardUpdate, LossModule
+from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.networks import q_actor
+from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.trainers import (
     BestWeights,
     ReplicaAdam,
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from torchrl.modules import QValueActor
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.trainers import Policy, RoundCallback
@@ -91,6 +94,7 @@ class ReplicaLinearQ(nn.Module):
 
     def __init__(self, replicas: int) -> None:
         super().__init__()
+        self.replicas = torch.Size([replicas])
         generator = torch.Generator().manual_seed(1)
         start = torch.randn(replicas, FEATURES, ACTIONS, generator=generator)
         self.weight = nn.Parameter(0.1 * start)
@@ -121,53 +125,17 @@ class GreedyWithEpsilon(nn.Module):
         return (value + noise).masked_fill(~mask, -torch.inf).argmax(-1)
 
 
-class QPolicy(nn.Module):
-    def __init__(self, network: TensorDictModule) -> None:
-        super().__init__()
-        self.network = network
-        self.explore = GreedyWithEpsilon()
+class CountingLoss(DropoutDQNLoss):
+    """Remembers the numbers of data that it is told; the targets of its network are random."""
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        value = self.network(tensordict)["action_value"]
-        return tensordict.set("action", self.explore(value, tensordict["action_mask"]))
+    has_fixed_targets = False
 
-
-class ReplicaQLoss(LossModule):
-    """Squared TD error, a mean over each replica's valid rows, summed over the replicas."""
-
-    value_network: TensorDictModule
-    value_network_params: TensorDictBase
-    target_value_network_params: TensorDictBase
-
-    def __init__(self, network: TensorDictModule) -> None:
-        super().__init__()
-        self.convert_to_functional(network, "value_network", create_target_params=True)
+    def __init__(self, network: QValueActor) -> None:
+        super().__init__(network, gamma=0.9)
         self.num_data: list[list[int]] = []
 
     def set_num_data(self, rows: Tensor) -> None:
         self.num_data.append(rows.tolist())
-
-    def forward(self, batch: TensorDictBase) -> TensorDictBase:
-        with self.value_network_params.to_module(self.value_network):
-            value = self.value_network(batch.select("observation"))["action_value"]
-        chosen = value.gather(-1, batch["action"].unsqueeze(-1)).squeeze(-1)
-        after = batch["next"]
-        with torch.no_grad(), self.target_value_network_params.to_module(self.value_network):
-            best = self.value_network(after.select("observation"))["action_value"]
-            best = best.masked_fill(~after["action_mask"], -torch.inf).amax(-1)
-        going = ~after["terminated"].squeeze(-1)
-        target = after["reward"].squeeze(-1) + 0.9 * torch.where(going, best, 0.0)
-        valid = batch["valid"]
-        squared = torch.where(valid, (chosen - target) ** 2, 0.0).sum(-1)
-        loss_value = squared / valid.sum(-1)
-        q_value = torch.where(valid, chosen, 0.0).sum(-1) / valid.sum(-1)
-        return TensorDict(
-            {
-                "loss": loss_value.sum(),
-                "loss_value": loss_value.detach(),
-                "q_value": q_value.detach(),
-            }
-        )
 
 
 class GivenRates:
@@ -210,15 +178,15 @@ def make_trainer(
     **settings: float,
 ) -> RoundTrainer:
     """Returns a trainer of tiny parts that learns for a few rounds."""
-    network = TensorDictModule(
-        ReplicaLinearQ(replicas), in_keys=["observation"], out_keys=["action_value"]
-    )
-    policy = QPolicy(network)
-    loss = ReplicaQLoss(network)
+    env = GuessEnv(replicas, places) if env is None else env
+    actor = q_actor(ReplicaLinearQ(replicas), env.action_spec_unbatched)
+    explore = GreedyWithEpsilon()
+    acts = TensorDictModule(explore, ["action_value", "action_mask"], ["action"])
+    loss = CountingLoss(actor)
     own = {"rounds": 6, "dialogues": places, "batch_size": 16, "checkpoint_every": 2}
     return RoundTrainer(
-        GuessEnv(replicas, places) if env is None else env,
-        policy,
+        env,
+        TensorDictSequential(actor, acts),
         loss,
         ReplicaReplay(capacity, replicas=replicas),
         ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
@@ -227,9 +195,9 @@ def make_trainer(
         folder,
         spike_policy=spike_policy,
         spike=spike if spike is not None else SpikeSettings(dialogues=5),
-        round_metrics={"epsilon": lambda: float(policy.explore.epsilon)},
+        round_metrics={"epsilon": lambda: float(explore.epsilon)},
         progress=False,
-        evaluator=None if rates is None else GivenRates(network, rates),
+        evaluator=None if rates is None else GivenRates(actor, rates),
         loggers=loggers,
         callbacks=callbacks,
     )
