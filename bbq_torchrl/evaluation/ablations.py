@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from bbq_torchrl.evaluation.figures import draw_panels
 from bbq_torchrl.evaluation.pairs import compare
 from bbq_torchrl.evaluation.runs import telling
 from bbq_torchrl.evaluation.statistics import estimate
-from bbq_torchrl.markdown import table
+from bbq_torchrl.evaluation.tables import NONE, Report, Table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.evaluation.groups import Group
 
-__all__ = ["ABLATIONS_NOTE", "Ablations", "ablations_text", "find_ablations"]
+__all__ = ["Ablations", "ablations_report", "find_ablations"]
 
 ABLATIONS_NOTE = """\
 Means over seeds with their 95 % Student t interval; the reference stands in every table. Others are
 compared with it by pairs: replicas of one seed, which saw the same spiked dialogues, goals and
 noise of the simulator, but for what the key changes of them. p: of a t test of the differences, by
-Holm's method for the values of the key.
-"""
+Holm's method for the values of the key."""
 
 
 class Ablations(NamedTuple):
@@ -46,7 +47,7 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
     """
     if len(groups) < 2:
         raise ValueError(f"ablations need runs of two settings, got {len(groups)}")
-    settings = [group.runs[0].setting for group in groups]
+    settings = [group.setting for group in groups]
     changed = [[_changed(own, other) for other in settings] for own in settings]
     extents = [max((_groups(names), len(names)) for names in row) for row in changed]
     reference = extents.index(min(extents))
@@ -98,35 +99,33 @@ def _place(entry: tuple[Any, Group]) -> tuple[bool, float]:
     return is_number, value if is_number else 0.0
 
 
-def ablations_text(groups: Sequence[Group]) -> str:
-    """Returns a table for each key as Markdown.
+def ablations_report(groups: Sequence[Group]) -> Report:
+    """Returns a table and a panel for each key.
 
     Raises:
         ValueError: see :func:`find_ablations`.
     """
     reference, keys = find_ablations(groups)
-    parts = [f"# Ablations of {reference.runs[0].agent}"]
+    title = f"Ablations of {reference.agent}"
+    parts: list[str | Table] = []
     for key, row in keys.items():
         (own,) = (value for value, group in row.items() if group is reference)
         declared = [(value, own) for value in row if value != own]
         differences = {
             (item.one, quantity): item.cells()[:2]
-            for quantity in ("final_success", "training_success")
+            for quantity in ("final", "cumulative")
             for item in compare(row, declared, quantity, same_dialogues=False)
         }
-        none = ("–", "–")
-        rows = [
-            (
-                f"{value} (reference)" if value == own else value,
-                len(group.final),
-                estimate(group.final),
-                *differences.get((value, "final_success"), none),
-                estimate(group.cumulative),
-                *differences.get((value, "training_success"), none),
-            )
-            for value, group in row.items()
-        ]
-        difference = ("minus the reference", "p")
-        head = (key, "seeds", "final success", *difference, "cumulative", *difference)
-        parts += [f"## {key}", table(head, rows, numbers=len(head) - 1)]
-    return "\n\n".join([*parts, ABLATIONS_NOTE.strip()]) + "\n"
+        rows = []
+        for value, group in row.items():
+            cells: dict[str, object] = {key: f"{value} (reference)" if value == own else value}
+            cells["seeds"] = len(group.final)
+            for quantity, name in (("final", "final success"), ("cumulative", "cumulative")):
+                cells[name] = estimate(getattr(group, quantity))
+                minus, p_value = differences.get((value, quantity), (NONE, NONE))
+                cells |= {f"{name}: minus the reference": minus, f"{name}: p": p_value}
+            rows.append(cells)
+        parts += [f"## {key}", Table(f"ablations_{key}", rows)]
+    draw = partial(draw_panels, keys, title=f"{title} (*: the reference)", marked=reference)
+    figures = {"ablations": ("A panel for each key", draw)}
+    return Report("ablations", title, groups, [*parts, ABLATIONS_NOTE], figures)

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from bbq_torchrl.evaluation.ablations import Ablations
+    from matplotlib.figure import Figure
+
     from bbq_torchrl.evaluation.groups import Group
 
-__all__ = ["draw_ablations", "draw_comparison", "draw_run", "moving_average"]
+__all__ = ["draw_comparison", "draw_panels", "draw_run", "moving_average", "save"]
 
 MIN_BAND = 5
 """Seeds from which on a band is drawn: of fewer it would hide the curves."""
@@ -89,24 +90,22 @@ def draw_run(
             axes.text(start, 1.0, f" {slot}", rotation=90, va="top", ha="left", fontsize=7)
     _draw_references(axes, references or {})
     axes.set(xlabel="round", ylabel="success rate", xlim=(0, None), ylim=(0, 1), title=title)
-    _save(figure, [axes], file)
+    save(_finished(figure, [axes]), file)
 
 
 def draw_comparison(
-    file: Path,
     groups: Sequence[Group],
     *,
     title: str,
     references: Mapping[str, float] | None = None,
     panels: bool = False,
-) -> None:
+) -> Figure:
     """Draws groups of seeds: every seed's curve, their mean, and its 95 % band.
 
     The band is the t interval of the mean over seeds (five or more), round by round. Groups beyond
     the seventh are dashed.
 
     Args:
-        file: a PNG or SVG file.
         groups: at most fourteen, one for each setting.
         title: the heading.
         references: success rates of privileged policies, by name.
@@ -137,43 +136,43 @@ def draw_comparison(
     _draw_references(drawn["success"], references or {})
     drawn["success"].set(title=title)
     axes.set(xlabel="round")
-    _save(figure, list(drawn.values()), file)
+    return _finished(figure, list(drawn.values()))
 
 
-def draw_ablations(file: Path, ablations: Ablations) -> None:
-    """Draws a panel for each key: every seed of every value, their mean and its 95 % t interval.
+def draw_panels(
+    panels: Mapping[str, Mapping[str, Group]], *, title: str, marked: Group | None = None
+) -> Figure:
+    """Draws rows of groups: every seed of each group, their mean and its 95 % t interval.
 
     Args:
-        file: a PNG or SVG file.
-        ablations: the reference, and what changes one key of it.
+        panels: label of a panel -> label of a group -> the group.
+        title: the heading.
+        marked: the group that has a star wherever it stands.
     """
-    reference, panels = ablations
     columns = min(2, len(panels))
     figure, grid = _axes(rows=-(-len(panels) // columns), columns=columns)
     axes = list(np.atleast_1d(grid).flat)
-    quantities = {"final": "final success", "cumulative": "cumulative training success"}
-    for (name, label), place, color, marker in zip(
-        quantities.items(), (-0.1, 0.1), COLORS, "os", strict=False
-    ):
-        for panel, row in zip(axes, panels.values(), strict=False):
-            for number, group in enumerate(row.values()):
-                seeds = getattr(group, name)
-                panel.plot([number + place] * len(seeds), seeds, ".", color=color, alpha=0.35)
+    styles = (
+        ("final", "final success", -0.1, COLORS[0], "o"),
+        ("cumulative", "cumulative training success", 0.1, COLORS[1], "s"),
+    )
+    for panel, (key, row) in zip(axes, panels.items(), strict=False):
+        for number, group in enumerate(row.values()):
+            for quantity, label, aside, color, marker in styles:
+                seeds, place = getattr(group, quantity), number + aside
+                panel.plot([place] * len(seeds), seeds, ".", color=color, alpha=0.35)
                 found = estimate(seeds)
                 style = {"fmt": marker, "color": color, "capsize": 3, "ms": 5}
-                shown = label if number == 0 and panel is axes[0] else None
-                panel.errorbar(
-                    number + place, found.value, found.high - found.value, label=shown, **style
-                )
-    for panel, (key, row) in zip(axes, panels.items(), strict=False):
-        names = [f"{value}*" if group is reference else value for value, group in row.items()]
-        places = range(len(names))
-        panel.set(xlabel=key, xticks=places, xticklabels=names, ylim=(0, 1))
+                style["label"] = label if number == 0 and panel is axes[0] else None
+                panel.errorbar(place, found.value, found.high - found.value, **style)
+        names = [f"{value}*" if group is marked else value for value, group in row.items()]
+        names = [name.replace("_", "\n") for name in names]  # so that long ones do not touch
+        panel.set(xlabel=key, xticks=range(len(names)), xticklabels=names, ylim=(0, 1))
         panel.set_xlim(-0.5, len(names) - 0.5)
     for panel in axes[len(panels) :]:
         panel.remove()
-    figure.suptitle(f"Ablations of {reference.runs[0].agent} (*: the reference)")
-    _save(figure, axes[: len(panels)], file)
+    figure.suptitle(title)
+    return _finished(figure, axes[: len(panels)])
 
 
 def _colors(count: int) -> Sequence[Any]:
@@ -185,7 +184,7 @@ def _colors(count: int) -> Sequence[Any]:
     return [colormaps["viridis"](place) for place in np.linspace(0, 0.95, count)]
 
 
-def _axes(rows: int = 1, columns: int = 1) -> tuple[Any, Any]:
+def _axes(rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
     # The object interface: no window system, and no global state beside other figures.
     from matplotlib.figure import Figure
 
@@ -243,12 +242,17 @@ def _draw_references(axes: Any, references: Mapping[str, float]) -> None:
         axes.axhline(rate, color="0.35", lw=1, ls=":", label=label)
 
 
-def _save(figure: Any, panels: Sequence[Any], file: Path) -> None:
+def _finished(figure: Figure, panels: Sequence[Any]) -> Figure:
     for axes in panels:
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
     # Below the axes: inside, some curve would always be behind it.
     figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    return figure
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Writes a figure as its file's ending says: a PNG or an SVG file."""
     picture = BytesIO()
     figure.savefig(picture, dpi=150, format=file.suffix.removeprefix("."))
     write_bytes(file, picture.getvalue())

@@ -7,13 +7,15 @@ level, what looks like better exploration is better learning.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.evaluation.learning import areas
+from bbq_torchrl.evaluation.figures import draw_panels
+from bbq_torchrl.evaluation.groups import label
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
-from bbq_torchrl.evaluation.statistics import estimate
-from bbq_torchrl.markdown import table
+from bbq_torchrl.evaluation.statistics import Estimate, estimate
+from bbq_torchrl.evaluation.tables import Report, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,12 +23,12 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Comparison
 
-__all__ = ["GRID_NOTE", "Grid", "deviations", "find_grid", "grid_text"]
+__all__ = ["Grid", "deviations", "find_grid", "grid_report"]
 
 QUANTITIES = {
-    "final_success": "final success",
-    "training_success": "cumulative training success",
-    "evaluation_area": "success in evaluation while training",
+    "final": "Final success",
+    "cumulative": "Cumulative training success",
+    "area": "Success in evaluation while training",
 }
 
 GRID_NOTE = """\
@@ -34,8 +36,7 @@ Means over seeds with their 95 % Student t interval. Training success counts wha
 evaluation, a mean over the training, counts what was learned. By pairs, replicas that saw the same
 spiked dialogues, goals and noise of the simulator: a learner's explorers and its first one, and an
 explorer's learners and its first one. p: of a t test of the differences, by Holm's
-method for all explorers of the learner, or all learners of the explorer.
-"""
+method for all explorers of the learner, or all learners of the explorer."""
 
 Grid = Mapping[str, Mapping[str, "Group"]]
 """Learner -> explorer -> the runs, both in the order in which they were given."""
@@ -50,21 +51,16 @@ def find_grid(groups: Sequence[Group]) -> Grid:
     Raises:
         ValueError: two settings of one cell.
     """
-    names = [_name(group) for group in groups]
+    learners = [
+        (
+            agent_name({**group.runs[0].config, "explore": {}}),
+            {key: value for key, value in group.setting.items() if key.startswith("agent.")},
+        )
+        for group in groups
+    ]
     grid: dict[str, dict[str, Group]] = {}
-    for name, group in zip(names, groups, strict=True):
-        same = [
-            _keys(other)
-            for other_name, other in zip(names, groups, strict=True)
-            if other_name == name
-        ]
-        own = _keys(group)
-        told = [
-            f"{key}={value}"
-            for key, value in own.items()
-            if any(keys.get(key) != value for keys in same)
-        ]
-        row = grid.setdefault(", ".join([name, *told]), {})
+    for (name, setting), group in zip(learners, groups, strict=True):
+        row = grid.setdefault(label(name, setting, learners), {})
         explorer = group.first.explore
         if explorer in row:
             raise ValueError(
@@ -75,59 +71,58 @@ def find_grid(groups: Sequence[Group]) -> Grid:
     return grid
 
 
-def _name(group: Group) -> str:
-    return agent_name({**group.runs[0].config, "explore": {}})
-
-
-def _keys(group: Group) -> dict[str, Any]:
-    setting = group.runs[0].setting
-    return {key: value for key, value in setting.items() if key.startswith("agent.")}
-
-
 def deviations(row: Mapping[str, Group], quantity: str) -> list[Comparison]:
     """Returns a learner's explorers, or an explorer's learners, minus the first of them."""
     first, *others = row
     return compare(row, [(other, first) for other in others], quantity)
 
 
-def grid_text(groups: Sequence[Group]) -> str:
-    """Returns the grid and its comparisons as Markdown.
+def grid_report(groups: Sequence[Group]) -> Report:
+    """Returns the grid and its comparisons.
 
     Raises:
         ValueError: see :func:`find_grid`.
     """
     grid = find_grid(groups)
-    explorers = list(dict.fromkeys(explorer for row in grid.values() for explorer in row))
+    explorers = dict.fromkeys(explorer for row in grid.values() for explorer in row)
     columns = {
         name: {learner: row[name] for learner, row in grid.items() if name in row}
         for name in explorers
     }
-    parts = ["# Learner x explorer"]
+    parts: list[str | Table] = []
     for quantity, title in QUANTITIES.items():
-        if quantity == "evaluation_area" and any(group.evaluation is None for group in groups):
+        if not all(getattr(group, quantity) for group in groups):
             continue
-        rows = [
-            (learner, *(_cell(row.get(explorer), quantity) for explorer in explorers))
-            for learner, row in grid.items()
-        ]
-        parts += [f"## {title.capitalize()}", table(("learner", *explorers), rows)]
-        for head, rows_or_columns in (("learner", grid), ("explorer", columns)):
-            compared = [
-                (name, f"{item.one} minus {item.other}", *item.cells())
-                for name, compared_groups in rows_or_columns.items()
-                for item in deviations(compared_groups, quantity)
+        rows: list[dict[str, object]] = []
+        for learner, row in grid.items():
+            cells = {name: _Cell.of(row[name], quantity) for name in explorers if name in row}
+            rows.append({"learner": learner, **dict.fromkeys(explorers, NOT_RUN), **cells})
+        parts += [f"## {title}", Table(f"grid_{quantity}", rows, words=1 + len(explorers))]
+        for head, compared in (("learner", grid), ("explorer", columns)):
+            names = (head, "by pairs", "difference", "p", "better?")
+            pairs = [
+                dict(zip(names, (name, item.label, *item.cells()), strict=True))
+                for name, row in compared.items()
+                for item in deviations(row, quantity)
             ]
-            if compared:
-                names = (head, "by pairs", "difference", "p", "better?")
-                parts.append(table(names, compared, numbers=3))
-    return "\n\n".join([*parts, GRID_NOTE.strip()]) + "\n"
+            parts.append(Table(f"grid_{quantity}_by_{head}", pairs, words=2))
+    draw = partial(draw_panels, grid, title="Learner x explorer")
+    figures = {"grid": ("A panel for each learner", draw)}
+    return Report("grid", "Learner x explorer", groups, [*parts, GRID_NOTE], figures)
 
 
-def _cell(group: Group | None, quantity: str) -> str:
-    if group is None:
-        return NOT_RUN
-    if quantity == "evaluation_area":
-        values = areas(group.evaluation)
-    else:
-        values = group.final if quantity == "final_success" else group.cumulative
-    return f"{estimate(values)} ({len(values)} seeds)"
+class _Cell(NamedTuple):
+    """Success over some seeds."""
+
+    success: Estimate
+    seeds: int
+
+    @classmethod
+    def of(cls, group: Group, quantity: str) -> _Cell:
+        return cls(estimate(getattr(group, quantity)), len(group.final))
+
+    def __str__(self) -> str:
+        return f"{self.success} ({self.seeds} seeds)"
+
+    def columns(self) -> dict[str, float]:
+        return {**self.success.columns(), "_seeds": self.seeds}

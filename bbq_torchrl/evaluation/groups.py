@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bbq_torchrl.evaluation.learning import areas
 from bbq_torchrl.evaluation.runs import read_run, telling
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.evaluation.runs import Member, Run
 
-__all__ = ["Group", "group_runs", "read_groups"]
+__all__ = ["Group", "group_runs", "label", "read_groups"]
 
 EVALUATION = "eval_success_rate"
 """Column of the metrics: success of an evaluation while training, empty in rounds without."""
@@ -42,6 +43,16 @@ class Group:
     def first(self) -> RunResult:
         """The result of one of the runs, for what they all have in common."""
         return self.runs[0].result
+
+    @property
+    def agent(self) -> str:
+        """The agent as the paper calls it, such as ``BBQN-MAP``."""
+        return self.runs[0].agent
+
+    @property
+    def setting(self) -> dict[str, Any]:
+        """Dotted key to value of all that decides the outcome, but for the seed."""
+        return self.runs[0].setting
 
     @cached_property
     def final(self) -> list[float]:
@@ -97,6 +108,11 @@ class Group:
         is_evaluated = np.isfinite(curves).all(1, keepdims=True)
         return np.where(is_evaluated, curves, np.nan) if is_evaluated.any() else None
 
+    @property
+    def area(self) -> list[float]:
+        """Area under the curve of these evaluations, one value for each seed; empty without."""
+        return [] if self.evaluation is None else areas(self.evaluation)
+
     def _curves(self, name: str) -> Any:
         return np.concatenate([run.metrics[name] for run in self.runs], 1)
 
@@ -139,18 +155,23 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
         same.append(run)
     settings = [(runs[0].agent, setting) for setting, runs in together]
     return [
-        Group(_label(name, setting, settings), tuple(runs))
+        Group(label(name, setting, settings), tuple(runs))
         for (name, setting), (_, runs) in zip(settings, together, strict=True)
     ]
 
 
-def _label(
+def label(
     name: str, setting: Mapping[str, Any], settings: Sequence[tuple[str, Mapping[str, Any]]]
 ) -> str:
     """Returns the name, and the keys in which the setting differs from others.
 
     What makes up an agent is told where agents of the same name differ in it; all else also where
     agents of other names do.
+
+    Args:
+        name: of the agent.
+        setting: its dotted keys and their values.
+        settings: all names and settings, its own among them.
     """
     keys = [
         key

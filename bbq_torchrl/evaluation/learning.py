@@ -61,6 +61,17 @@ class Reach:
         found = stats.quantile_test(self.rounds, p=0.5).confidence_interval(CONFIDENCE)
         return float(found.low), float(found.high)
 
+    def columns(self) -> dict[str, float]:
+        """Returns what stands in the columns of a CSV file."""
+        low, high = self.interval
+        return {
+            "": self.median,
+            "_low": low,
+            "_high": high,
+            "_reached": self.reached,
+            "_dialogues": self.median * self.dialogues,
+        }
+
     def shown(self, rounds: float, unit: int = 1) -> str:
         """Returns rounds as text, in units of so many dialogues: ``38``, or ``> 150``."""
         if math.isinf(rounds):

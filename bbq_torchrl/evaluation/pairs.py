@@ -15,6 +15,7 @@ import numpy as np
 from bbq_torchrl.evaluation.learning import areas
 from bbq_torchrl.evaluation.runs import telling
 from bbq_torchrl.evaluation.statistics import estimate, t_test
+from bbq_torchrl.evaluation.tables import NONE
 from bbq_torchrl.study.statistics import holm
 
 if TYPE_CHECKING:
@@ -23,15 +24,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.statistics import Estimate
 
-__all__ = [
-    "NOT_RUN",
-    "Comparison",
-    "Pairing",
-    "compare",
-    "pair",
-    "pairings",
-    "verdict",
-]
+__all__ = ["NOT_RUN", "Comparison", "Pairing", "compare", "difference", "pair", "verdict"]
 
 ALPHA = 0.05
 NOT_RUN = "not run"
@@ -61,28 +54,21 @@ class Pairing:
         one: the one group.
         other: the group that is subtracted.
         pairs: how many replicas of the one have a partner in the other.
-        differences: of ``final_success``, ``training_success`` and, over the rounds in which both
-            were evaluated while training, ``evaluation_area``; empty if there are no pairs.
-        p_values: of the same quantities, by a t test of the differences.
+        differences: of ``final``, ``cumulative`` and, over the rounds in which both were evaluated
+            while training, ``area``: one for each pair; empty if there are no pairs.
         remark: why there are no pairs, or how many replicas have no partner; empty if all have one.
     """
 
     one: Group
     other: Group
     pairs: int = 0
-    differences: Mapping[str, Estimate] = field(default_factory=dict)
-    p_values: Mapping[str, float] = field(default_factory=dict)
+    differences: Mapping[str, Sequence[float]] = field(default_factory=dict)
     remark: str = ""
 
     @property
     def label(self) -> str:
         """Such as ``BBQN-MAP minus DQN``."""
         return f"{self.one.label} minus {self.other.label}"
-
-
-def pairings(groups: Sequence[Group]) -> list[Pairing]:
-    """Compares each group with each that comes after it."""
-    return [pair(one, other) for number, one in enumerate(groups) for other in groups[number + 1 :]]
 
 
 def pair(one: Group, other: Group, *, same_dialogues: bool = True) -> Pairing:
@@ -103,22 +89,15 @@ def pair(one: Group, other: Group, *, same_dialogues: bool = True) -> Pairing:
         return Pairing(one, other, remark=NO_PARTNER)
     places = [(one.members.index(member), other.members.index(member)) for member in shared]
     differences = {
-        name: [minuend[mine] - subtrahend[theirs] for mine, theirs in places]
-        for name, (minuend, subtrahend) in _compared(one, other).items()
+        quantity: [minuend[mine] - subtrahend[theirs] for mine, theirs in places]
+        for quantity, (minuend, subtrahend) in _compared(one, other).items()
     }
     alone = [
         f"{len(group.members) - pairs} of {len(group.members)} replicas of {group.label}"
         for group in (one, other)
         if len(group.members) > pairs
     ]
-    return Pairing(
-        one,
-        other,
-        pairs,
-        {name: estimate(values) for name, values in differences.items()},
-        {name: t_test(values) for name, values in differences.items()},
-        " and ".join(alone),
-    )
+    return Pairing(one, other, pairs, differences, " and ".join(alone))
 
 
 def _different_dialogues(one: Group, other: Group) -> list[str]:
@@ -126,11 +105,11 @@ def _different_dialogues(one: Group, other: Group) -> list[str]:
 
     A key that one of them lacks, being of another version, is not compared.
     """
-    settings = [group.runs[0].setting for group in (one, other)]
+    theirs = other.setting
     different = {
-        key: (value, settings[1][key])
-        for key, value in settings[0].items()
-        if key.startswith(_OF_DIALOGUES) and settings[1].get(key, value) != value
+        key: (value, theirs[key])
+        for key, value in one.setting.items()
+        if key.startswith(_OF_DIALOGUES) and theirs.get(key, value) != value
     }
     return [f"{key} differs ({', '.join(map(str, different[key]))})" for key in telling(different)]
 
@@ -138,18 +117,34 @@ def _different_dialogues(one: Group, other: Group) -> list[str]:
 def _compared(one: Group, other: Group) -> dict[str, tuple[Sequence[float], Sequence[float]]]:
     """Returns each quantity of both groups, a value for each seed."""
     quantities: dict[str, tuple[Sequence[float], Sequence[float]]] = {
-        "final_success": (one.final, other.final),
-        "training_success": (one.cumulative, other.cumulative),
+        "final": (one.final, other.final),
+        "cumulative": (one.cumulative, other.cumulative),
     }
     first, second = one.evaluation, other.evaluation
     if first is not None and second is not None:
         in_both = np.isfinite(first[:, :1]) & np.isfinite(second[:, :1])
         if in_both.any():
-            quantities["evaluation_area"] = (
+            quantities["area"] = (
                 areas(np.where(in_both, first, np.nan)),
                 areas(np.where(in_both, second, np.nan)),
             )
     return quantities
+
+
+def difference(values: Sequence[float]) -> Estimate:
+    """Returns the mean of differences with its t interval, shown with signs."""
+    return estimate(values, "+.3f")
+
+
+class PValue(float):
+    """A p-value, shown with three decimals."""
+
+    def __str__(self) -> str:
+        return f"{float(self):.3f}" if self >= 0.001 else "< .001"
+
+    def columns(self) -> dict[str, float]:
+        """Returns what stands in the columns of a CSV file."""
+        return {"": float(self)}
 
 
 class Comparison(NamedTuple):
@@ -167,12 +162,16 @@ class Comparison(NamedTuple):
     difference: Estimate | None
     p_value: float
 
-    def cells(self) -> tuple[str, str, str]:
+    @property
+    def label(self) -> str:
+        """Such as ``BBQN-MAP minus DQN``."""
+        return f"{self.one} minus {self.other}"
+
+    def cells(self) -> tuple[object, object, str]:
         """Returns difference, p-value and verdict as they stand in a table."""
         if self.difference is None:
-            return "–", "–", NOT_RUN
-        p_value = f"{self.p_value:.3f}" if self.p_value >= 0.001 else "< .001"
-        return f"{self.difference:+.3f}", p_value, verdict(self.difference, self.p_value)
+            return NONE, NONE, NOT_RUN
+        return self.difference, PValue(self.p_value), verdict(self.difference, self.p_value)
 
 
 def compare(
@@ -182,21 +181,21 @@ def compare(
     *,
     same_dialogues: bool = True,
 ) -> list[Comparison]:
-    """Compares what was declared by ``final_success`` or the like, what was not run included.
+    """Compares what was declared by ``final`` or the like, what was not run included.
 
     ``same_dialogues`` is that of :func:`pair`.
     """
-    found = [
-        pair(groups[one], groups[other], same_dialogues=same_dialogues)
-        if {one, other} <= groups.keys()
-        else None
-        for one, other in declared
-    ]
-    compared = [item if item is not None and item.pairs > 1 else None for item in found]
-    adjusted = holm([1.0 if item is None else item.p_values[quantity] for item in compared])
+    found: list[Sequence[float]] = []
+    for one, other in declared:
+        values: Sequence[float] = ()
+        if {one, other} <= groups.keys():
+            paired = pair(groups[one], groups[other], same_dialogues=same_dialogues)
+            values = paired.differences.get(quantity, ())
+        found.append(values)
+    adjusted = holm([t_test(values) for values in found])
     return [
-        Comparison(*names, None if item is None else item.differences[quantity], p_value)
-        for names, item, p_value in zip(declared, compared, adjusted, strict=True)
+        Comparison(*names, difference(values) if len(values) > 1 else None, p_value)
+        for names, values, p_value in zip(declared, found, adjusted, strict=True)
     ]
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
+from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.evaluation.statistics import binomial_standard_error
@@ -127,37 +128,27 @@ class RunResult:
     @classmethod
     def of(cls, per_replica: Sequence[ReplicaResult], **described: Any) -> RunResult:
         """The result of replicas that were evaluated on equally many dialogues."""
-
-        def mean(name: str) -> float:
-            return math.fsum(getattr(item, name) for item in per_replica) / len(per_replica)
-
-        dialogues = sum(item.dialogues for item in per_replica)
-        errors = [item.standard_error for item in per_replica]
-        return cls(
-            replicas=len(per_replica),
-            success_rate=mean("success_rate"),
-            standard_error=math.sqrt(math.fsum(error**2 for error in errors)) / len(errors),
-            reward=mean("reward"),
-            turns=mean("turns"),
-            dialogues=dialogues,
-            training_success=mean("training_success"),
-            per_replica=tuple(per_replica),
-            while_training=_mean_evaluation([item.while_training for item in per_replica]),
-            **described,
-        )
+        return cls(**_summed(per_replica), **described)
 
     def only(self, replicas: Sequence[int]) -> RunResult:
         """The result of some of the replicas."""
-        computed = {"replicas", "standard_error", "dialogues", "per_replica"}
-        computed |= {"success_rate", "reward", "turns", "training_success", "while_training"}
-        names = [item.name for item in fields(self) if item.name not in computed]
-        return RunResult.of(
-            [self.per_replica[replica] for replica in replicas],
-            **{name: getattr(self, name) for name in names},
-        )
+        return replace(self, **_summed([self.per_replica[replica] for replica in replicas]))
 
 
-Result = TypeVar("Result", ReplicaResult, RunResult)
+def _summed(per_replica: Sequence[ReplicaResult]) -> dict[str, Any]:
+    """Returns what a result holds of its replicas together."""
+    errors = [item.standard_error for item in per_replica]
+    means = ("success_rate", "reward", "turns", "training_success")
+    return {
+        "replicas": len(per_replica),
+        "standard_error": math.sqrt(math.fsum(error**2 for error in errors)) / len(errors),
+        "dialogues": sum(item.dialogues for item in per_replica),
+        "per_replica": tuple(per_replica),
+        "while_training": _mean_evaluation([item.while_training for item in per_replica]),
+    } | {name: fmean(getattr(item, name) for item in per_replica) for name in means}
+
+
+Result = TypeVar("Result", TrainingEvaluation, ReplicaResult, RunResult)
 
 
 def replica_result(
@@ -171,13 +162,13 @@ def replica_result(
 ) -> ReplicaResult:
     """Sums up the dialogues of one replica: one entry of each sequence for each dialogue."""
     dialogues = len(success)
-    rate = math.fsum(success) / dialogues
+    rate = fmean(success)
     return ReplicaResult(
         replica=replica,
         success_rate=rate,
         standard_error=binomial_standard_error(rate, dialogues),
-        reward=math.fsum(reward) / dialogues,
-        turns=math.fsum(turns) / dialogues,
+        reward=fmean(reward),
+        turns=fmean(turns),
         dialogues=dialogues,
         training_success=training_success,
         values=dict(values or {}),
@@ -198,9 +189,7 @@ def training_evaluation(
     found = [float(rate) for rate in rates if not math.isnan(rate)]
     if not found:
         return None
-    return TrainingEvaluation(
-        found[-1], math.fsum(found[-LAST:]) / len(found[-LAST:]), best, best_round
-    )
+    return TrainingEvaluation(found[-1], fmean(found[-LAST:]), best, best_round)
 
 
 def _mean_evaluation(
@@ -210,9 +199,7 @@ def _mean_evaluation(
     found = [asdict(item) for item in of_replicas if item is not None]
     if len(found) < len(of_replicas):
         return None
-    return TrainingEvaluation(
-        **{name: math.fsum(item[name] for item in found) / len(found) for name in found[0]}
-    )
+    return TrainingEvaluation(**{name: fmean(item[name] for item in found) for name in found[0]})
 
 
 def write_json(content: RunResult | dict[str, Any], file: Path) -> None:
@@ -234,21 +221,26 @@ def read_result(folder: Path) -> RunResult:
         plain = json.loads(file.read_text(encoding="utf-8"))
         if not isinstance(plain, dict) or not isinstance(plain.get("per_replica"), list):
             raise ValueError("it must be a mapping with the list per_replica")
-        per_replica = tuple(
-            _checked(ReplicaResult(**_only(ReplicaResult, _with_evaluation(item))))
-            for item in plain["per_replica"]
-        )
-        plain = _only(RunResult, _with_evaluation(plain))
+        of_replicas = tuple(_made(ReplicaResult, item) for item in plain["per_replica"])
         skipped = tuple(plain.get("skipped", ()))
-        return _checked(RunResult(**{**plain, "per_replica": per_replica, "skipped": skipped}))
+        return _made(RunResult, plain | {"per_replica": of_replicas, "skipped": skipped})
     except RecursionError:
         raise ValueError(f"{file} is damaged: it is nested too deeply") from None
     except (ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{file} is damaged: {error}") from error
 
 
-def _checked(result: Result) -> Result:
-    """Returns the same, once its numbers are numbers."""
+def _made(schema: type[Result], plain: dict[str, Any]) -> Result:
+    """Returns what a mapping describes; a newer version's further keys are left out.
+
+    Raises:
+        ValueError: what should be a number is none.
+    """
+    names = {item.name for item in fields(schema)}
+    given = {name: value for name, value in plain.items() if name in names}
+    if given.get("while_training") is not None:
+        given["while_training"] = _made(TrainingEvaluation, given["while_training"])
+    result = schema(**given)
     for item in fields(result):
         value = getattr(result, item.name)
         if item.type in ("int", "float") and not (
@@ -256,17 +248,3 @@ def _checked(result: Result) -> Result:
         ):
             raise ValueError(f"{item.name} must be a number, got {shown(value)}")
     return result
-
-
-def _with_evaluation(plain: dict[str, Any]) -> dict[str, Any]:
-    """The same with the evaluations while training, if it has any, as an object."""
-    found = plain.get("while_training")
-    if found is None:
-        return plain
-    return plain | {"while_training": TrainingEvaluation(**_only(TrainingEvaluation, found))}
-
-
-def _only(schema: type, plain: dict[str, Any]) -> dict[str, Any]:
-    """The keys that a dataclass has; a newer version's further keys are left out."""
-    names = {item.name for item in fields(schema)}
-    return {key: value for key, value in plain.items() if key in names}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,21 +41,27 @@ class Estimate:
         value: the estimate.
         low: lower end of the interval; NaN where there are too few seeds for one.
         high: upper end of the interval; NaN where there are too few seeds for one.
+        spec: format of its numbers where none is given; ``+.3f`` shows the signs of differences.
     """
 
     value: float
     low: float = math.nan
     high: float = math.nan
+    spec: str = field(default=".3f", compare=False)
 
     def __str__(self) -> str:
         return format(self)
 
     def __format__(self, spec: str) -> str:
-        """Formats each number by ``spec``: ``f"{difference:+.3f}"`` shows the signs."""
-        spec = spec or ".3f"
+        """Formats each number by ``spec``, its own unless given."""
+        spec = spec or self.spec
         if math.isnan(self.low):
             return format(self.value, spec)
         return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
+
+    def columns(self) -> dict[str, float]:
+        """Returns what stands in the columns of a CSV file."""
+        return {"": self.value, "_low": self.low, "_high": self.high}
 
 
 def binomial_standard_error(rate: float, dialogues: int) -> float:
@@ -87,7 +93,7 @@ def interquartile_mean(values: Any, axis: int = -1) -> Any:
     return stats.trim_mean(np.asarray(values, dtype=float), 0.25, axis=axis)
 
 
-def estimate(values: Sequence[float]) -> Estimate:
+def estimate(values: Sequence[float], spec: str = ".3f") -> Estimate:
     """The mean over training seeds with its 95 % Student t interval; none for a single seed.
 
     The interval takes seeds for normally distributed. Of few seeds it is still right where a
@@ -96,6 +102,7 @@ def estimate(values: Sequence[float]) -> Estimate:
 
     Args:
         values: one value for each seed.
+        spec: that of the :class:`Estimate`.
 
     Raises:
         ValueError: no values, or a value that is not finite.
@@ -106,10 +113,10 @@ def estimate(values: Sequence[float]) -> Estimate:
     """
     data = _finite(values)
     if data.size == 1:
-        return Estimate(float(data[0]))
+        return Estimate(float(data[0]), spec=spec)
     mean = float(data.mean())
     half = float(stats.t.ppf((1 + CONFIDENCE) / 2, data.size - 1) * stats.sem(data))
-    return Estimate(mean, mean - half, mean + half)
+    return Estimate(mean, mean - half, mean + half, spec)
 
 
 def estimate_iqm(values: Sequence[float]) -> Estimate:

@@ -9,30 +9,24 @@ method for all eight, whether they have been run or not.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.learning import reach
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
-from bbq_torchrl.markdown import table
+from bbq_torchrl.evaluation.tables import NONE, Report, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.figure import Figure
 
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Comparison
 
-__all__ = [
-    "PAPER",
-    "PaperCell",
-    "cells_of_table1",
-    "comparisons",
-    "comparisons_table",
-    "find_cells",
-    "missing_cells",
-    "table1",
-    "table1_text",
-]
+__all__ = ["PAPER", "PaperCell", "comparisons", "draw_table1", "find_cells", "table1_report"]
 
 
 class PaperCell(NamedTuple):
@@ -84,8 +78,7 @@ interval; cumulative: share of all training dialogues that succeeded; rounds unt
 rounds' training success reaches a level, the median over seeds. Differences by pairs: replicas that
 saw the same spiked dialogues, goals and noise of the simulator. p: of a t test of the differences,
 by Holm's method for the eight comparisons of a column that were declared, those not run included.
-The paper's numbers are of another corpus and other noise.
-"""
+The paper's numbers are of another corpus and other noise."""
 
 
 def find_cells(groups: Sequence[Group], env: str) -> dict[str, Group]:
@@ -96,7 +89,7 @@ def find_cells(groups: Sequence[Group], env: str) -> dict[str, Group]:
     """
     cells: dict[str, Group] = {}
     for group in groups:
-        name = group.runs[0].agent
+        name = group.agent
         if group.first.env != env or name not in PAPER[env]:
             continue
         if name in cells:
@@ -108,92 +101,85 @@ def find_cells(groups: Sequence[Group], env: str) -> dict[str, Group]:
     return {name: replace(cells[name], label=name) for name in PAPER[env] if name in cells}
 
 
-def cells_of_table1(groups: Sequence[Group]) -> list[Group]:
-    """Returns the groups that are cells of Table 1, in its order and by the paper's names."""
-    return [group for env in PAPER for group in find_cells(groups, env).values()]
-
-
-def missing_cells(groups: Sequence[Group]) -> list[str]:
-    """Returns the cells that no run is there for, such as ``"DQN with env=full"``."""
-    return [
-        f"{name} with env={env}"
-        for env, agents in PAPER.items()
-        for name in agents
-        if name not in find_cells(groups, env)
-    ]
-
-
-def comparisons(groups: Sequence[Group], env: str, quantity: str) -> list[Comparison]:
-    """Returns the declared comparisons of an environment by one quantity."""
-    declared = [(OURS, name) for name in PAPER[env] if name != OURS]
-    return compare(find_cells(groups, env), declared, quantity)
-
-
-def table1(groups: Sequence[Group], env: str) -> str:
-    """Returns Table 1 of an environment as Markdown; a cell that was not run is named so."""
-    cells = find_cells(groups, env)
-    head = (
-        "agent",
-        "seeds",
-        "rounds",
-        "final success",
-        "IQM",
-        "the paper's",
-        "reward",
-        "the paper's",
-        "cumulative",
-        *(f"rounds to {level}" for level in LEVELS),
-    )
-    rows: list[tuple[object, ...]] = []
-    for name, paper in PAPER[env].items():
-        theirs = (f"{paper.success_rate:.4f}", f"{paper.reward:.2f}")
-        if name not in cells:
-            never = ("–",) * (1 + len(LEVELS))
-            rows.append((name, 0, "–", NOT_RUN, "–", theirs[0], "–", theirs[1], *never))
-            continue
-        group = cells[name]
-        rows.append(
-            (
-                name,
-                len(group.final),
-                group.first.rounds,
-                estimate(group.final),
-                estimate_iqm(group.final),
-                theirs[0],
-                f"{group.reward:.2f}",
-                theirs[1],
-                estimate(group.cumulative),
-                *(_rounds(group, level) for level in LEVELS),
-            )
-        )
-    return table(head, rows, numbers=len(head) - 1)
-
-
-def _rounds(group: Group, level: float) -> str:
-    found = reach(group.success, level, group.round_dialogues)
-    return found.shown(found.median)
-
-
-def comparisons_table(groups: Sequence[Group], env: str) -> str:
-    """Returns the declared comparisons of an environment as Markdown, a row for each."""
-    finals, speeds = (
-        comparisons(groups, env, quantity) for quantity in ("final_success", "training_success")
-    )
-    rows = [
-        (f"{OURS} minus {final.other}", *final.cells(), *speed.cells())
-        for final, speed in zip(finals, speeds, strict=True)
-    ]
-    head = ("by pairs", "final success", "p", "ends higher?", "cumulative", "p", "books more?")
-    return table(head, rows, numbers=len(head) - 1)
-
-
-def table1_text(groups: Sequence[Group]) -> str:
-    """Returns Table 1 and its declared comparisons as Markdown, first of all what is missing."""
-    missing = missing_cells(groups)
-    count = sum(map(len, PAPER.values()))
-    parts = [f"# Table 1: {count - len(missing)} of {count} cells"]
-    if missing:
-        parts.append(f"Not run: {'; '.join(missing)}.")
+def table1_report(groups: Sequence[Group]) -> Report:
+    """Returns Table 1 and its declared comparisons, first of all what is missing."""
+    cells = {env: find_cells(groups, env) for env in PAPER}
+    names = [(env, name) for env, agents in PAPER.items() for name in agents]
+    missing = [f"{name} with env={env}" for env, name in names if name not in cells[env]]
+    parts: list[str | Table] = [f"Not run: {'; '.join(missing)}."] if missing else []
     for env in PAPER:
-        parts += [f"## env={env}", table1(groups, env), comparisons_table(groups, env)]
-    return "\n\n".join([*parts, TABLE1_NOTE.strip()]) + "\n"
+        parts += [f"## env={env}", _cells_table(cells[env], env), _pairs_table(cells[env], env)]
+    return Report(
+        "table1",
+        f"Table 1: {len(names) - len(missing)} of {len(names)} cells",
+        [group for found in cells.values() for group in found.values()],
+        [*parts, TABLE1_NOTE],
+        {
+            f"table1_{env}": (f"Learning curves, env={env}", partial(draw_table1, found, env))
+            for env, found in cells.items()
+            if found
+        },
+    )
+
+
+def draw_table1(cells: Mapping[str, Group], env: str) -> Figure:
+    """Draws the agents of Table 1 in an environment, by the paper's names."""
+    return draw_comparison([*cells.values()], title=f"Table 1, env={env}", panels=True)
+
+
+def comparisons(cells: Mapping[str, Group], env: str, quantity: str) -> list[Comparison]:
+    """Returns the declared comparisons of an environment by one quantity.
+
+    Args:
+        cells: those that were run, by the paper's name.
+        env: the environment.
+        quantity: ``final`` or ``cumulative``.
+    """
+    return compare(cells, [(OURS, name) for name in PAPER[env] if name != OURS], quantity)
+
+
+def _cells_table(cells: Mapping[str, Group], env: str) -> Table:
+    """Returns a row for each agent; a cell that was not run is named so."""
+    rows: list[dict[str, Any]] = []
+    for name, paper in PAPER[env].items():
+        row: dict[str, Any] = {
+            "agent": name,
+            "seeds": 0,
+            "rounds": NONE,
+            "final success": NOT_RUN,
+            "IQM": NONE,
+            "final success: the paper's": f"{paper.success_rate:.4f}",
+            "reward": NONE,
+            "reward: the paper's": paper.reward,
+            "cumulative": NONE,
+        }
+        row |= {f"rounds to {level}": NONE for level in LEVELS}
+        if name in cells:
+            group = cells[name]
+            row |= {
+                "seeds": len(group.final),
+                "rounds": group.first.rounds,
+                "final success": estimate(group.final),
+                "IQM": estimate_iqm(group.final),
+                "reward": group.reward,
+                "cumulative": estimate(group.cumulative),
+            }
+            for level in LEVELS:
+                found = reach(group.success, level, group.round_dialogues)
+                row[f"rounds to {level}"] = found.shown(found.median)
+        rows.append(row)
+    return Table(f"table1_{env}", rows)
+
+
+def _pairs_table(cells: Mapping[str, Group], env: str) -> Table:
+    """Returns a row for each declared comparison."""
+    head = (
+        *("by pairs", "final success", "final success: p", "ends higher?"),
+        *("cumulative", "cumulative: p", "books more?"),
+    )
+    compared = (comparisons(cells, env, quantity) for quantity in ("final", "cumulative"))
+    rows = [
+        dict(zip(head, (final.label, *final.cells(), *speed.cells()), strict=True))
+        for final, speed in zip(*compared, strict=True)
+    ]
+    return Table(f"table1_{env}_pairs", rows)

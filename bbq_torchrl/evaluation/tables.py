@@ -1,137 +1,170 @@
-"""Rows of tables of groups: success, differences by pairs, learning; and how they are shown."""
+"""What a report is made of: rows, which are shown as Markdown and kept as CSV, text and figures."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import csv
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, Reach, areas, reach
-from bbq_torchrl.evaluation.statistics import Estimate, estimate, estimate_iqm
-from bbq_torchrl.markdown import table
+from bbq_torchrl import markdown
+from bbq_torchrl.evaluation.figures import save
+from bbq_torchrl.evaluation.learning import rounds_to_reach
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
 
     from bbq_torchrl.evaluation.groups import Group
-    from bbq_torchrl.evaluation.pairs import Pairing
 
-__all__ = [
-    "NOTE",
-    "as_markdown",
-    "learning_rows",
-    "pair_rows",
-    "pairs_table",
-    "success_rows",
-]
+__all__ = ["Cell", "Report", "Table", "write_replicas"]
 
-NOTE = """\
-The unit is the training seed, never the dialogue. Means over seeds with their 95 % Student t
-interval. IQM: interquartile mean over seeds with its 95 % bootstrap interval (none below five
-seeds). Cumulative training success: share of all training dialogues that succeeded.
-"""
-
-PAIRS_NOTE = """\
-Differences by pairs: replicas of the same seed, which saw the same spiked dialogues, goals and
-noise of the simulator, one minus the other, the mean with its 95 % Student t interval.
-"""
-
-LEARNING_NOTE = f"""\
-Rounds (and dialogues) until success is reached: in training, until the mean of the last {WINDOW}
-rounds reaches it; in evaluation, until the first that does. The median over seeds, a seed that did
-not reach it counting as longer than all that did (the rounds after which half of the seeds had),
-with its 95 % interval from six seeds on; and how many seeds reached it, where not all did. The area
-under the curve is its mean height: in training the cumulative success.
-"""
-
-DIFFERENCES = {
-    "final_success": "final success",
-    "training_success": "cumulative training success",
-    "evaluation_area": "area under the evaluation curve",
-}
-"""Quantity of a pairing -> its column."""
+NONE = "–"
+"""Stands in Markdown where there is nothing."""
 
 
-def as_markdown(rows: Sequence[Mapping[str, Any]], *, words: int, spec: str = ".3f") -> str:
-    """Returns rows, column to cell each, as a Markdown table.
+@runtime_checkable
+class Cell(Protocol):
+    """What is shown as one cell of a table, by ``str``, and kept as several columns."""
 
-    Args:
-        rows: a column that one lacks has a dash there.
+    def columns(self) -> Mapping[str, float]:
+        """Returns what the names of the columns end in -> the numbers, with all their digits."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a report.
+
+    Attributes:
+        name: of its CSV file.
+        rows: column to cell each; a column that a row lacks has a dash there. Of a name such as
+            ``reward: the paper's`` the part behind the colon is shown.
         words: how many columns, the first ones, are not numbers.
-        spec: format of an :class:`~bbq_torchrl.evaluation.Estimate`.
     """
 
-    def shown(cell: object) -> str:
-        if isinstance(cell, Estimate):
-            return format(cell, spec)
-        return f"{cell:.2f}" if isinstance(cell, float) else str(cell)
+    name: str
+    rows: Sequence[Mapping[str, object]]
+    words: int = 1
 
-    head = list(dict.fromkeys(name for row in rows for name in row))
-    cells = [[shown(row.get(name, "–")) for name in head] for row in rows]
-    return table(head, cells, numbers=len(head) - words)
+    def __str__(self) -> str:
+        """The table as Markdown; empty without rows."""
+        if not self.rows:
+            return ""
+        names = dict.fromkeys(name for row in self.rows for name in row)
+        cells = [[_shown(row.get(name, NONE)) for name in names] for row in self.rows]
+        head = [name.rpartition(": ")[2] for name in names]
+        return markdown.table(head, cells, numbers=len(head) - self.words)
+
+    def write(self, folder: Path) -> None:
+        """Writes the table as ``<name>.csv``, unrounded; no file where there are no rows.
+
+        A cell with an interval becomes several columns: ``final_success``, ``final_success_low``
+        and so on. What there is not, such as the interval of a single seed, is empty.
+        """
+        file = folder / f"{_plain(self.name)}.csv"
+        if not self.rows:
+            file.unlink(missing_ok=True)
+            return
+        lines = [_line(row) for row in self.rows]
+        names = dict.fromkeys(name for line in lines for name in line)
+        with file.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(stream, fieldnames=list(names), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(lines)
 
 
-def success_rows(groups: Iterable[Group]) -> list[dict[str, Any]]:
-    """Returns a row for each group."""
+@dataclass(frozen=True)
+class Report:
+    """A report on groups of runs.
+
+    Attributes:
+        name: of its Markdown file.
+        title: its heading.
+        groups: what it is about.
+        parts: paragraphs and tables, in order.
+        figures: name of the file -> its title, and what draws the figure.
+    """
+
+    name: str
+    title: str
+    groups: Sequence[Group]
+    parts: Sequence[str | Table]
+    figures: Mapping[str, tuple[str, Callable[[], Figure]]]
+
+    @property
+    def body(self) -> str:
+        """What is below the heading, as Markdown."""
+        return "\n\n".join(filter(None, map(str, self.parts)))
+
+    def __str__(self) -> str:
+        return f"# {self.title}\n\n{self.body}\n"
+
+    def write(self, folder: Path) -> None:
+        """Writes ``<name>.md``, each table as CSV, each figure as PNG and as SVG.
+
+        And ``replicas.csv``, a row for each replica.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        shown = [f"![{title}]({name}.png)\n" for name, (title, _) in self.figures.items()]
+        (folder / f"{self.name}.md").write_text("\n".join([str(self), *shown]), encoding="utf-8")
+        for part in self.parts:
+            if isinstance(part, Table):
+                part.write(folder)
+        write_replicas(self.groups, folder / "replicas.csv")
+        for name, (_, draw) in self.figures.items():
+            figure = draw()
+            for kind in ("png", "svg"):
+                save(figure, folder / f"{name}.{kind}")
+
+
+def write_replicas(groups: Sequence[Group], file: Path) -> None:
+    """Writes a CSV file with a row for each replica."""
+    rows = [row for group in groups for row in _replica_rows(group)]
+    Table(file.stem, rows).write(file.parent)
+
+
+def _replica_rows(group: Group) -> list[dict[str, Any]]:
+    reached = iter(rounds_to_reach(group.success, 0.6).tolist())
     return [
         {
+            "corpus": run.result.domain,
+            "env": run.result.env,
             "agent": group.label,
-            "explore": group.first.explore,
-            "seeds": len(group.final),
-            "rounds": group.first.rounds,
-            "final success": estimate(group.final),
-            "IQM": estimate_iqm(group.final),
-            "cumulative training success": estimate(group.cumulative),
-            "reward": group.reward,
-            "turns": group.turns,
+            "replica": entry.replica,
+            "seed": run.result.seed,
+            "rounds": run.result.rounds,
+            "updates": run.updates[number],
+            "success_rate": entry.success_rate,
+            "reward": entry.reward,
+            "turns": entry.turns,
+            "cumulative_success": entry.training_success,
+            "rounds_to_60": f"{next(reached):.0f}".replace("inf", ""),
         }
-        for group in groups
+        for run in group.runs
+        for number, entry in enumerate(run.result.per_replica)
     ]
 
 
-def pair_rows(compared: Iterable[Pairing]) -> list[dict[str, Any]]:
-    """Returns a row for each two groups with pairs."""
-    return [
-        {"by pairs": item.label, "pairs": item.pairs}
-        | {DIFFERENCES[name]: difference for name, difference in item.differences.items()}
-        for item in compared
-        if item.pairs
-    ]
+def _shown(cell: object) -> str:
+    return f"{cell:.2f}" if type(cell) is float else str(cell)
 
 
-def pairs_table(compared: Sequence[Pairing]) -> str:
-    """Returns the rows of pairs as Markdown, and remarks below them; empty without any."""
-    rows = pair_rows(compared)
-    parts = [as_markdown(rows, words=1, spec="+.3f")] if rows else []
-    parts += [
-        f"{item.label}: without {item.remark}." for item in compared if item.pairs and item.remark
-    ]
-    not_paired: dict[str, list[str]] = {}
-    for item in compared:
-        if not item.pairs:
-            names = f"{item.one.label} and {item.other.label}"
-            not_paired.setdefault(item.remark, []).append(names)
-    parts += [
-        f"Not compared by pairs, since {reason}: {'; '.join(names)}."
-        for reason, names in not_paired.items()
-    ]
-    return "\n\n".join(parts)
+def _line(row: Mapping[str, object]) -> dict[str, object]:
+    line: dict[str, object] = {}
+    for column, cell in row.items():
+        parts = cell.columns() if isinstance(cell, Cell) else {"": cell}
+        line |= {_plain(column) + end: _kept(part) for end, part in parts.items()}
+    return line
 
 
-def learning_rows(groups: Iterable[Group]) -> list[dict[str, Any]]:
-    """Returns a row for each learning curve of each group: training, and evaluation if any."""
-    return [
-        {"agent": group.label, "success in": name, "area under the curve": estimate(area), **levels}
-        for group in groups
-        for name, area, levels in _curves(group)
-    ]
+def _plain(name: str) -> str:
+    """Returns a name without spaces and the like: ``final_success`` for ``final success``."""
+    return re.sub(r"[^\w.]+", "_", name.lower().replace("'", "")).strip("_")
 
 
-def _curves(group: Group) -> list[tuple[str, Sequence[float], dict[str, Reach]]]:
-    # The area under the training curve has a name of its own: it is the cumulative success.
-    curves = [("training", group.success, group.cumulative, WINDOW)]
-    if (curve := group.evaluation) is not None:
-        curves.append(("evaluation", curve, areas(curve), 1))
-    dialogues = group.round_dialogues
-    return [
-        (name, area, {f"to {level}": reach(success, level, dialogues, window) for level in LEVELS})
-        for name, success, area, window in curves
-    ]
+def _kept(value: object) -> object:
+    is_none = value == NONE or (isinstance(value, float) and not math.isfinite(value))
+    return "" if is_none else value

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.evaluation.statistics import estimate
+from bbq_torchrl.evaluation.pairs import difference
 from bbq_torchrl.markdown import table
 
 if TYPE_CHECKING:
@@ -55,8 +55,7 @@ def pivot(corner: str, cells: Mapping[tuple[str, str], object]) -> str:
 
 def paired(one: Sequence[float], other: Sequence[float]) -> str:
     """Returns the mean of ``one`` minus ``other``, pair by pair, with its t interval."""
-    differences = [a - b for a, b in zip(one, other, strict=True)]
-    return f"{estimate(differences):+.3f}"
+    return str(difference([a - b for a, b in zip(one, other, strict=True)]))
 
 
 def command(folder: Path) -> str:

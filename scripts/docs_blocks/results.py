@@ -9,14 +9,14 @@ import json
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation import pairs, report, table1
-from bbq_torchrl.evaluation.ablations import ablations_text, find_ablations
-from bbq_torchrl.evaluation.csv_tables import write_replicas
-from bbq_torchrl.evaluation.figures import draw_ablations, draw_comparison
-from bbq_torchrl.evaluation.grid import grid_text
+from bbq_torchrl.evaluation import comparison, pairs, table1
+from bbq_torchrl.evaluation.ablations import ablations_report
+from bbq_torchrl.evaluation.figures import draw_comparison, save
+from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.learning import rounds_to_reach
 from bbq_torchrl.evaluation.statistics import estimate
+from bbq_torchrl.evaluation.tables import Report, write_replicas
 from scripts.docs_blocks import common
 from scripts.docs_blocks.common import block, code, command, paired, read_csv, table
 from scripts.docs_blocks.tables import measured
@@ -78,7 +78,7 @@ def baselines(domain: str) -> dict[str, tuple[str, str]]:
     }
 
 
-VERBS = {"final_success": "ends higher than", "training_success": "books more in training than"}
+VERBS = {"final": "ends higher than", "cumulative": "books more in training than"}
 RIVALS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
 """Whom BBQN-MAP is claimed to be ahead of: in the paper's Table 1, or in what it says of it."""
 
@@ -158,18 +158,19 @@ def _commands_of(folder: str, fence: str) -> str:
 
 def draw_figures() -> None:
     """Draws the learning curves of every experiment, and writes table1.csv."""
-    tables = {folder: groups(folder) for folder in ("table1", "paper_batches")}
-    for folder, kept in tables.items():
-        for env in table1.PAPER:
-            report.draw_table1(kept, env, common.FIGURES / f"{folder}_{env}.png")
-    write_replicas(table1.cells_of_table1(tables["table1"]), common.RESULTS / "table1.csv")
+    for folder in ("table1", "paper_batches"):
+        found = table1.table1_report(groups(folder))
+        for name, (_, draw) in found.figures.items():
+            save(draw(), common.FIGURES / f"{name.replace('table1', folder)}.png")
+        if folder == "table1":
+            write_replicas(found.groups, common.RESULTS / "table1.csv")
     if ablated := groups("ablations"):
-        draw_ablations(common.FIGURES / "ablations.png", find_ablations(ablated))
+        _, draw = ablations_report(ablated).figures["ablations"]
+        save(draw(), common.FIGURES / "ablations.png")
     for name, (title, *played_in) in EXPERIMENTS.items():
         ceiling = {"clairvoyant": measured()[(*played_in, "clairvoyant")]["success_rate"]}
-        draw_comparison(
-            common.FIGURES / f"{name}.png", groups(name), title=title, references=ceiling
-        )
+        figure = draw_comparison(groups(name), title=title, references=ceiling)
+        save(figure, common.FIGURES / f"{name}.png")
 
 
 @block("results.table1", "table1")
@@ -177,19 +178,20 @@ def draw_figures() -> None:
 def _table1(folder: str) -> str:
     """Returns the report on Table 1, its figures, and the commands of what was run."""
     kept = groups(folder)
-    text = table1.table1_text(kept).partition("\n\n")[2].strip()  # without its heading
+    found = table1.table1_report(kept)
+    text = found.body
     for env, title in DOMAINS.items():
         text = text.replace(f"## env={env}\n", f"### {title}\n")
-        if table1.find_cells(kept, env):
+        if f"table1_{env}" in found.figures:
             text += f"\n\n![{title}: learning curves](figures/{folder}_{env}.png)"
     return f"{text}\n\n{_commands(kept)}"
 
 
-@block("results.explorers", grid_text, "explorers")
-@block("results.ablations", ablations_text, "ablations")
-def _report(made: Callable[[Sequence[Group]], str], folder: str) -> str:
+@block("results.explorers", grid_report, "explorers")
+@block("results.ablations", ablations_report, "ablations")
+def _report(made: Callable[[Sequence[Group]], Report], folder: str) -> str:
     """Returns a report on the runs of a folder, without its heading."""
-    return made(groups(folder)).partition("\n\n")[2].strip().replace("## ", "### ")
+    return made(groups(folder)).body.replace("## ", "### ")
 
 
 @block("results.modes")
@@ -208,8 +210,9 @@ def _experiment(name: str) -> str:
     """Returns the report's tables, figure and commands of one experiment."""
     kept = groups(name)
     figure = f"![Training success by round](figures/{name}.png)"
-    shown = (part for part, _ in report.comparison_tables(kept))
-    return "\n\n".join([*shown, figure, _commands(kept)])
+    parts = comparison.comparison_report(kept).parts
+    shown = (str(part) for part in parts if part not in comparison.NOTES)
+    return "\n\n".join([*filter(None, shown), figure, _commands(kept)])
 
 
 for _name in EXPERIMENTS:
@@ -266,7 +269,7 @@ def compared(folders: dict[str, tuple[str, str]], *head: str) -> str:
     for title, names in folders.items():
         (one,), (other,) = map(groups, names)
         found = pairs.pair(one, other).differences
-        differences = (f"{found[quantity]:+.3f}" for quantity in VERBS)
+        differences = (pairs.difference(found[quantity]) for quantity in VERBS)
         rows.append((title, estimate(one.final), estimate(other.final), *differences))
     return table((*head, "difference", "of all training"), rows, numbers=4)
 
@@ -281,7 +284,7 @@ def _claims() -> str:
         found = [
             (setting, item)
             for setting, env in table1_of.items()
-            for item in table1.comparisons(of_table1, env, quantity)
+            for item in table1.comparisons(table1.find_cells(of_table1, env), env, quantity)
             if item.other in RIVALS
         ]
         for setting, claimed in CLAIMED.items():
@@ -296,7 +299,7 @@ def _claims() -> str:
             found += [(setting, item) for item in compared]
         for setting, item in found:
             paper = "–"
-            if quantity == "final_success" and setting in table1_of:
+            if quantity == "final" and setting in table1_of:
                 cells = table1.PAPER[table1_of[setting]]
                 rate = cells[item.one].success_rate - cells[item.other].success_rate
                 paper = f"{rate:+.3f}"

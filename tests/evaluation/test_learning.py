@@ -14,10 +14,10 @@ from result_folders import make_run
 from scipy import integrate, stats
 
 from bbq_torchrl.evaluation import areas, rounds_to_reach
+from bbq_torchrl.evaluation.comparison import learning_table
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.learning import Reach
-from bbq_torchrl.evaluation.report import main
-from bbq_torchrl.evaluation.tables import as_markdown, learning_rows
+from bbq_torchrl.evaluation.pairs import pair
 
 curves = arrays(float, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(0, 1))
 INF = math.inf
@@ -101,26 +101,24 @@ def reached(row):
     return [cell.rounds for cell in row.values() if isinstance(cell, Reach)]
 
 
-def test_runs_without_evaluation_have_the_training_curve_alone(tmp_path):
-    (group,) = read_groups([make_run(tmp_path / "run", [0.8, 1.0, 0.9], rounds=6)])
-    (training,) = learning_rows([group])
-    assert training["success in"] == "training"
-    assert training["area under the curve"].value == pytest.approx(0.45)
-    assert reached(training) == [(INF, 5, INF), *[(INF,) * 3] * 3]
-
-
-def test_evaluation_while_training_has_a_row_of_its_own(tmp_path):
-    folder = make_run(tmp_path / "run", [0.8, 0.9], rounds=6, eval_every=2)
-    (group,) = read_groups([folder])
-    _, evaluation = learning_rows([group])
+def test_each_curve_has_a_row_with_its_area_and_when_it_reached_a_level(tmp_path):
+    runs = [
+        make_run(tmp_path / "all", [0.8, 0.9], rounds=6, eval_every=2),
+        make_run(tmp_path / "none", [0.8, 1.0, 0.9], rounds=6, agent="dqn"),
+    ]
+    table = learning_table(read_groups(runs))
+    _, evaluation, training = table.rows
     # Evaluated after rounds 2, 4 and 6: .4, .6, .8 and .5, .7, .9.
     assert evaluation["success in"] == "evaluation"
     assert evaluation["area under the curve"].value == pytest.approx(0.65)
     assert reached(evaluation) == [(4, 2), (4, 4), (6, 4), (6, 6)]
-    _, training, row = as_markdown(learning_rows([group]), words=2).splitlines()[1:]
-    assert training.startswith("| BBQN-MAP | training | 0.425 [")
-    assert training.endswith("| not reached | not reached | not reached | not reached |")
-    assert row.endswith("| 2 (100) | 4 (200) | 4 (200) | 6 (300) |")
+    assert training["success in"] == "training"
+    assert training["area under the curve"].value == pytest.approx(0.45)
+    assert reached(training) == [(INF, 5, INF), *[(INF,) * 3] * 3]
+    never, evaluated, _ = str(table).splitlines()[2:]
+    assert never.startswith("| BBQN-MAP | training | 0.425 [")
+    assert never.endswith("| not reached | not reached | not reached | not reached |")
+    assert evaluated.endswith("| 2 (100) | 4 (200) | 4 (200) | 6 (300) |")
 
 
 def test_seeds_evaluated_in_different_rounds_have_those_in_common(tmp_path):
@@ -134,35 +132,29 @@ def test_seeds_evaluated_in_different_rounds_have_those_in_common(tmp_path):
     assert group.evaluation is None
 
 
-def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(tmp_path, capsys):
-    make_run(tmp_path / "runs" / "a", [0.8, 0.9], rounds=8, eval_every=2)
-    dqn = {"agent": "dqn", "explore": "epsilon_greedy", "rounds": 8}
-    make_run(tmp_path / "runs" / "b", [0.7, 0.7], eval_every=4, **dqn)
-    make_run(tmp_path / "runs" / "c", [0.7, 0.7], dropout=0.0, **dqn)
-    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    rows = [line for line in lines if line.startswith("| ") and " minus " in line]
-    assert "| +0.150 [" in rows[0]
-    assert [row.endswith("| – |") for row in rows] == [False, True, True]
-    with (tmp_path / "report" / "pairs.csv").open(newline="") as stream:
-        found = [line["area_under_the_evaluation_curve"] for line in csv.DictReader(stream)]
+def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(tmp_path):
+    dqn = {"agent": "dqn", "rounds": 8}
+    runs = [
+        make_run(tmp_path / "a", [0.8, 0.9], rounds=8, eval_every=2),
+        make_run(tmp_path / "b", [0.7, 0.7], eval_every=4, **dqn),
+        make_run(tmp_path / "c", [0.7, 0.7], dropout=0.0, **dqn),
+    ]
+    often, rarely, never = read_groups(runs)
     # Rounds 4 and 8 alone: .4 and .8, .5 and .9 against .3 and .7, twice.
-    assert float(found[0]) == pytest.approx(0.15)
-    assert found[1:] == ["", ""]
+    assert pair(often, rarely).differences["area"] == pytest.approx([0.1, 0.2])
+    assert "area" not in pair(often, never).differences
 
 
-def test_learning_csv_holds_the_table_and_leaves_empty_what_was_not_reached(tmp_path):
-    seeds = [0.8, 1.0, 1.0, 1.0, 1.0, 1.0]
-    make_run(tmp_path / "run", seeds, rounds=8, eval_every=4)
-    assert main([str(tmp_path / "run"), "--out", str(tmp_path / "report")]) == 0
-    with (tmp_path / "report" / "learning.csv").open(newline="") as stream:
+def test_the_tables_csv_leaves_empty_what_was_not_reached(tmp_path):
+    run = make_run(tmp_path / "run", [0.8, *[1.0] * 5], rounds=8, eval_every=4)
+    table = learning_table(read_groups([run]))
+    table.write(tmp_path)
+    with (tmp_path / "learning.csv").open(newline="") as stream:
         training, evaluation = csv.DictReader(stream)
-    assert (training["success_in"], evaluation["success_in"]) == ("training", "evaluation")
     assert training["to_0.5_reached"] == "5"
     assert float(training["to_0.5"]) == float(training["to_0.5_low"]) == 5
     assert float(training["to_0.5_dialogues"]) == 250
     assert training["to_0.5_high"] == ""
     assert [training[f"to_0.6{part}"] for part in ("", "_reached", "_dialogues")] == ["", "0", ""]
     assert (evaluation["to_0.8_reached"], float(evaluation["to_0.8"])) == ("6", 8)
-    text = (tmp_path / "report" / "report.md").read_text()
-    assert "| 5 [5, > 8] (250), 5 of 6 | not reached |" in text
+    assert "| 5 [5, > 8] (250), 5 of 6 | not reached |" in str(table)

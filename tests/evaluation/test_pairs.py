@@ -11,11 +11,11 @@ from scipy import stats
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
-from bbq_torchrl.evaluation import estimate
+from bbq_torchrl.evaluation.comparison import pair_parts
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.pairs import NO_PARTNER, pair, pairings
+from bbq_torchrl.evaluation.pairs import NO_PARTNER, difference, pair, verdict
 from bbq_torchrl.evaluation.report import main
-from bbq_torchrl.evaluation.tables import pairs_table
+from bbq_torchrl.evaluation.statistics import estimate
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
@@ -24,8 +24,7 @@ DQN = {"agent": "dqn", "explore": "epsilon_greedy"}
 
 def compared(*folders):
     """The one pairing of the two groups that the folders make."""
-    (found,) = pairings(read_groups(folders))
-    return found
+    return pair(*read_groups(folders))
 
 
 @pytest.mark.parametrize("other", ["agent=dqn", "agent=bbqn agent.prior_std=.2"])
@@ -57,13 +56,12 @@ def test_replicas_of_a_seed_are_paired_by_number_whatever_the_folders_order(tmp_
     found = compared(*folders)
     assert (found.label, found.pairs, found.remark) == ("BBQN-MAP minus DQN", 4, "")
     expected = [0.3 - 0.1, 0.6 - 0.2, 0.5 - 0.4, 0.9 - 0.7]
-    assert found.differences["final_success"] == estimate(expected)
+    assert found.differences["final"] == expected
     half = [value / 2 for value in expected]
-    assert found.differences["training_success"].value == pytest.approx(sum(half) / 4)
-    assert "evaluation_area" not in found.differences
+    assert found.differences["cumulative"] == pytest.approx(half)
     again = compared(folders[3], *folders[:3])
     assert again.label == "DQN minus BBQN-MAP"
-    assert again.differences["final_success"].value == pytest.approx(-sum(expected) / 4)
+    assert again.differences["final"] == [-value for value in expected]
 
 
 @pytest.mark.parametrize(
@@ -83,7 +81,8 @@ def test_other_dialogues_are_not_paired_and_the_report_says_why(tmp_path, change
         make_run(tmp_path / "b", BAD, rounds=rounds, changes=change, **DQN),
     )
     assert (found.pairs, found.differences, found.remark) == (0, {}, reason)
-    assert pairs_table([found]).startswith(f"Not compared by pairs, since {reason}: BBQN-MAP, ")
+    _, remark = pair_parts([found])
+    assert remark.startswith(f"Not compared by pairs, since {reason}: BBQN-MAP, ")
 
 
 @pytest.mark.parametrize(
@@ -110,9 +109,9 @@ def test_replicas_with_values_of_their_own_are_not_paired_with_each_other(tmp_pa
     run = make_run(tmp_path / "both", [0.5, 0.6], values=values, prior_std=[0.05, 0.2])
     small, large, dqn = read_groups([run, make_run(tmp_path / "dqn", [0.25, 0.5], **DQN)])
     assert pair(small, large).remark == NO_PARTNER
-    assert pair(small, dqn).differences["final_success"].value == pytest.approx(0.25)
+    assert pair(small, dqn).differences["final"] == [0.25]
     found = pair(large, dqn)
-    assert found.differences["final_success"].value == pytest.approx(0.1)
+    assert found.differences["final"] == pytest.approx([0.1])
     assert found.remark == "1 of 2 replicas of DQN"
 
 
@@ -123,9 +122,8 @@ def test_seeds_without_a_partner_are_left_out_and_named(tmp_path):
         make_run(tmp_path / "b", BAD, seed=1, **DQN),
     )
     assert (found.pairs, found.remark) == (5, "5 of 10 replicas of BBQN-MAP")
-    assert pairs_table([found]).endswith(
-        "BBQN-MAP minus DQN: without 5 of 10 replicas of BBQN-MAP."
-    )
+    _, remark = pair_parts([found])
+    assert remark == "BBQN-MAP minus DQN: without 5 of 10 replicas of BBQN-MAP."
 
 
 def test_the_report_has_the_differences(tmp_path, capsys):
@@ -151,8 +149,9 @@ def test_the_report_has_the_differences(tmp_path, capsys):
     assert float(first["cumulative_training_success"]) == pytest.approx(0.125)
 
 
-def test_a_single_group_has_no_pairs(tmp_path, capsys):
-    make_run(tmp_path / "runs" / "bbqn", GOOD)
-    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
-    assert "pairs" not in capsys.readouterr().out
-    assert not (tmp_path / "report" / "pairs.csv").exists()
+@pytest.mark.parametrize(
+    ("differences", "p_value", "expected"),
+    [([0.1, 0.2], 0.01, "yes"), ([-0.1, -0.2], 0.01, "no"), ([0.1, 0.2], 0.2, "not decided")],
+)
+def test_a_claim_is_judged_by_sign_and_p_value(differences, p_value, expected):
+    assert verdict(difference(differences), p_value) == expected

@@ -9,8 +9,9 @@ from result_folders import make_run
 from scipy import stats
 
 from bbq_torchrl.evaluation import estimate, estimate_iqm, interquartile_mean
+from bbq_torchrl.evaluation.comparison import comparison_report, references
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.report import main, references
+from bbq_torchrl.evaluation.report import main
 from bbq_torchrl.evaluation.runs import find_results
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
@@ -131,10 +132,6 @@ def test_the_report_has_the_statistics_of_each_group_and_pair(tmp_path, capsys):
     assert f"| {estimate([rate / 2 for rate in GOOD])} |" in row
     assert row.endswith("| 10.00 | 8.00 |")
 
-    files = {file.name for file in (tmp_path / "report").iterdir()}
-    tables = {"report.csv", "pairs.csv", "learning.csv", "replicas.csv"}
-    assert files == {"report.md", "curves.png", *tables}
-    assert printed.rstrip() in (tmp_path / "report" / "report.md").read_text()
     bbqn, dqn = read_csv(tmp_path / "report" / "report.csv")
     assert (bbqn["agent"], bbqn["explore"], bbqn["seeds"]) == ("BBQN-MAP", "thompson", "5")
     assert float(bbqn["final_success_low"]) == pytest.approx(low)
@@ -154,12 +151,54 @@ def test_few_seeds_have_no_bootstrap_interval_and_one_none_at_all(tmp_path):
     assert float(one["final_success"]) == 0.5
 
 
+PAIR = ({}, {"agent": "dqn", "explore": "epsilon_greedy"})
+FORMS = {
+    "report": (PAIR, {"report", "pairs", "learning"}, {"curves"}),
+    "table1": (
+        PAIR,
+        {f"table1_{env}{end}" for env in ("full", "domain_ext") for end in ("", "_pairs")},
+        {"table1_full"},
+    ),
+    "grid": (
+        ({}, {"explore": "greedy"}),
+        {"grid_final", "grid_final_by_learner", "grid_cumulative", "grid_cumulative_by_learner"},
+        {"grid"},
+    ),
+    "ablations": (({}, {"prior_std": 0.3}), {"ablations_agent.prior_std"}, {"ablations"}),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_report_is_written_as_markdown_csv_png_and_svg(tmp_path, capsys, form):
+    settings, tables, figures = FORMS[form]
+    for number, setting in enumerate(settings):
+        make_run(tmp_path / "runs" / str(number), GOOD, **setting)
+    out = tmp_path / "report"
+    option = [] if form == "report" else [f"--{form}"]
+    assert main([str(tmp_path / "runs"), *option, "--out", str(out)]) == 0
+    text = (out / f"{form}.md").read_text()
+    assert text.startswith(capsys.readouterr().out)
+    assert all(f"]({name}.png)" in text for name in figures)
+    assert {file.stem for file in out.glob("*.csv")} == {*tables, "replicas"}
+    assert len(read_csv(out / "replicas.csv")) == 10
+    for kind, start in (("png", b"\x89PNG"), ("svg", b"<?xml")):
+        pictures = {file.stem: file.read_bytes() for file in out.glob(f"*.{kind}")}
+        assert pictures.keys() == figures
+        assert all(picture.startswith(start) for picture in pictures.values())
+
+
+def test_one_setting_has_no_pairs_and_none_of_an_earlier_report_stay(tmp_path, capsys):
+    run, out = make_run(tmp_path / "run", GOOD), tmp_path / "report"
+    out.mkdir()
+    (out / "pairs.csv").write_text("of another report")
+    assert main([str(run), "--out", str(out)]) == 0
+    assert "pairs" not in capsys.readouterr().out
+    assert not (out / "pairs.csv").exists()
+
+
 def test_a_figure_holds_seven_groups_and_the_next_one_the_rest(tmp_path):
-    for number in range(8):
-        make_run(tmp_path / "runs" / str(number), [0.5], lr=0.1 * (number + 1))
-    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
-    figures = sorted(file.name for file in (tmp_path / "report").glob("*.png"))
-    assert figures == ["curves.png", "curves_2.png"]
+    runs = [make_run(tmp_path / str(n), [0.5], lr=0.1 * (n + 1)) for n in range(8)]
+    assert list(comparison_report(read_groups(runs)).figures) == ["curves", "curves_2"]
 
 
 @pytest.mark.parametrize("name", ["", "nowhere"])

@@ -1,0 +1,158 @@
+"""The report on any runs: success, differences by pairs, when they learned, and their curves."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.evaluation.figures import COLORS, draw_comparison
+from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, reach
+from bbq_torchrl.evaluation.pairs import difference, pair
+from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
+from bbq_torchrl.evaluation.tables import Report, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.evaluation.groups import Group
+    from bbq_torchrl.evaluation.pairs import Pairing
+
+__all__ = ["comparison_report", "learning_table", "pair_parts", "references", "success_table"]
+
+NOTE = """\
+The unit is the training seed, never the dialogue. Means over seeds with their 95 % Student t
+interval. IQM: interquartile mean over seeds with its 95 % bootstrap interval (none below five
+seeds). Cumulative training success: share of all training dialogues that succeeded."""
+
+PAIRS_NOTE = """\
+Differences by pairs: replicas of the same seed, which saw the same spiked dialogues, goals and
+noise of the simulator, one minus the other, the mean with its 95 % Student t interval."""
+
+LEARNING_NOTE = f"""\
+Rounds (and dialogues) until success is reached: in training, until the mean of the last {WINDOW}
+rounds reaches it; in evaluation, until the first that does. The median over seeds, a seed that did
+not reach it counting as longer than all that did (the rounds after which half of the seeds had),
+with its 95 % interval from six seeds on; and how many seeds reached it, where not all did. The area
+under the curve is its mean height: in training the cumulative success."""
+
+NOTES = (NOTE, PAIRS_NOTE, LEARNING_NOTE)
+
+DIFFERENCES = {
+    "final": "final success",
+    "cumulative": "cumulative training success",
+    "area": "area under the evaluation curve",
+}
+"""Quantity of a pairing -> its column."""
+
+
+def comparison_report(groups: Sequence[Group]) -> Report:
+    """Returns the tables of the groups, each with its note, and their curves.
+
+    A figure shows at most seven groups: ``curves``, then ``curves_2`` and so on.
+    """
+    pairs = pair_parts([pair(*two) for two in combinations(groups, 2)])
+    figures = {}
+    for number, start in enumerate(range(0, len(groups), len(COLORS)), 1):
+        drawn = groups[start : start + len(COLORS)]
+        title = f"Training success: {_common(drawn)}"
+        draw = partial(draw_comparison, drawn, title=title, references=references(drawn))
+        name = "curves" if number == 1 else f"curves_{number}"
+        figures[name] = ("Training success by round", draw)
+    return Report(
+        "report",
+        _common(groups),
+        groups,
+        [
+            *(success_table(groups), NOTE),
+            *(pairs if len(groups) == 1 else [*pairs, PAIRS_NOTE]),
+            *(learning_table(groups), LEARNING_NOTE),
+        ],
+        figures,
+    )
+
+
+def _common(groups: Sequence[Group]) -> str:
+    """Returns what the groups have in common: ``"env=full, domain=movie"``; no domain if none."""
+    common = {
+        name: sorted({getattr(group.first, name) for group in groups} - {""})
+        for name in ("env", "domain")
+    }
+    return ", ".join(f"{name}={'|'.join(values)}" for name, values in common.items() if values)
+
+
+def references(groups: Sequence[Group]) -> dict[str, float]:
+    """Returns the success of the privileged policies, by name, mean over the runs.
+
+    Empty unless the runs all know it and have the same users.
+    """
+    runs = [run for group in groups for run in group.runs]
+    users = [
+        {key: value for key, value in run.setting.items() if key.startswith(("env.", "domain."))}
+        for run in runs
+    ]
+    known = [run.result.references for run in runs]
+    if any(other != users[0] for other in users) or any(
+        one.keys() != known[0].keys() for one in known
+    ):
+        return {}
+    return {name: math.fsum(one[name] for one in known) / len(known) for name in known[0]}
+
+
+def success_table(groups: Sequence[Group]) -> Table:
+    """Returns a row for each group."""
+    rows = [
+        {
+            "agent": group.label,
+            "explore": group.first.explore,
+            "seeds": len(group.final),
+            "rounds": group.first.rounds,
+            "final success": estimate(group.final),
+            "IQM": estimate_iqm(group.final),
+            "cumulative training success": estimate(group.cumulative),
+            "reward": group.reward,
+            "turns": group.turns,
+        }
+        for group in groups
+    ]
+    return Table("report", rows, words=2)
+
+
+def pair_parts(compared: Sequence[Pairing]) -> list[str | Table]:
+    """Returns a row for each two groups with pairs, and remarks on who has no partner."""
+    rows = [
+        {"by pairs": item.label, "pairs": item.pairs}
+        | {DIFFERENCES[name]: difference(values) for name, values in item.differences.items()}
+        for item in compared
+        if item.pairs
+    ]
+    remarks = [
+        f"{item.label}: without {item.remark}." for item in compared if item.pairs and item.remark
+    ]
+    not_paired: dict[str, list[str]] = {}
+    for item in compared:
+        if not item.pairs:
+            names = f"{item.one.label} and {item.other.label}"
+            not_paired.setdefault(item.remark, []).append(names)
+    remarks += [
+        f"Not compared by pairs, since {reason}: {'; '.join(names)}."
+        for reason, names in not_paired.items()
+    ]
+    return [Table("pairs", rows), *remarks]
+
+
+def learning_table(groups: Sequence[Group]) -> Table:
+    """Returns a row for each learning curve of each group: training, and evaluation if any."""
+    rows: list[dict[str, Any]] = []
+    for group in groups:
+        # The area under the training curve has a name of its own: it is the cumulative success.
+        curves = [("training", group.success, group.cumulative, WINDOW)]
+        if group.evaluation is not None:
+            curves.append(("evaluation", group.evaluation, group.area, 1))
+        for name, success, area, window in curves:
+            row = {"agent": group.label, "success in": name, "area under the curve": estimate(area)}
+            for level in LEVELS:
+                row[f"to {level}"] = reach(success, level, group.round_dialogues, window)
+            rows.append(row)
+    return Table("learning", rows, words=2)
