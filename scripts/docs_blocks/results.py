@@ -6,8 +6,11 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
+
+import yaml
 
 from bbq_torchrl.evaluation import comparison, pairs, table1
 from bbq_torchrl.evaluation.ablations import ablations_report
@@ -36,107 +39,12 @@ EXPERIMENTS = {
 }
 """Folder in results/ -> what was trained on; corpus and setting of results/policies.json."""
 
-MAIN = {
-    "Full domain, our corpus": ("table1/full/bbqn_map", "table1/full/dqn"),
-    "Domain extension, our corpus": ("table1/extension/bbqn_map", "table1/extension/dqn"),
-    **{
-        EXPERIMENTS[folder][0]: (f"{folder}/bbqn_map", f"{folder}/dqn")
-        for folder in ("long", "tcbot", "miulab")
-    },
-}
-"""What BBQN-MAP and DQN were trained on -> the folders of their runs."""
-
-
-def falling(domain: str) -> dict[str, tuple[str, str]]:
-    """Returns whose learning rate falls in a domain -> the folders of their runs."""
-    bbqn, dqn = f"lr_falls/{domain}/bbqn_map", f"lr_falls/{domain}/dqn"
-    return {
-        "BBQN-MAP: falling and constant": (bbqn, f"paper_batches/{domain}/bbqn_map"),
-        "DQN: falling and constant": (dqn, f"paper_batches/{domain}/dqn"),
-        "falling: BBQN-MAP and DQN": (bbqn, dqn),
-    }
-
-
-BASELINES = {
-    "Double DQN": "baselines/{domain}/double_dqn",
-    "Noisy DQN": "baselines/{domain}/noisy_dqn",
-    "Bootstrap of whole networks": "baselines/{domain}/bootstrap_networks",
-    "Adam LMCDQN": "extending/{domain}/langevin",
-    "Epinet": "extending/{domain}/epinet",
-}
-"""Agents that the paper does not compare with -> the folders of their runs."""
-
-
-def baselines(domain: str) -> dict[str, tuple[str, str]]:
-    """Returns BBQN-MAP's rivals of a domain that were run -> the folders of its runs and theirs."""
-    folders = {"DQN": "table1/{domain}/dqn"} | BASELINES
-    found = {name: folder.format(domain=domain) for name, folder in folders.items()}
-    return {
-        name: (f"table1/{domain}/bbqn_map", folder)
-        for name, folder in found.items()
-        if (common.RESULTS / folder).exists()
-    }
-
+COMPARED = yaml.safe_load(Path(__file__).with_name("compared.yaml").read_text(encoding="utf-8"))
+"""Which runs are set beside each other, and what is claimed of them."""
 
 VERBS = {"final": "ends higher than", "cumulative": "books more in training than"}
 RIVALS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
 """Whom BBQN-MAP is claimed to be ahead of: in the paper's Table 1, or in what it says of it."""
-
-_SPIKED = ("BBQN-MAP with 100 spiked dialogues", "ablations/reference")
-
-CLAIMED = {
-    "Table 1": [
-        (
-            f"DQN-VIME-{gain} ({title})",
-            f"table1/{domain}/dqn_vime_{gain.lower()}",
-            f"DQN ({title})",
-            f"table1/{domain}/dqn",
-        )
-        for domain, title in (("full", "full domain"), ("extension", "domain extension"))
-        for gain in ("MAP", "MC")
-    ],
-    EXPERIMENTS["long"][0]: [("BBQN-MAP", "long/bbqn_map", "DQN", "long/dqn")],
-    **{
-        EXPERIMENTS[folder][0]: [
-            ("BBQN-MAP", f"{folder}/bbqn_map", name, f"{folder}/{theirs}")
-            for name, theirs in (
-                ("DQN", "dqn"),
-                ("DQN-Boltzmann", "dqn_boltzmann"),
-                ("DQN-Bootstrap", "dqn_bootstrap"),
-                ("BBQN-MC", "bbqn_mc"),
-            )
-        ]
-        for folder in ("tcbot", "miulab")
-    },
-    "[Who explores?](#who-explores)": [
-        (
-            "BBQN-MAP by Thompson sampling",
-            "explorers/bbqn/0_thompson",
-            name,
-            f"explorers/bbqn/{folder}",
-        )
-        for name, folder in (
-            ("its mean greedily", "1_greedy"),
-            ("its mean by ε", "2_epsilon_greedy"),
-            ("its mean by Boltzmann", "3_boltzmann"),
-            ("with ε on top", "4_thompson_epsilon"),
-        )
-    ],
-    **{
-        f"[Rivals of today](#rivals-of-today), {title}": [
-            ("BBQN-MAP", f"table1/{domain}/bbqn_map", name, folder.format(domain=domain))
-            for name, folder in BASELINES.items()
-        ]
-        for domain, title in (("full", "full domain"), ("extension", "domain extension"))
-    },
-    "[Ablations](#ablations)": [
-        (*_SPIKED, "with 20", "ablations/spike_20"),
-        (*_SPIKED, "with 1,000", "ablations/spike_1000"),
-    ],
-    "[Without spiking](#without-spiking)": [(*_SPIKED, "without", "ablations/spike_none")],
-}
-"""What was trained on -> who is claimed to be ahead of whom, and their folders; beside Table 1's
-comparisons with BBQN-MAP."""
 
 
 def groups(*folders: str) -> list[Group]:
@@ -253,59 +161,52 @@ def _expect() -> str:
     )
 
 
-@block("results.readme", MAIN, "trained on", "BBQN-MAP", "DQN")
-@block("results.rivals", baselines("full"), "full domain", "BBQN-MAP", "the rival")
-@block("results.rivals_ext", baselines("extension"), "domain extension", "BBQN-MAP", "the rival")
-@block("learning.rate", falling("full"), "full domain", "the one", "the other")
-@block("learning.rate_ext", falling("extension"), "domain extension", "the one", "the other")
-def compared(folders: dict[str, tuple[str, str]], *head: str) -> str:
+def compared(rows: dict[str, list[str]], head: list[str]) -> str:
     """Returns the final success of two agents, and their differences by pairs.
 
     Args:
-        folders: title -> the folders of their runs.
+        rows: title -> the folders of their runs; a row without runs is left out.
         head: of the columns of titles and agents.
     """
-    rows = []
-    for title, names in folders.items():
-        (one,), (other,) = map(groups, names)
-        found = pairs.pair(one, other).differences
-        differences = (pairs.difference(found[quantity]) for quantity in VERBS)
-        rows.append((title, estimate(one.final), estimate(other.final), *differences))
-    return table((*head, "difference", "of all training"), rows, numbers=4)
+    lines = []
+    for title, folders in rows.items():
+        both = [group for folder in folders for group in groups(folder)]
+        if len(both) == 2:
+            one, other = both
+            found = pairs.pair(one, other).differences
+            differences = (pairs.difference(found[quantity]) for quantity in VERBS)
+            lines.append((title, estimate(one.final), estimate(other.final), *differences))
+    return table((*head, "difference", "of all training"), lines, numbers=4)
+
+
+for _name, _table in COMPARED["tables"].items():
+    block(_name, _table["rows"], _table["head"])(compared)
 
 
 @block("results.claims")
 def _claims() -> str:
     """Returns the claims as Markdown: what contradicts the paper first, what was not run last."""
-    table1_of = {f"Table 1, {title.lower()}": env for env, title in DOMAINS.items()}
     of_table1 = groups("table1")
     rows = []
     for quantity, verb in VERBS.items():
-        found = [
-            (setting, item)
-            for setting, env in table1_of.items()
-            for item in table1.comparisons(table1.find_cells(of_table1, env), env, quantity)
-            if item.other in RIVALS
-        ]
-        for setting, claimed in CLAIMED.items():
-            folders = {
-                name: folder
-                for one, own, other, theirs in claimed
-                for name, folder in ((one, own), (other, theirs))
-            }
+        found: list[tuple[str, pairs.Comparison, str]] = []
+        for env, title in DOMAINS.items():
+            paper = table1.PAPER[env]
+            for item in table1.comparisons(table1.find_cells(of_table1, env), env, quantity):
+                rate = paper[item.one].success_rate - paper[item.other].success_rate
+                theirs = f"{rate:+.3f}" if quantity == "final" else "–"
+                if item.other in RIVALS:
+                    found.append((f"Table 1, {title.lower()}", item, theirs))
+        for setting, claimed in COMPARED["claims"].items():
+            folders = {one: folder for claim in claimed for one, folder in (claim[:2], claim[2:])}
             kept = {name: group for name, folder in folders.items() for group in groups(folder)}
             declared = [(one, other) for one, _, other, _ in claimed]
-            compared = pairs.compare(kept, declared, quantity, same_dialogues=False)
-            found += [(setting, item) for item in compared]
-        for setting, item in found:
-            paper = "–"
-            if quantity == "final" and setting in table1_of:
-                cells = table1.PAPER[table1_of[setting]]
-                rate = cells[item.one].success_rate - cells[item.other].success_rate
-                paper = f"{rate:+.3f}"
+            for item in pairs.compare(kept, declared, quantity, same_dialogues=False):
+                found.append((setting, item, "–"))
+        for setting, item, theirs in found:
             *numbers, answer = item.cells()
             claim = f"{item.one} {verb} {item.other}"
-            rows.append((claim, setting, answer, *numbers, paper))
+            rows.append((claim, setting, answer, *numbers, theirs))
     order = ("no", "not decided", "yes", pairs.NOT_RUN)
     rows.sort(key=lambda row: order.index(row[2]))
     head = ("claim", "trained on", "verdict", "difference", "p", "the paper's difference")

@@ -89,9 +89,8 @@ def test_figure_is_drawn_of_every_experiment(kept: Path) -> None:
 
 
 def test_two_agents_are_compared_by_pairs(kept: Path) -> None:
-    text = results.compared(
-        {"the corpus": (f"{FOLDER}/bbqn_map", f"{FOLDER}/dqn")}, "on", "one", "other"
-    )
+    rows = {"the corpus": [f"{FOLDER}/bbqn_map", f"{FOLDER}/dqn"], "another": ["a", "b"]}
+    text = results.compared(rows, ["on", "one", "other"])
     head, _, line = text.splitlines()
     assert head == "| on | one | other | difference | of all training |"
     assert line.startswith("| the corpus | 0.750 [")
