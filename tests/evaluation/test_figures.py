@@ -39,7 +39,7 @@ def labels(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-@pytest.mark.parametrize("window", [1, 3, 50])
+@pytest.mark.parametrize("window", [3, 50])
 def test_a_moving_average_is_over_the_last_rounds(window):
     values = np.random.default_rng(0).uniform(size=(20, 2))
     expected = [values[max(0, n - window + 1) : n + 1].mean(0) for n in range(20)]
@@ -47,9 +47,10 @@ def test_a_moving_average_is_over_the_last_rounds(window):
 
 
 def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(tmp_path, drawn):
+    run = group(3)
     draw_run(
         tmp_path / "curve.png",
-        [group(3)],
+        [run],
         title="a run",
         spiked="spiked with 100 rule dialogues",
         extensions={10: "price", 20: "zip", 40: "state"},
@@ -59,6 +60,8 @@ def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(t
     # Three replicas, their mean, three final points, their mean, the spike, two slots in time, and
     # what knows the goal.
     assert len(axes.get_lines()) == 3 + 1 + 1 + 1 + 1 + 2 + 1
+    thick = max(axes.get_lines(), key=lambda line: line.get_linewidth())
+    assert thick.get_ydata() == pytest.approx(moving_average(run.success).mean(1))
     assert [text.get_text() for text in axes.texts] == [" price", " zip"]
     assert axes.get_title() == "a run"
     assert labels(drawn[0]) == [
@@ -70,15 +73,8 @@ def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(t
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_thick_line_is_the_moving_mean_over_replicas(tmp_path, drawn):
-    run = group(3)
-    draw_run(tmp_path / "curve.png", [run], title="a run")
-    thick = max(drawn[0].axes[0].get_lines(), key=lambda line: line.get_linewidth())
-    assert thick.get_ydata() == pytest.approx(moving_average(run.success).mean(1))
-
-
-@pytest.mark.parametrize("seeds", [1, 3])
-def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path, drawn, seeds):
+def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path, drawn):
+    seeds = 3
     evaluated = np.full((30, seeds), np.nan)
     evaluated[4::5] = np.random.default_rng(1).uniform(size=(6, seeds))
     run = group(seeds, eval_success_rate=evaluated)
@@ -95,10 +91,9 @@ def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path,
     assert main.get_ydata() == pytest.approx(evaluated[4::5].mean(1))
     # A line for each seed, their mean, the final points, their mean.
     assert len(rest) == seeds + 1 + 2
-    noun = "1 seed" if seeds == 1 else "3 seeds"
     assert labels(drawn[0])[:2] == [
         "training, with exploration (mean of 10 rounds)",
-        f"DQN ({noun}, evaluated)",
+        "DQN (3 seeds, evaluated)",
     ]
 
 
@@ -118,9 +113,9 @@ def test_a_run_with_several_values_has_a_color_for_each(tmp_path, drawn, count):
 def test_a_run_of_one_replica_shows_its_raw_rounds(tmp_path, drawn):
     run = group(1)
     draw_run(tmp_path / "curve.png", [run], title="a run")
-    raw, mean, *_ = drawn[0].axes[0].get_lines()
+    raw, *_ = drawn[0].axes[0].get_lines()
     assert raw.get_ydata() == pytest.approx(run.success[:, 0])
-    assert mean.get_ydata() == pytest.approx(moving_average(run.success)[:, 0])
+    assert labels(drawn[0])[0] == "DQN (1 seed, mean of 10 rounds)"
 
 
 def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-
 import pytest
 import torch
 from result_folders import make_run
@@ -14,8 +12,6 @@ from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.comparison import pair_parts
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.pairs import NO_PARTNER, difference, pair, verdict
-from bbq_torchrl.evaluation.report import main
-from bbq_torchrl.evaluation.statistics import estimate
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
@@ -126,27 +122,23 @@ def test_seeds_without_a_partner_are_left_out_and_named(tmp_path):
     assert remark == "BBQN-MAP minus DQN: without 5 of 10 replicas of BBQN-MAP."
 
 
-def test_the_report_has_the_differences(tmp_path, capsys):
-    make_run(tmp_path / "runs" / "bbqn", GOOD)
-    make_run(tmp_path / "runs" / "dqn", BAD, **DQN)
-    make_run(tmp_path / "runs" / "longer", BAD, rounds=4, **DQN)
-    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
-    printed = capsys.readouterr().out
-    differences = [a - b for a, b in zip(GOOD, BAD, strict=True)]
-    interval = stats.ttest_rel(GOOD, BAD).confidence_interval()
-    row = next(line for line in printed.splitlines() if "BBQN-MAP, protocol.rounds=3 minus" in line)
-    assert f"| 5 | {estimate(differences):+.3f} | +0.125 [" in row
-    reason = "Not compared by pairs, since protocol.rounds differs (3, 4): "
-    (sentence,) = (line for line in printed.splitlines() if line.startswith(reason))
-    assert sentence.count("; ") == 1
-
-    with (tmp_path / "report" / "pairs.csv").open(newline="") as stream:
-        (first,) = csv.DictReader(stream)
-    assert first["pairs"] == "5"
-    assert float(first["final_success"]) == pytest.approx(0.25)
-    assert float(first["final_success_low"]) == pytest.approx(interval.low)
-    assert float(first["final_success_high"]) == pytest.approx(interval.high)
-    assert float(first["cumulative_training_success"]) == pytest.approx(0.125)
+def test_pairs_are_rows_and_what_is_not_paired_is_named_once(tmp_path):
+    one, dqn, longer = read_groups(
+        [
+            make_run(tmp_path / "bbqn", GOOD),
+            make_run(tmp_path / "dqn", BAD, **DQN),
+            make_run(tmp_path / "longer", BAD, rounds=4, **DQN),
+        ]
+    )
+    table, remark = pair_parts([pair(one, dqn), pair(one, longer), pair(dqn, longer)])
+    (row,) = table.rows
+    assert (row["by pairs"], row["pairs"]) == (f"{one.label} minus {dqn.label}", 5)
+    assert (row["final success"].low, row["final success"].high) == pytest.approx(
+        stats.ttest_rel(GOOD, BAD).confidence_interval()
+    )
+    assert f"| 5 | {row['final success']:+.3f} | +0.125 [" in str(table)
+    assert remark.startswith("Not compared by pairs, since protocol.rounds differs (3, 4): ")
+    assert remark.count("; ") == 1
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import shutil
 
 import numpy as np
 import pytest
@@ -31,22 +30,6 @@ def test_a_run_is_the_mean_of_its_replicas():
     assert result.standard_error == pytest.approx(math.sqrt(sum(variances)) / 3)
 
 
-def test_a_result_is_read_as_it_was_written(tmp_path):
-    result = run_result([0.25, 0.5])
-    write_json(result, tmp_path / "result.json")
-    assert read_result(tmp_path) == result
-    assert [file.name for file in tmp_path.iterdir()] == ["result.json"]
-
-
-def test_keys_of_a_newer_version_are_left_out(tmp_path):
-    result = run_result([0.25])
-    write_json(result, tmp_path / "result.json")
-    plain = json.loads((tmp_path / "result.json").read_text())
-    plain["new"] = plain["per_replica"][0]["new"] = 1
-    write_json(plain, tmp_path / "result.json")
-    assert read_result(tmp_path) == result
-
-
 def test_what_evaluations_while_training_say_is_summed_up():
     nothing = math.nan
     rates = [nothing, 0.1, nothing, 0.9, 0.5, 0.5, 0.6, 0.2]
@@ -57,7 +40,7 @@ def test_what_evaluations_while_training_say_is_summed_up():
     assert training_evaluation([nothing] * 3, best=0.0, best_round=-1) is None
 
 
-def test_evaluations_while_training_are_read_as_they_were_written(tmp_path):
+def test_a_result_is_read_as_it_was_written_without_what_is_newer(tmp_path):
     base = run_result([0.4, 0.2], scripted={"rule": 0.18})
     replicas = [
         dataclasses.replace(
@@ -71,28 +54,34 @@ def test_evaluations_while_training_are_read_as_they_were_written(tmp_path):
     assert result.only([1]).while_training == replicas[1].while_training
 
     write_json(result, tmp_path / "result.json")
-
     assert read_result(tmp_path) == result
+    plain = json.loads((tmp_path / "result.json").read_text())
+    for part in (plain, plain["per_replica"][0], plain["while_training"]):
+        part["of a newer version"] = 1
+    write_json(plain, tmp_path / "result.json")
+    assert read_result(tmp_path) == result
+    assert [file.name for file in tmp_path.iterdir()] == ["result.json"]
     # One replica that has none, such as a file of an earlier version: no mean either.
     older = (base.per_replica[0], replicas[1])
     assert dataclasses.replace(base, per_replica=older).only([0, 1]).while_training is None
 
 
-def test_a_folder_without_a_result_is_no_finished_run(tmp_path):
-    with pytest.raises(ValueError, match=r"has no result\.json: it is no run folder, or not"):
-        read_result(tmp_path)
+@pytest.mark.parametrize("read", [read_result, read_metrics])
+def test_a_folder_without_the_file_is_no_run_folder(tmp_path, read):
+    with pytest.raises(ValueError, match=r"has no \w+\.(json|csv): it is no run folder"):
+        read(tmp_path)
 
 
 @pytest.mark.parametrize(
     "damage",
     [
         lambda text: text[: len(text) // 2],
-        lambda text: "",
         lambda text: "[1, 2]",
         lambda text: text.replace('"per_replica"', '"replicas_of_it"'),
         lambda text: text.replace('"success_rate"', '"rate"'),
+        lambda text: text.replace('"turns": 8.0', '"turns": NaN'),
     ],
-    ids=["truncated", "empty", "a list", "without replicas", "without rates"],
+    ids=["truncated", "a list", "without replicas", "without rates", "no number"],
 )
 def test_a_damaged_result_is_refused_by_name(tmp_path, damage):
     file = make_run(tmp_path / "run", [0.5]) / "result.json"
@@ -154,9 +143,3 @@ HEAD = "round,replica,dialogues,success_rate\n"
 def test_damaged_metrics_are_refused_by_name(tmp_path, text, message):
     with pytest.raises(ValueError, match=message):
         read_metrics(write_metrics(tmp_path, text))
-
-
-def test_a_folder_without_metrics_is_no_run_folder(tmp_path):
-    shutil.rmtree(tmp_path)
-    with pytest.raises(ValueError, match=r"has no metrics\.csv: it is no run folder"):
-        read_metrics(tmp_path)
