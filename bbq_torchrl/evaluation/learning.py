@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import integrate, stats
 
-from bbq_torchrl.evaluation.statistics import CONFIDENCE
+from bbq_torchrl.statistics import CONFIDENCE
 
 __all__ = [
     "LEVELS",

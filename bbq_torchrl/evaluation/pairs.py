@@ -16,7 +16,7 @@ from bbq_torchrl.evaluation.learning import areas
 from bbq_torchrl.evaluation.runs import telling
 from bbq_torchrl.evaluation.statistics import estimate, t_test
 from bbq_torchrl.evaluation.tables import NONE
-from bbq_torchrl.study.statistics import holm
+from bbq_torchrl.statistics import holm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

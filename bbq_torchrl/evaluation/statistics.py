@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
+from bbq_torchrl.statistics import CONFIDENCE, half_width
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -27,7 +29,6 @@ __all__ = [
     "t_test",
 ]
 
-CONFIDENCE = 0.95
 RESAMPLES = 9_999
 MIN_BOOTSTRAP = 5
 """Below so many seeds a bootstrap has too few distinct samples to mean anything."""
@@ -115,7 +116,7 @@ def estimate(values: Sequence[float], spec: str = ".3f") -> Estimate:
     if data.size == 1:
         return Estimate(float(data[0]), spec=spec)
     mean = float(data.mean())
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, data.size - 1) * stats.sem(data))
+    half = half_width(data)
     return Estimate(mean, mean - half, mean + half, spec)
 
 

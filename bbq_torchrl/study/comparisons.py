@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.study.statistics import Interval, holm, mann_whitney, mean, sign_flip, two_by_two
+from bbq_torchrl.statistics import holm
+from bbq_torchrl.study.statistics import Interval, mann_whitney, mean, sign_flip, two_by_two
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
+from bbq_torchrl.statistics import CONFIDENCE, half_width
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from fractions import Fraction
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Interval",
     "auroc",
-    "holm",
     "kappa",
     "mann_whitney",
     "mean",
@@ -28,7 +29,6 @@ __all__ = [
     "two_by_two",
 ]
 
-CONFIDENCE = 0.95
 _Z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
 _MAX_SUMS = 5_000_000
 _RESAMPLES = 99_999
@@ -106,8 +106,7 @@ def mean(by_person: Collection[Sequence[float]]) -> Interval:
     value = sum(means) / len(means)
     if len(means) == 1:
         return Interval(value, math.nan, math.nan, count)
-    error = float(np.std(means, ddof=1)) / math.sqrt(len(means))
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(means) - 1)) * error
+    half = half_width(means)
     return Interval(value, value - half, value + half, count)
 
 
@@ -144,21 +143,6 @@ def sign_flip(differences: Sequence[Fraction]) -> float:
         ways = np.pad(ways, (0, size)) / 2 + np.pad(ways, (size, 0)) / 2
     sums = np.abs(2 * np.arange(ways.size) - sum(sizes))
     return min(1.0, float(ways[sums >= abs(int(sum(weights) * scale))].sum()))
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Returns Holm's (1979) adjusted p-values, in the given order.
-
-    Example:
-        >>> holm([0.01, 0.04, 0.03])
-        [0.03, 0.06, 0.06]
-    """
-    adjusted = [0.0] * len(p_values)
-    largest = 0.0
-    for rank, index in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
-        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[index]))
-        adjusted[index] = largest
-    return adjusted
 
 
 def two_by_two(one: Sequence[int], other: Sequence[int]) -> tuple[float, float]:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from bbq_torchrl.statistics import holm
 from bbq_torchrl.study.power import power
 from bbq_torchrl.study.statistics import (
     auroc,
-    holm,
     kappa,
     mann_whitney,
     mean,
