@@ -6,6 +6,7 @@ What is on the results page of the documentation is made by the same functions.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from bbq_torchrl.evaluation.ablations import ablations_report
 from bbq_torchrl.evaluation.comparison import comparison_report
 from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.runs import find_results
+from bbq_torchrl.evaluation.runs import find_results, find_unfinished
 from bbq_torchrl.evaluation.table1 import table1_report
 from bbq_torchrl.text import sentence
 
@@ -60,6 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         report = given.make(read_groups(find_results(given.folders)))
+        if left_out := find_unfinished(given.folders):
+            named = f"Left out, since not finished: {', '.join(map(str, left_out))}."
+            report = replace(report, parts=[named, *report.parts])
         if given.out is not None:
             report.write(given.out)
     except (ValueError, OSError) as error:

@@ -15,14 +15,14 @@ import yaml
 from bbq_torchrl.evaluation.metrics import Metrics, read_metrics
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import RunResult, read_result
-from bbq_torchrl.run_folder import CONFIG, RESULT
+from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-__all__ = ["Member", "Run", "find_results", "read_run", "telling"]
+__all__ = ["Member", "Run", "find_results", "find_unfinished", "read_run", "telling"]
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
@@ -151,6 +151,12 @@ def find_results(places: Iterable[Path]) -> list[Path]:
             raise ValueError(f"{place} holds no finished run: no {RESULT} is in or below it")
         found.update(dict.fromkeys(folder.resolve() for folder in folders))
     return list(found)
+
+
+def find_unfinished(places: Iterable[Path]) -> list[Path]:
+    """Returns the run folders in or below the given folders that have metrics and no result yet."""
+    folders = {file.parent.resolve() for place in places for file in place.rglob(METRICS)}
+    return sorted(folder for folder in folders if not (folder / RESULT).is_file())
 
 
 def read_run(folder: Path) -> Run:

@@ -191,6 +191,15 @@ def test_a_figure_holds_seven_groups_and_the_next_one_the_rest(tmp_path):
     assert list(comparison_report(read_groups(runs)).figures) == ["curves", "curves_2"]
 
 
+def test_a_run_that_is_not_finished_is_named(tmp_path, capsys):
+    make_run(tmp_path / "done", GOOD)
+    (make_run(tmp_path / "killed", GOOD, seed=1) / "result.json").unlink()
+    assert main([str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert f"\n\nLeft out, since not finished: {tmp_path / 'killed'}.\n\n| agent |" in text
+    assert "| BBQN-MAP | thompson | 5 |" in text
+
+
 def test_a_folder_without_results_is_refused_in_one_line(tmp_path, capsys):
     out = tmp_path / "report"
     assert main([str(tmp_path), "--out", str(out)]) == 2
