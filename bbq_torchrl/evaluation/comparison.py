@@ -52,7 +52,13 @@ def comparison_report(groups: Sequence[Group]) -> Report:
 
     A figure shows at most seven groups: ``curves``, then ``curves_2`` and so on.
     """
-    pairs = pair_parts([pair(*two) for two in combinations(groups, 2)])
+    pairs = [pair(*two) for two in combinations(groups, 2)]
+    parts = [
+        *(success_table(groups), NOTE),
+        *pair_parts(pairs),
+        *([PAIRS_NOTE] if pairs else []),
+        *(learning_table(groups), LEARNING_NOTE),
+    ]
     figures = {}
     for number, start in enumerate(range(0, len(groups), len(COLORS)), 1):
         drawn = groups[start : start + len(COLORS)]
@@ -60,17 +66,7 @@ def comparison_report(groups: Sequence[Group]) -> Report:
         draw = partial(draw_comparison, drawn, title=title, references=references(drawn))
         name = "curves" if number == 1 else f"curves_{number}"
         figures[name] = ("Training success by round", draw)
-    return Report(
-        "report",
-        _common(groups),
-        groups,
-        [
-            *(success_table(groups), NOTE),
-            *(pairs if len(groups) == 1 else [*pairs, PAIRS_NOTE]),
-            *(learning_table(groups), LEARNING_NOTE),
-        ],
-        figures,
-    )
+    return Report("report", _common(groups), groups, parts, figures)
 
 
 def _common(groups: Sequence[Group]) -> str:
