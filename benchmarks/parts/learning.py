@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.cli.store import compose
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.trainers import RoundTrainer
-    from benchmarks.parts.timing import Timer
+    from benchmarks.parts.timing import Block, Timer
 
 AGENTS: dict[str, tuple[str, ...]] = {
     "dqn": ("+experiment=agents/dqn",),
@@ -52,8 +53,19 @@ def full_trainer(
     return trainer
 
 
-class Learner:
-    """One agent in a trainer of its own, and what of its training is timed.
+def learning_block(
+    overrides: Sequence[str],
+    folder: Path,
+    timer: Timer,
+    *,
+    replicas: int = 1,
+    capacity: int = 10_000,
+    freezes: int = 1,
+    stores: bool = False,
+) -> Block:
+    """Returns a block that learns as in a round: freezing, targets, sampling. Learns once before.
+
+    Its unit is an update and replica.
 
     Args:
         overrides: of the configuration.
@@ -62,44 +74,20 @@ class Learner:
         replicas: networks trained side by side.
         capacity: transitions in the buffer of each, which is full.
         freezes: target freezes of a learning phase, of two epochs each.
+        stores: whether a round's new transitions are stored first, with the bonus of VIME, say.
     """
+    chosen = [*overrides, f"protocol.freezes={freezes}"]
+    trainer = full_trainer(chosen, folder, replicas=replicas, capacity=capacity)
+    rollout = play(trainer.env, scripted_policy("random", trainer.env))
+    new_rows = rows_per_replica(rollout, trainer.replay.keys)
+    numbers = itertools.count(1)
 
-    def __init__(
-        self,
-        overrides: Sequence[str],
-        folder: Path,
-        timer: Timer,
-        *,
-        replicas: int = 1,
-        capacity: int = 10_000,
-        freezes: int = 1,
-    ) -> None:
-        chosen = [*overrides, f"protocol.freezes={freezes}"]
-        self.trainer = full_trainer(chosen, folder, replicas=replicas, capacity=capacity)
-        self.timer = timer
-        self._round = 0
-        env = self.trainer.env
-        rollout = play(env, scripted_policy("random", env))
-        self._new_rows = rows_per_replica(rollout, self.trainer.replay.keys)
+    def block() -> float:
+        started = timer.now()
+        if stores:
+            trainer.replay.extend(new_rows)
+        trainer.learner.learn(next(numbers))
+        return (timer.now() - started) / sum(trainer.learner.updates)
 
-    def learn(self) -> float:
-        """Learns as in a round, all that comes with it included: freezing, targets, sampling.
-
-        Returns:
-            seconds of an update and replica.
-        """
-        started = self.timer.now()
-        updates = self._learn()
-        return (self.timer.now() - started) / updates
-
-    def store_and_learn(self) -> float:
-        """The same with the storing of a round's new transitions, such as the bonus of VIME."""
-        started = self.timer.now()
-        self.trainer.replay.extend(self._new_rows)
-        updates = self._learn()
-        return (self.timer.now() - started) / updates
-
-    def _learn(self) -> int:
-        self._round += 1
-        self.trainer.learner.learn(self._round)
-        return sum(self.trainer.learner.updates)
+    block()
+    return block

@@ -23,22 +23,15 @@ CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 
 
 class Comparison(NamedTuple):
-    """Two blocks of work in one run.
+    """A block of work beside another one, in one run.
 
     Attributes:
-        seconds: median time of a unit of the candidate.
-        base: median time of a unit of what it is compared with.
-        ratios: candidate / base, each candidate beside its neighbors.
+        seconds: median time of a unit of it.
+        ratio: median of its times over those of its neighbors.
     """
 
     seconds: float
-    base: float
-    ratios: list[float]
-
-    @property
-    def ratio(self) -> float:
-        """Median of the ratios."""
-        return median(self.ratios)
+    ratio: float
 
 
 class Timer:
@@ -72,7 +65,7 @@ def interleaved(base: Block, candidate: Block, repeats: int) -> Comparison:
         bases.append(base())
     sides = zip(seconds, bases, bases[1:], strict=False)
     ratios = [2 * own / (before + after) for own, before, after in sides]
-    return Comparison(median(seconds), median(bases), ratios)
+    return Comparison(median(seconds), median(ratios))
 
 
 @contextmanager

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from benchmarks.parts.learning import AGENTS, Learner
+from benchmarks.parts.learning import AGENTS, learning_block
 from benchmarks.parts.rows import Row
 from benchmarks.parts.timing import interleaved
 from benchmarks.parts.yardstick import bare_block
@@ -38,10 +38,10 @@ def agents(sizes: Sizes, timer: Timer) -> list[Row]:
     """The other agents, one network; what VIME adds, and ten heads."""
     rows = []
     for base, name in (("dqn", "dqn-vime-map"), ("bbqn-map", "bbqn-vime-map")):
-        percent = 100 * (_beside(base, name, "store_and_learn", 2, sizes, timer) - 1)
+        percent = 100 * (_beside(base, name, sizes, timer, freezes=2, stores=True) - 1)
         what = f"bonus and training of {name} on top of {base}"
         rows.append(Row("agents", what, "%", percent, VIME_PERCENT))
-    times = _beside("dqn", "bootstrap, 10 heads", "learn", 1, sizes, timer)
+    times = _beside("dqn", "bootstrap, 10 heads", sizes, timer)
     rows.append(Row("agents", "update of bootstrap, 10 heads", "times DQN's", times, BOOTSTRAP))
     for name in (name for name in AGENTS if name not in TARGETS):
         rows += _update("agents", name, None, 1, sizes.capacity[1], sizes, timer)
@@ -59,10 +59,8 @@ def _update(
 ) -> Sequence[Row]:
     with tempfile.TemporaryDirectory() as folder:
         overrides, run = (*AGENTS[name], *sizes.overrides), Path(folder) / "run"
-        learner = Learner(overrides, run, timer, replicas=replicas, capacity=capacity)
-        learner.learn()
-        bare = bare_block(timer, sizes.bare_updates)
-        measured = interleaved(bare, learner.learn, sizes.repeats)
+        block = learning_block(overrides, run, timer, replicas=replicas, capacity=capacity)
+        measured = interleaved(bare_block(timer, sizes.bare_updates), block, sizes.repeats)
     what = f"update of {name}, replicas={replicas}, buffer of {capacity:,}, sampling included"
     return (
         Row(part, what, "times a bare DQN update", measured.ratio, target),
@@ -70,14 +68,17 @@ def _update(
     )
 
 
-def _beside(base: str, name: str, method: str, freezes: int, sizes: Sizes, timer: Timer) -> float:
+def _beside(base: str, name: str, sizes: Sizes, timer: Timer, **options: Any) -> float:
     """Returns the ratio of two agents' learning, in turn."""
     with tempfile.TemporaryDirectory() as folder:
-        blocks = []
-        for agent in (base, name):
-            overrides, run = (*AGENTS[agent], *sizes.overrides), Path(folder) / agent
-            capacity = sizes.capacity[1]
-            learner = Learner(overrides, run, timer, capacity=capacity, freezes=freezes)
-            learner.learn()
-            blocks.append(getattr(learner, method))
-        return interleaved(blocks[0], blocks[1], sizes.repeats).ratio
+        blocks = [
+            learning_block(
+                (*AGENTS[agent], *sizes.overrides),
+                Path(folder) / agent,
+                timer,
+                capacity=sizes.capacity[1],
+                **options,
+            )
+            for agent in (base, name)
+        ]
+        return interleaved(*blocks, sizes.repeats).ratio

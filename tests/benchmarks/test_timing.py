@@ -15,7 +15,6 @@ def test_slow_spell_that_hits_both_leaves_the_ratio() -> None:
     # 2 / 1; 20 between 1 and 10; 20 between two of 10; 2 between 10 and 1
     assert result.ratio == pytest.approx((2.0 + 2.0) / 2)
     assert result.seconds == 11.0
-    assert result.base == 1.0
 
 
 class Ticks:
