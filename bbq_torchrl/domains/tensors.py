@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from copy import copy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -12,13 +13,27 @@ from bbq_torchrl.domains.values import FIRST_VALUE, NONE, RESERVED_TEXT, fold, v
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from typing_extensions import Self
+
     from bbq_torchrl.domains.domain import Domain
 
-__all__ = ["DomainTensors", "build_vocabulary", "tensorize"]
+__all__ = ["DomainTensors", "Movable", "build_vocabulary", "tensorize"]
+
+
+class Movable:
+    """An object whose tensors are its attributes."""
+
+    def to(self, device: torch.device | str) -> Self:
+        """Returns the same object with every tensor on ``device``."""
+        moved = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, torch.Tensor):
+                vars(moved)[name] = value.to(device)
+        return moved
 
 
 @dataclass(frozen=True)
-class DomainTensors:
+class DomainTensors(Movable):
     """A :class:`~bbq_torchrl.domains.Domain` as ids.
 
     Sizes: ``N`` actions, ``S`` slots, ``G`` goals, ``E`` the longest list of error values. Value
@@ -67,15 +82,6 @@ class DomainTensors:
     error_values: torch.Tensor
     error_count: torch.Tensor
     vocabulary: tuple[tuple[str, ...], ...]
-
-    def to(self, device: torch.device | str) -> DomainTensors:
-        """Returns the same domain with every tensor on ``device``."""
-        moved: dict[str, Any] = {
-            field.name: value.to(device)
-            for field in fields(self)
-            if isinstance(value := getattr(self, field.name), torch.Tensor)
-        }
-        return replace(self, **moved)
 
 
 def build_vocabulary(domain: Domain) -> tuple[tuple[str, ...], ...]:

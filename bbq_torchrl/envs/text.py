@@ -85,7 +85,7 @@ class TextChannel:
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> Utterance:
-        """Returns what is heard; see :class:`~bbq_torchrl.simulator.channel.Channel`."""
+        """Returns what is heard; see :class:`~bbq_torchrl.simulator.Channel`."""
         n_slots, shape = said.informs.shape[-1], said.act.shape
         parts = [said.act[..., None], said.informs, said.requests]
         if agent is not None:

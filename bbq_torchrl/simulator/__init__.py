@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.simulator.channel import Channel, Utterance
-from bbq_torchrl.simulator.error_model import ErrorModel, SlotErrorMode
+from bbq_torchrl.simulator.error_model import Channel, ErrorModel, SlotErrorMode, Utterance
 from bbq_torchrl.simulator.features import FeatureLayout
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.measured_errors import MeasuredErrors

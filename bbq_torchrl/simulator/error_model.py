@@ -1,15 +1,15 @@
-"""What goes wrong between the user's mouth and the tracker's ear."""
+"""What lies between the user's mouth and the tracker's ear, and what goes wrong there."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import torch
 
+from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE
-from bbq_torchrl.simulator.channel import Utterance
 from bbq_torchrl.simulator.choices import index_below
-from bbq_torchrl.simulator.movable import Movable
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -17,11 +17,69 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["ErrorModel", "SlotErrorMode"]
+__all__ = ["ABOVE_IDS", "Channel", "ErrorModel", "SlotErrorMode", "Utterance"]
 
 SlotErrorMode = Literal["value", "slot", "delete", "mixed"]
 
-_ABOVE_IDS = 1 << 32  # above every value id
+ABOVE_IDS = 1 << 32
+"""Above every value id: a slot times this plus a value of it are one number."""
+
+
+@dataclass(frozen=True)
+class Utterance:
+    """What a user says in a turn, or what is heard of it.
+
+    Args:
+        act: long ``[*B]``, the act.
+        informs: long ``[*B, S]``, the values informed.
+        requests: bool ``[*B, S]``, the slots that the user asks for.
+        repeats: long ``[*B]``, of what is heard: how often the user was asked to say it again;
+            ``None``: never.
+    """
+
+    act: torch.Tensor
+    informs: torch.Tensor
+    requests: torch.Tensor
+    repeats: torch.Tensor | None = None
+
+
+class Channel(Protocol):
+    """Turns what users say into what the tracker hears.
+
+    Attributes:
+        slot_draws: names of the uniform numbers ``[*B, S]`` that a turn is heard by.
+        draws: names of those of a turn that are ``[*B]``.
+        mishears_all: whether the opening and requests can be misheard as well. Then the opening
+            needs the same numbers as a turn, and the tracker keeps requests until they are
+            answered.
+    """
+
+    slot_draws: tuple[str, ...]
+    draws: tuple[str, ...]
+    mishears_all: bool
+
+    def to(self, device: torch.device | str) -> Channel:
+        """Returns the same channel with every tensor on ``device``."""
+
+    def transmit(
+        self,
+        said: Utterance,
+        agent: AgentTurn | None,
+        before: torch.Tensor,
+        is_silent: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> Utterance:
+        """Returns what is heard.
+
+        Args:
+            said: what the users say.
+            agent: what the agent has said before; ``None`` at the opening.
+            before: long ``[*B]``, the act heard in the turn before; at the opening the one said.
+            is_silent: bool ``[*B]``, dialogues that have ended: there ``said.act`` is heard.
+            draws: what :attr:`slot_draws` and :attr:`draws` name.
+            active: bool ``[S]``, the slots that can be heard.
+        """
 
 
 class ErrorModel(Movable):
@@ -89,7 +147,7 @@ class ErrorModel(Movable):
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> Utterance:
-        """Returns what is heard; see :class:`~bbq_torchrl.simulator.channel.Channel`."""
+        """Returns what is heard; see :class:`Channel`."""
         if agent is None:
             return Utterance(said.act, said.informs, said.requests)
         act = torch.where(is_silent, said.act, self.hear(said.act, draws))
@@ -171,9 +229,9 @@ class ErrorModel(Movable):
         # With the source slot in the high bits one maximum finds, for every target, the
         # replacement that comes last.
         replaces = is_value | (is_slot & (n_others > 0))
-        keyed = torch.where(replaces, (slots + 1) * _ABOVE_IDS + value, 0)
+        keyed = torch.where(replaces, (slots + 1) * ABOVE_IDS + value, 0)
         last = torch.zeros_like(spared).scatter_reduce(-1, target, keyed, "amax")
-        return torch.where(last > 0, last % _ABOVE_IDS, spared)
+        return torch.where(last > 0, last % ABOVE_IDS, spared)
 
 
 def _check_probability(name: str, value: float) -> None:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 
 from bbq_torchrl.domains.values import NONE
-from bbq_torchrl.simulator.choices import one_of
-from bbq_torchrl.simulator.lookup import rows
+from bbq_torchrl.simulator.choices import one_of, rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
 from bbq_torchrl.simulator.bits import WORD_BITS, byte_counts, pack, popcount
-from bbq_torchrl.simulator.lookup import rows
-from bbq_torchrl.simulator.movable import Movable
+from bbq_torchrl.simulator.choices import rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,16 +44,14 @@ class KnowledgeBase(Movable):
     records`` bits.
 
     Args:
-        domain: the domain's tensors.
+        domain: the domain's tensors, on the CPU: it is built from many small pieces, which an
+            accelerator would be slow at.
 
     Raises:
         ValueError: if the domain has no slot that could constrain its records.
     """
 
     def __init__(self, domain: DomainTensors) -> None:
-        device = domain.records.device
-        # Built from many small pieces, which an accelerator would be slow at.
-        domain = domain.to("cpu")
         records = domain.records
         told = domain.action_slot[domain.action_act != domain.act["request"]].unique().tolist()
         listed = [slot for slot in told if slot not in (-1, domain.ticket, domain.complete)]
@@ -97,7 +95,6 @@ class KnowledgeBase(Movable):
                 for slot, size in enumerate(domain.n_values)
             ]
         )
-        self._move(device)
 
     def _chosen(self, held: torch.Tensor) -> torch.Tensor:
         """Returns which set each slot's held value stands for, long ``[*B, K]``."""

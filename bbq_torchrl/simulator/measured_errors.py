@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch.nn.utils.rnn import pad_sequence
 
+from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE, fold, value_ids
-from bbq_torchrl.simulator.channel import Utterance
-from bbq_torchrl.simulator.choices import one_of
-from bbq_torchrl.simulator.movable import Movable
+from bbq_torchrl.simulator.choices import one_of, rows
+from bbq_torchrl.simulator.error_model import ABOVE_IDS, Utterance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,7 +32,6 @@ where the agent has told it; and elsewhere."""
 MOST_REQUESTS = 3
 """Turns with so many requests or more count as one kind."""
 
-_ABOVE_IDS = 1 << 32  # above every value id
 _MEAN_WEIGHT = 2.0  # how many values of the slot's mean rates stand beside those counted of a value
 
 
@@ -72,14 +72,15 @@ class MeasuredErrors(Movable):
         questions = (OPENING, *domain.act, OFFER)
         self._insertion_rows(counts["inserted"], questions)
         self._request_rates(counts["requests"])
-        rows = [
+        found = [
             counts["acts"].get(f"{question} {act} {heard}", {act: 1})
             for question in questions
             for act in domain.act
             for heard in ("asking", "silent")
         ]
-        codes = [[(domain.act[act], float(count)) for act, count in row.items()] for row in rows]
-        self._act_below, self._act_codes = _table(codes)
+        self._act_below, self._act_codes = _table(
+            [[(domain.act[act], float(count)) for act, count in row.items()] for row in found]
+        )
 
     def transmit(
         self,
@@ -90,7 +91,7 @@ class MeasuredErrors(Movable):
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> Utterance:
-        """Returns what is heard; see :class:`~bbq_torchrl.simulator.channel.Channel`."""
+        """Returns what is heard; see :class:`~bbq_torchrl.simulator.Channel`."""
         context = torch.zeros_like(said.informs)
         question = asks_or_question = torch.zeros_like(said.act)
         if agent is not None:
@@ -119,7 +120,7 @@ class MeasuredErrors(Movable):
         """Returns the values heard, long ``[*B, S]``."""
         row = context * self._n_rows + self._first + informs
         code = _drawn(self._value_below, self._value_codes, row, draws["slot_error"])
-        place, value = code // _ABOVE_IDS, code % _ABOVE_IDS
+        place, value = code // ABOVE_IDS, code % ABOVE_IDS
         is_own = place == self._slots
         heard = torch.where(is_own, value, NONE)
         moved = torch.zeros_like(value)
@@ -127,8 +128,8 @@ class MeasuredErrors(Movable):
         heard = torch.where(heard == NONE, moved, heard)
         below, codes = self._insertion_below, self._insertion_codes
         code = _drawn(below, codes, asks_or_question, draws["insertion"])
-        is_new = one_of(code // _ABOVE_IDS, self._n_slots) & (heard == NONE)
-        return torch.where(is_new, (code % _ABOVE_IDS)[..., None], heard)
+        is_new = one_of(code // ABOVE_IDS, self._n_slots) & (heard == NONE)
+        return torch.where(is_new, (code % ABOVE_IDS)[..., None], heard)
 
     def _hear_requests(
         self, requests: torch.Tensor, context: torch.Tensor, draws: TensorDictBase
@@ -144,11 +145,11 @@ class MeasuredErrors(Movable):
     def _code(self, slot: str, value: str) -> int:
         """Returns a slot and a value of it as one number."""
         number = self._slot[slot]
-        return number * _ABOVE_IDS + (self._ids[number][fold(value)] if value else NONE)
+        return number * ABOVE_IDS + (self._ids[number][fold(value)] if value else NONE)
 
     def _value_rows(self, domain: DomainTensors, counts: Mapping[str, Any]) -> None:
         self._n_rows = int(domain.n_values.sum())
-        rows = []
+        table = []
         for context in CONTEXTS:
             for slot, ids in zip(self._names, self._ids, strict=True):
                 counted = {
@@ -166,18 +167,18 @@ class MeasuredErrors(Movable):
                     row = {lost: _MEAN_WEIGHT * (1.0 - mean), own: _MEAN_WEIGHT * mean}
                     for code, number in counted.get(own, {}).items():
                         row[code] = row.get(code, 0.0) + number
-                    rows.append([(lost, 1.0)] if own == lost else list(row.items()))
-        self._value_below, self._value_codes = _table(rows)
+                    table.append([(lost, 1.0)] if own == lost else list(row.items()))
+        self._value_below, self._value_codes = _table(table)
 
     def _insertion_rows(self, counts: Mapping[str, Any], questions: tuple[str, ...]) -> None:
-        rows = []
+        table = []
         for key in (*questions, *(f"request({slot})" for slot in self._names)):
             found = dict(counts.get(key, {}))
             turns = float(found.pop("turns", 1))
             row = [(self._code(*heard.split("=", 1)), float(n)) for heard, n in found.items()]
-            nothing = (self._n_slots * _ABOVE_IDS, turns - sum(n for _, n in row))
-            rows.append([nothing, *row])
-        self._insertion_below, self._insertion_codes = _table(rows)
+            nothing = (self._n_slots * ABOVE_IDS, turns - sum(n for _, n in row))
+            table.append([nothing, *row])
+        self._insertion_below, self._insertion_codes = _table(table)
 
     def _request_rates(self, counts: Mapping[str, Any]) -> None:
         rates = [
@@ -203,16 +204,14 @@ def _rate(found: Mapping[str, Sequence[int]], is_said: bool, slots: Sequence[str
     return [found[slot][0] / found[slot][1] if slot in found else mean for slot in slots]
 
 
-def _table(rows: Sequence[Sequence[tuple[int, float]]]) -> tuple[torch.Tensor, torch.Tensor]:
+def _table(found: Sequence[Sequence[tuple[int, float]]]) -> tuple[torch.Tensor, torch.Tensor]:
     """Returns cumulative probabilities and codes ``[rows, most]`` of weighted codes."""
-    most = max(map(len, rows))
-    weights = torch.zeros(len(rows), most, dtype=torch.float64)
-    codes = torch.zeros(len(rows), most, dtype=torch.long)
-    for number, row in enumerate(rows):
-        weights[number, : len(row)] = torch.tensor([weight for _, weight in row])
-        codes[number, : len(row)] = torch.tensor([code for code, _ in row])
+    weights = pad_sequence(
+        [torch.tensor([weight for _, weight in row], dtype=torch.float64) for row in found], True
+    )
+    codes = pad_sequence([torch.tensor([code for code, _ in row]) for row in found], True)
     below = weights.cumsum(-1) / weights.sum(-1, keepdim=True)
-    for number, row in enumerate(rows):
+    for number, row in enumerate(found):
         below[number, len(row) - 1 :] = 1.0  # no rounding leads beyond the last
     return below.float(), codes
 
@@ -221,7 +220,5 @@ def _drawn(
     below: torch.Tensor, codes: torch.Tensor, row: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
     """Draws a code of each row's distribution. Returns long, of the shape of ``row``."""
-    most = codes.shape[-1]
-    limits = below.index_select(0, row.flatten()).view(*row.shape, most)
-    choice = (uniform[..., None] >= limits).sum(-1)
-    return codes.flatten().take(row * most + choice)
+    choice = (uniform[..., None] >= rows(below, row)).sum(-1)
+    return codes.flatten().take(row * codes.shape[-1] + choice)

@@ -9,8 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains.values import NO_MATCH, NONE
-from bbq_torchrl.simulator.channel import Utterance
-from bbq_torchrl.simulator.error_model import ErrorModel
+from bbq_torchrl.simulator.error_model import ErrorModel, Utterance
 from bbq_torchrl.simulator.features import Features
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.rewards import Rewards
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import DomainTensors
-    from bbq_torchrl.simulator.channel import Channel
+    from bbq_torchrl.simulator.error_model import Channel
     from bbq_torchrl.simulator.features import FeatureLayout
     from bbq_torchrl.simulator.tracker import AgentTurn
 
@@ -95,7 +94,8 @@ class Simulator:
             raise ValueError(f"max_turn must be at least {_ACTS_PER_TURN}, got {max_turn}")
         self.rewards = Rewards() if rewards is None else rewards
         self.max_turn = max_turn
-        self._build(domain, KnowledgeBase(domain), ErrorModel(domain) if errors is None else errors)
+        knowledge_base = KnowledgeBase(domain.to("cpu")).to(domain.records.device)
+        self._build(domain, knowledge_base, ErrorModel(domain) if errors is None else errors)
 
     def _build(self, domain: DomainTensors, knowledge_base: KnowledgeBase, errors: Channel) -> None:
         self.domain = domain

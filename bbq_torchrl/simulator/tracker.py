@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
-from bbq_torchrl.simulator.choices import index_below, one_of
-from bbq_torchrl.simulator.lookup import rows
+from bbq_torchrl.simulator.choices import index_below, one_of, rows
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
-    from bbq_torchrl.simulator.channel import Utterance
+    from bbq_torchrl.simulator.error_model import Utterance
     from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
 __all__ = ["AgentTurn", "Tracker"]

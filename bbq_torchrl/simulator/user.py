@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains.values import DONT_CARE, NO_MATCH, NONE
-from bbq_torchrl.simulator.choices import index_below, pick_slot
-from bbq_torchrl.simulator.lookup import rows
+from bbq_torchrl.simulator.choices import index_below, pick_slot, rows
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
