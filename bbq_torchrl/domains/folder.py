@@ -71,7 +71,7 @@ def load_domain(path: str | Path) -> Domain:
         "goals": read_goals(folder / GOALS_FILE),
         "error_values": read_values(folder / VALUES_FILE),
     }
-    located = [fault for source in (specification, *tables.values()) for fault in source.faults]
+    faults = [fault for source in (specification, *tables.values()) for fault in source.faults]
     content = {name: table.content for name, table in tables.items()}
     found: list[Fault] = []
     if specification.content:
@@ -83,11 +83,11 @@ def load_domain(path: str | Path) -> Domain:
             found += [fault for fault in error.found if fault.place not in unread]
         if not (tables["records"].faults or tables["error_values"].faults):
             found += _unheard_of(specification.content["slots"], **content)
-    for place, text in found:
+    for place, text, *_ in found:
         source = tables.get(str(place[0]), specification)
-        located.append((source.locate(place), text))
-    if located:
-        raise DomainError(str(folder), located)
+        faults.append(Fault(place, text, source.name, "line", source.line(place)))
+    if faults:
+        raise DomainError(str(folder), faults)
     return domain
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from bbq_torchrl.domains.domain import Domain, Goal
-from bbq_torchrl.domains.faults import DomainError, Location, tell
+from bbq_torchrl.domains.faults import DomainError, tell
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
 from bbq_torchrl.text import shown
@@ -21,7 +21,7 @@ from bbq_torchrl.text import shown
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from bbq_torchrl.domains.faults import Fault, Located
+    from bbq_torchrl.domains.faults import Fault
 
 __all__ = ["REFERENCE_SLOT_ERROR_PROB", "load_miulab", "read_plain_pickle"]
 
@@ -100,7 +100,7 @@ def load_miulab(
         "error_values": _values(folder / values),
     }
     files = {"records": kb, "goals": goals, "error_values": values}
-    faults: list[Located] = []
+    faults: list[Fault] = []
     usable = whole
     while True:
         try:
@@ -112,9 +112,11 @@ def load_miulab(
                 skipped=(*_changes(files, whole, usable), *tell(faults)) if faults else (),
             )
         except DomainError as error:
-            for (name, *which), text in error.found:
-                number = _key(usable, str(name), which) if name != "error_values" else None
-                faults.append((Location(files[str(name)], _UNITS[str(name)], number), text))
+            for fault in error.found:
+                field, *which = fault.place
+                name = str(field)
+                number = _key(usable, name, which) if name != "error_values" else None
+                faults.append(fault._replace(file=files[name], unit=_UNITS[name], number=number))
             left = _without(usable, error.found, specification["slots"])
             if not skip_unusable or left == usable:
                 raise DomainError(str(folder), faults) from error
@@ -134,7 +136,7 @@ def _without(corpus: _Corpus, found: Iterable[Fault], slots: Sequence[str]) -> _
     Of a record with unknown slots only these are left out, of a list only the values named.
     """
     left = {name: dict(entries) for name, entries in corpus.items()}
-    for (field, *which), _ in found:
+    for (field, *which), *_ in found:
         name = str(field)
         key = _key(corpus, name, which)
         if key is None:

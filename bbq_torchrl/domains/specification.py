@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -20,18 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["SPECIFICATION_FILE", "UniqueKeyLoader", "read_specification"]
 
 SPECIFICATION_FILE = "domain.yaml"
-
-_NAME_LISTS = ("acts", "slots", "essential", "extension_order", "free_slots")
-_TEXTS = ("name", "ticket_slot", "complete_slot")
-_KEYS = (
-    *_NAME_LISTS,
-    *_TEXTS,
-    "actions",
-    "opening_slot",
-    "turn_width",
-    "policies",
-    "reference_slot_error_prob",
-)
 
 _HARMLESS: dict[str, Any] = {
     "name": "domain",
@@ -73,8 +62,8 @@ def read_specification(path: Path) -> Source:
     Raises:
         FileNotFoundError: if there is no such file.
     """
-    found = Source(SPECIFICATION_FILE, {})
-    text = found.text(path)
+    found = Source(path, {})
+    text = found.text()
     if text is None:
         return found
     try:
@@ -87,7 +76,7 @@ def read_specification(path: Path) -> Source:
     except ValueError as error:
         found.fault(str(error))
     else:
-        _Reader(found).read(content)
+        _read(found, content)
     return found
 
 
@@ -109,76 +98,58 @@ def _lines(node: yaml.Node | None, parent: Place = ()) -> dict[Place, int]:
     return lines
 
 
-class _Reader:
+def _read(found: Source, content: object) -> None:
     """Takes the fields out of a mapping, and notes what is wrong with each."""
+    readers: dict[str, Callable[[str, Any], Any]] = {
+        **dict.fromkeys(("acts", "slots", "essential", "extension_order", "free_slots"), _names),
+        **dict.fromkeys(("name", "ticket_slot", "complete_slot"), _text),
+        "actions": partial(_actions, found),
+        "opening_slot": _opening,
+        "turn_width": _integer,
+        "policies": partial(_policies, found),
+        "reference_slot_error_prob": _number,
+    }
+    given = found.take((), _mapping, "the file", content)
+    if given is None:
+        return
+    for key in given:
+        if key not in readers:
+            text = f"it has the unknown key {shown(key)}; allowed are {', '.join(readers)}"
+            found.fault(text, found.line((key,)))
+    if missing := [key for key in readers if key not in given and key != "opening_slot"]:
+        found.fault(f"it lacks the keys {', '.join(missing)}")
+    fields = {}
+    for key in [key for key in readers if key not in missing]:
+        before = len(found.faults)
+        value = found.take((key,), readers[key], key, given.get(key))
+        if len(found.faults) == before or value:
+            fields[key] = value
+        elif key in _HARMLESS:
+            fields[key] = _HARMLESS[key]
+    if len(fields) == len(readers):
+        found.content = fields
 
-    def __init__(self, found: Source) -> None:
-        self._found = found
-        self._readers: dict[str, Callable[[str, Any], Any]] = {
-            **dict.fromkeys(_NAME_LISTS, _names),
-            **dict.fromkeys(_TEXTS, _text),
-            "actions": self._actions,
-            "opening_slot": _opening,
-            "turn_width": _integer,
-            "policies": self._policies,
-            "reference_slot_error_prob": _number,
-        }
 
-    def read(self, content: object) -> None:
-        given = self._take((), _mapping, "the file", content)
-        if given is None:
-            return
-        for key in given:
-            if key not in _KEYS:
-                allowed = ", ".join(_KEYS)
-                self._note((key,), f"it has the unknown key {shown(key)}; allowed are {allowed}")
-        needed = [key for key in _KEYS if key != "opening_slot"]
-        if missing := [key for key in needed if key not in given]:
-            self._note((), f"it lacks the keys {', '.join(missing)}")
-        fields, faults = {}, self._found.faults
-        for key in _KEYS:
-            if key in given or key not in needed:
-                before = len(faults)
-                value = self._take((key,), self._readers[key], key, given.get(key))
-                if len(faults) == before or value:
-                    fields[key] = value
-                elif key in _HARMLESS:
-                    fields[key] = _HARMLESS[key]
-        if len(fields) == len(_KEYS):
-            self._found.content = fields
+def _actions(found: Source, key: str, content: object) -> tuple[Action, ...]:
+    given = _mapping(key, content)
+    _check_keys(key, given, ACTION_KINDS, optional=("multiple_choice",))
+    names = {
+        kind: found.take((key, kind), _names, f"{key}.{kind}", given.get(kind, []))
+        for kind in ACTION_KINDS
+    }
+    if None in names.values():
+        return ()
+    acts = [Action(name) for name in names.pop("act")]
+    return (*acts, *(Action(act, slot) for act in names for slot in names[act]))
 
-    def _note(self, place: Place, text: str) -> None:
-        self._found.faults.append((self._found.locate(place), text))
 
-    def _take(
-        self, place: Place, read: Callable[[str, Any], Any], key: str, content: object
-    ) -> Any:
-        """Returns what a key says; ``None`` where it cannot be read, which is noted."""
-        try:
-            return read(key, content)
-        except ValueError as error:
-            self._note(place, str(error))
-            return None
-
-    def _actions(self, key: str, content: object) -> tuple[Action, ...]:
-        given = _mapping(key, content)
-        _check_keys(key, given, ACTION_KINDS, optional=("multiple_choice",))
-        names = {
-            kind: self._take((key, kind), _names, f"{key}.{kind}", given.get(kind, []))
-            for kind in ACTION_KINDS
-        }
-        if None in names.values():
-            return ()
-        acts = [Action(name) for name in names.pop("act")]
-        return (*acts, *(Action(act, slot) for act in names for slot in names[act]))
-
-    def _policies(self, key: str, content: object) -> dict[str, ScriptedPolicySpec]:
-        """Returns those that can be read."""
-        policies = {
-            name: self._take((key, name), _policy, f"{key}.{name}", entry)
-            for name, entry in _mapping(key, content).items()
-        }
-        return {name: policy for name, policy in policies.items() if policy is not None}
+def _policies(found: Source, key: str, content: object) -> dict[str, ScriptedPolicySpec]:
+    """Returns those that can be read."""
+    policies = {
+        name: found.take((key, name), _policy, f"{key}.{name}", entry)
+        for name, entry in _mapping(key, content).items()
+    }
+    return {name: policy for name, policy in policies.items() if policy is not None}
 
 
 def _policy(key: str, content: object) -> ScriptedPolicySpec:

@@ -9,7 +9,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.domain import Goal
-from bbq_torchrl.domains.faults import Location, Source
+from bbq_torchrl.domains.faults import Source
 from bbq_torchrl.domains.validate import repeated
 from bbq_torchrl.text import shown
 
@@ -34,8 +34,8 @@ VALUES_FILE = "values.json"
 
 def read_records(path: Path) -> Source:
     """Reads a knowledge base: a header of slots, then a record a line."""
-    table = Source(path.name)
-    text = table.text(path)
+    table = Source(path)
+    text = table.text()
     if text is None:
         return table
     if not text.strip():
@@ -67,8 +67,8 @@ def read_records(path: Path) -> Source:
 
 def read_goals(path: Path) -> Source:
     """Reads goals, one a line: ``{"constraints": {slot: value}, "requests": [slot]}``."""
-    table = Source(path.name)
-    text = table.text(path)
+    table = Source(path)
+    text = table.text()
     goals: list[Goal] = []
     # Not splitlines: it also breaks at characters that JSON allows inside of a text.
     lines = text.removesuffix("\n").split("\n") if text else []
@@ -95,8 +95,8 @@ def _goal(content: Any) -> Goal:
 
 def read_values(path: Path) -> Source:
     """Reads what errors put in place: ``{slot: [values]}``."""
-    table = _Values(path.name, {})
-    text = table.text(path)
+    table = _Values(path, {})
+    text = table.text()
     if text is None:
         return table
     try:
@@ -112,11 +112,11 @@ def read_values(path: Path) -> Source:
         table.fault(str(error))
         return table
     table.written = text
-    for slot, texts in values.items():
-        try:
-            table.content[slot] = _texts(slot, texts)
-        except ValueError as error:
-            table.faults.append((table.locate(("error_values", slot)), str(error)))
+    read = {
+        slot: table.take(("error_values", slot), _texts, slot, texts)
+        for slot, texts in values.items()
+    }
+    table.content = {slot: texts for slot, texts in read.items() if texts is not None}
     return table
 
 
@@ -125,7 +125,7 @@ class _Values(Source):
 
     written = ""
 
-    def locate(self, place: Place) -> Location:
+    def line(self, place: Place) -> int | None:
         """Returns the line of a slot, or of the first of its values that is written so."""
         line, start = None, 0
         for written in place[1:]:
@@ -134,7 +134,7 @@ class _Values(Source):
             if match is None:
                 break
             line, start = self.written.count("\n", 0, match.start()) + 1, match.end()
-        return Location(self.name, "line", line)
+        return line
 
 
 def _written(text: str) -> str:

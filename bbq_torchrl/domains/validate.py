@@ -62,7 +62,7 @@ def check_domain(domain: Domain) -> None:
         *_error_values(domain),
     ]
     if found:
-        raise DomainError.of(f"domain {shown(domain.name)}", found)
+        raise DomainError(f"domain {shown(domain.name)}", found)
 
 
 def _names(domain: Domain) -> Iterator[Fault]:
