@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
 from bbq_torchrl.envs.dialogue import DialogueEnv
-from bbq_torchrl.envs.policies import scripted_policy
+from bbq_torchrl.envs.policies import (
+    CarefulPolicy,
+    SequencePolicy,
+    UniformPolicy,
+    scripted_policy,
+)
 from bbq_torchrl.envs.schedule import ExtensionSchedule
-from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
 
 __all__ = [
     "CarefulPolicy",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import reduce
 from typing import TYPE_CHECKING
 
 import torch
@@ -124,12 +123,9 @@ class ClairvoyantPolicy(TensorDictModuleBase):
         value, _ = self._knowledge_base.fill(held, slot)
         held = held.scatter(-1, slot[:, None], value[:, None])
         others = others.scatter(-1, slot[:, None], False)
-        # Records that lack a slot in question are taken away, one slot after the other.
-        records = reduce(
-            lambda kept, item: torch.where(item[0][:, None], kept & item[1], kept),
-            zip(others.unbind(-1), self._records_with, strict=True),
-            self._knowledge_base.matching(held),
-        )
+        records = self._knowledge_base.matching(held)
+        for is_other, with_slot in zip(others.unbind(-1), self._records_with, strict=True):
+            records = torch.where(is_other[:, None], records & with_slot, records)
         left[(*places, slot)] = popcount(records)
         return left
 

@@ -16,7 +16,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Discrete
 from tensordict import TensorDict
 
-from bbq_torchrl.domains import Domain, load_domain, movie_domain, tensorize
+from bbq_torchrl.domains import Domain, load_domain, movie_domain
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.simulator import Transcript
 from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
@@ -85,7 +85,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
             domain = load_domain(Path(domain))
         self.render_mode = render_mode
         self._dialogue = DialogueEnv(domain, batch_size=(), **settings)
-        self._transcript = Transcript(tensorize(domain))
+        self._transcript = Transcript(self._dialogue.simulator.domain)
         self._is_seeded = False
         self._is_over = True
         self.action_space = Discrete(len(domain.actions))

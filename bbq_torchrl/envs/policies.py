@@ -1,25 +1,156 @@
-"""The scripted policies of a domain as policies for its environment."""
+"""Hand-written policies: a fixed sequence, a form to fill in, pure chance, and a domain's own."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
+from tensordict.nn import TensorDictModuleBase
+
 from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
-from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
 
 if TYPE_CHECKING:
-    from tensordict.nn import TensorDictModuleBase
+    from collections.abc import Iterable, Sequence
+
+    from tensordict import NestedKey, TensorDictBase
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["PRIVILEGED_POLICY", "RANDOM_POLICY", "scripted_policy"]
+__all__ = [
+    "PRIVILEGED_POLICY",
+    "RANDOM_POLICY",
+    "CarefulPolicy",
+    "SequencePolicy",
+    "UniformPolicy",
+    "scripted_policy",
+]
 
 RANDOM_POLICY = "random"
 """The name of the policy that every domain has besides its own."""
 
 PRIVILEGED_POLICY = "clairvoyant"
 """The name of the policy that reads the user's hidden goal, to set a ceiling beside agents."""
+
+
+class SequencePolicy(TensorDictModuleBase):
+    """Plays a fixed sequence of actions, whatever happens; its last action again and again.
+
+    Args:
+        actions: the actions in order, at least one.
+        turns_key: entry that counts the turns taken in the episode, int64 ``[*batch, 1]``.
+        action_key: where the action is written, int64 ``[*batch]``.
+
+    Raises:
+        ValueError: if there is no action.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> policy = SequencePolicy([4, 2, 7])
+        >>> policy(TensorDict(turns=torch.tensor([[0], [1], [9]]), batch_size=[3]))["action"]
+        tensor([4, 2, 7])
+    """
+
+    actions: torch.Tensor
+
+    def __init__(
+        self,
+        actions: Sequence[int],
+        *,
+        turns_key: NestedKey = "turns",
+        action_key: NestedKey = "action",
+    ) -> None:
+        super().__init__()
+        if len(actions) == 0:
+            raise ValueError("actions must have at least one action, got none")
+        self.turns_key, self.action_key = turns_key, action_key
+        self.in_keys, self.out_keys = [turns_key], [action_key]
+        self.register_buffer("actions", torch.tensor(actions, dtype=torch.int64))
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action whose turn it is."""
+        turns = tensordict.get(self.turns_key).squeeze(-1)
+        action = self.actions[turns.clamp(max=self.actions.shape[0] - 1)]
+        return tensordict.set(self.action_key, action)
+
+
+class CarefulPolicy(TensorDictModuleBase):
+    """Asks for what is unfilled, answers what it is asked, offers a booking and ends.
+
+    All from flags that it observes. It goes through its requests in order and leaves out those
+    whose slot is filled. After the last of them it answers the first open question, one a turn,
+    until there is none; then it offers the booking, then it ends. Illegal requests and answers are
+    left out.
+
+    Args:
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms, whose domain's
+            actions it plays.
+        slots: the slots that it requests, in order.
+
+    Raises:
+        ValueError: if the domain has no action that it takes.
+    """
+
+    def __init__(self, env: EnvBase, slots: Sequence[str]) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = ["observation", "action_mask"], ["action"]
+        domain, layout = env.domain, env.layout
+        answers = [
+            slot
+            for slot in domain.slots
+            if slot not in domain.special_slots and f"inform({slot})" in domain.action_names
+        ]
+        offer = f"inform({domain.complete_slot})"
+        plan = [*(f"request({slot})" for slot in slots), *(f"inform({slot})" for slot in answers)]
+        self._plan = _indices(domain.action_index(name) for name in (*plan, offer))
+        self._requested = _indices(layout.column("agent_requested", slot) for slot in slots)
+        self._filled = _indices(layout.column("filled", slot) for slot in slots)
+        self._asked = _indices(layout.column("user_requested", slot) for slot in answers)
+        self._answered = layout.column("agent_act", "inform")
+        self._offered = layout.column("agent_informed", domain.complete_slot)
+        self._end = domain.action_index("thanks")
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that comes next."""
+        flags, is_legal = tensordict.get("observation") > 0, tensordict.get("action_mask")
+        positions = torch.arange(len(self._filled), device=flags.device)
+        position = torch.where(flags[..., self._requested], positions, -1).amax(-1, keepdim=True)
+        has_answered = flags[..., self._answered, None]
+        may_request = ~flags[..., self._filled] & (positions > position) & ~has_answered
+        may_offer = torch.ones_like(has_answered)
+        is_open = torch.cat([may_request, flags[..., self._asked], may_offer], -1)
+        is_open = is_open & is_legal[..., self._plan]
+        action = self._plan[is_open.to(torch.uint8).argmax(-1)]
+        action = torch.where(flags[..., self._offered], self._end, action)
+        return tensordict.set("action", action)
+
+
+class UniformPolicy(TensorDictModuleBase):
+    """Plays a legal action, all alike. Unlike TorchRL's ``RandomPolicy`` it reads the mask.
+
+    Args:
+        mask_key: bool ``[*batch, N]``, the legal actions, at least one.
+        action_key: where the action is written, int64 ``[*batch]``.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> mask = torch.tensor([[False, True, False]])
+        >>> UniformPolicy()(TensorDict(action_mask=mask, batch_size=[1]))["action"]
+        tensor([1])
+    """
+
+    def __init__(
+        self, *, mask_key: NestedKey = "action_mask", action_key: NestedKey = "action"
+    ) -> None:
+        super().__init__()
+        self.mask_key, self.action_key = mask_key, action_key
+        self.in_keys, self.out_keys = [mask_key], [action_key]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action."""
+        mask = tensordict.get(self.mask_key)
+        uniform = torch.rand(mask.shape, device=mask.device)
+        return tensordict.set(self.action_key, torch.where(mask, uniform, -1.0).argmax(-1))
 
 
 def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
@@ -57,3 +188,7 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
     else:
         policy = CarefulPolicy(env, specification.steps)
     return policy.to(env.device)
+
+
+def _indices(numbers: Iterable[int]) -> torch.nn.Buffer:
+    return torch.nn.Buffer(torch.tensor(list(numbers), dtype=torch.int64))

@@ -8,8 +8,13 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.envs.scripted import CarefulPolicy, SequencePolicy, UniformPolicy
+from bbq_torchrl.envs import (
+    CarefulPolicy,
+    DialogueEnv,
+    SequencePolicy,
+    UniformPolicy,
+    scripted_policy,
+)
 
 
 def played(env, policy):

@@ -19,8 +19,7 @@ from torchrl.envs import (
     check_env_specs,
 )
 
-from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.envs.scripted import UniformPolicy
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, UniformPolicy, scripted_policy
 
 
 def test_transforms_count_and_add_up(movie):
