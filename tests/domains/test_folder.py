@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 import tempfile
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bbq_torchrl.domains import Domain, Goal, load_domain, save_data
+
+TESTS = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -76,62 +80,34 @@ def test_any_records_goals_and_values_survive_the_files(restaurant_folder, recor
     assert domain.error_values == values
 
 
-FILES = ["domain.yaml", "knowledge_base.csv", "goals.jsonl", "values.json"]
+TABLE = yaml.safe_load((TESTS / "adversary" / "bad_input.yaml").read_text())
+REFUSED = [
+    row
+    for row in TABLE
+    if row["command"] == "train domain=folder domain.path=domain" and "env=" not in row["says"]
+]
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_a_missing_file_is_named(folder: Path, name: str):
-    (folder / name).unlink()
-    with pytest.raises(FileNotFoundError, match=name):
+@pytest.mark.parametrize("row", REFUSED, ids=lambda row: row["damage"][:40])
+def test_a_damaged_folder_is_refused_as_the_table_of_bad_input_says(
+    restaurant_folder, row, tmp_path
+):
+    folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
+    subprocess.run(["bash", "-ec", row["damage"]], cwd=tmp_path, check=True)
+    with pytest.raises((ValueError, FileNotFoundError)) as caught:
         load_domain(folder)
+    assert row["says"] in str(caught.value)
 
 
 CSV, GOALS, VALUES = "knowledge_base.csv", "goals.jsonl", "values.json"
 DAMAGE = {
-    "empty file": (CSV, "", "header.*missing"),
-    "too few fields": (
-        CSV,
-        "area,day\nnorth,today\nnorth\n",
-        "line 3: it has 1 fields, the header has 2",
-    ),
-    "cut off": (CSV, "area,day\nnorth,tod", "truncated"),
-    "open quote": (CSV, 'area,day\n"north,today\n', "line 2: it is not valid CSV"),
-    "column twice": (CSV, "area,area\nnorth,south\n", "header.*once"),
-    "empty line": (CSV, "area,day\n\nnorth,today\n", "line 2: it has 0 fields"),
     "line break": (CSV, 'area,day\n"no\nrth",today\n', "line 2: area must have one line"),
-    "CSV no text": (CSV, "area,day\n\ud800,x\n", r"knowledge_base\.csv: it must be UTF-8"),
-    "not JSON": (GOALS, "{", "goals.jsonl, line 1: it is not valid JSON"),
-    "no object": (GOALS, "[]", "line 1: it must have the keys"),
-    "key twice": (GOALS, '{"constraints": {"a": "b", "a": "c"}, "requests": []}', "once.*'a'"),
-    "constraints list": (GOALS, '{"constraints": [], "requests": []}', "constraints must map"),
-    "requests text": (GOALS, '{"constraints": {}, "requests": "area"}', "requests must be a list"),
-    "unknown value": (
-        GOALS,
-        '{"constraints": {"area": "the moon"}, "requests": []}',
-        "goals.jsonl, line 1: it wants area = 'the moon'",
-    ),
     "a slot twice": (
         GOALS,
         '{"constraints": {"zip": "1"}, "requests": ["zip"]}',
         "goals.jsonl, line 1: it names the unknown slot 'zip'",
     ),
-    "a line separator": (
-        GOALS,
-        '{"constraints": {"area": "old\u2028town"}, "requests": []}',
-        "goals.jsonl, line 1: area must have one line of text",
-    ),
-    "half a letter": (
-        GOALS,
-        '{"constraints": {"area": "\\ud800"}, "requests": []}',
-        "line 1: area must have text that UTF-8 can hold",
-    ),
-    "nested": (GOALS, "[" * 100_000, "goals.jsonl, line 1: it is nested too deeply"),
     "long": (GOALS, json.dumps("x" * 1_000_000), r"must have the keys .* characters \.\.\.\]"),
-    "values cut off": (VALUES, '{"area": ["north"', "not valid JSON"),
-    "list": (VALUES, "[]", "must map slots"),
-    "text": (VALUES, '{"area": "north"}', "area must be a list"),
-    "slot twice": (VALUES, '{"area": ["x"], "area": ["y"]}', "once.*area"),
-    "values nested": (VALUES, "[" * 100_000, "values.json: it is nested too deeply"),
     "blank value": (
         VALUES,
         '{\n "area": [\n  "north",\n  " "\n ]\n}\n',
@@ -147,10 +123,9 @@ DAMAGE = {
 
 @pytest.mark.parametrize(("name", "text", "message"), DAMAGE.values(), ids=DAMAGE)
 def test_damaged_data_are_refused_with_file_and_line(folder: Path, name, text, message):
-    (folder / name).write_bytes(text.encode(errors="surrogatepass"))
-    with pytest.raises(ValueError, match=message) as caught:
+    (folder / name).write_text(text)
+    with pytest.raises(ValueError, match=message):
         load_domain(folder)
-    assert str(folder) in str(caught.value)
 
 
 def test_a_byte_order_mark_is_no_part_of_the_header(folder: Path, restaurant: Domain):
@@ -166,33 +141,13 @@ def test_a_goal_may_spell_a_value_in_another_case(folder: Path):
 
 
 YAML_FAULTS = {
-    "not YAML": ("name: restaurant", "name: [restaurant", "not valid YAML"),
     "unknown key": (
         "name: restaurant",
         "name: restaurant\nmood: good",
         "line 4: it has the unknown key 'mood'",
     ),
-    "missing key": ("turn_width: 24", "", r"lacks the keys.*turn_width"),
-    "key twice": ("turn_width: 24", "turn_width: 24\nturn_width: 30", "once.*turn_width"),
     "truth": ("turn_width: 24", "turn_width: true", "turn_width must be an integer"),
-    "probability": (
-        "reference_slot_error_prob: 0.1",
-        "reference_slot_error_prob: low",
-        "must be a number.*low",
-    ),
-    "names a text": (
-        "free_slots: [party_size, table, booking]",
-        "free_slots: all",
-        "list of names",
-    ),
     "action kind": ("  inform: [", "  tell: [", "unknown keys.*tell"),
-    "policy key": ("kind: careful", "sort: careful", "policies.careful has the unknown keys.*sort"),
-    "opening unknown": (
-        "opening_slot: null",
-        "opening_slot: [area, zip]",
-        "line 18: opening_slot names the unknown slot 'zip'",
-    ),
-    "nested": ("turn_width: 24", f"turn_width: {'[' * 5000}", "nested too deeply"),
     "bomb": (
         "turn_width: 24",
         "turn_width: [&a0 [x, x], "
@@ -206,14 +161,7 @@ YAML_FAULTS = {
 @pytest.mark.parametrize(("old", "new", "message"), YAML_FAULTS.values(), ids=YAML_FAULTS)
 def test_a_faulty_specification_is_refused(folder: Path, old: str, new: str, message: str):
     edit(folder / "domain.yaml", old, new)
-    with pytest.raises(ValueError, match=message) as caught:
-        load_domain(folder)
-    assert str(folder) in str(caught.value)
-
-
-def test_yaml_cannot_build_objects(folder: Path):
-    edit(folder / "domain.yaml", "name: restaurant", "name: !!python/name:os.system")
-    with pytest.raises(ValueError, match="not valid YAML"):
+    with pytest.raises(ValueError, match=message):
         load_domain(folder)
 
 
@@ -230,7 +178,7 @@ def test_every_fault_of_every_file_is_named_at_once_with_its_line(folder: Path):
         f"{folder} has 6 faults:",
         "  domain.yaml, line 19: turn_width must be an integer, got 'wide'",
         "  domain.yaml, line 22: policies.rule needs the action 'request(zip)', which is not among "
-        + ", ".join(load_domain(Path(__file__).parents[1] / "data" / "restaurant").action_names),
+        + ", ".join(load_domain(TESTS / "data" / "restaurant").action_names),
         "  knowledge_base.csv, line 2: day must have one line of text, not blank, got ' '",
         "  goals.jsonl, line 2: it wants cuisine = 'martian', a value that is neither in "
         "values.json nor in knowledge_base.csv",
@@ -238,15 +186,6 @@ def test_every_fault_of_every_file_is_named_at_once_with_its_line(folder: Path):
         "  values.json, line 2: it names the unknown slot 'zip'; the slots are table, "
         "party_size, cuisine, area, day, hour, price_range, restaurant, phone, terrace, booking",
     ]
-
-
-def test_a_fault_of_many_lines_is_one_sentence(folder: Path):
-    edit(folder / "knowledge_base.csv", "area", "zip")
-    with pytest.raises(
-        ValueError, match=r"lines 3, 4, 5 and \d+ more: it names the unknown"
-    ) as caught:
-        load_domain(folder)
-    assert str(caught.value).count("knowledge_base.csv, line") == 1
 
 
 def test_a_file_that_cannot_be_read_hides_no_fault_of_another(folder: Path):
