@@ -10,12 +10,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs import DialogueEnv, SequencePolicy, measured
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.language import Frame, Understood
-from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.simulator import MeasuredErrors
 
 PLACES = 40
@@ -178,37 +176,6 @@ def test_a_slot_that_is_not_active_is_not_heard(movie):
     env.reset()
     assert not env.dialogues["user_informs"].any()
     assert not env.dialogues["heard_requests"].any()
-
-
-@pytest.mark.parametrize(
-    ("overrides", "sentence"),
-    [
-        (["env.level=text"], r"env\.level must be act in training.*env\.errors=measured"),
-        (["env.errors=measured", "env.slot_error_prob=.1"], r"env\.slot_error_prob must be null"),
-        (["env.errors=measured", "env.intent_error_prob=.1"], r"env\.intent_error_prob must be 0"),
-        (["env.errors=measured", "env.slot_error_mode=slot"], r"env\.slot_error_mode must be val"),
-        (["env.ask_below=.9"], r"env\.ask_below must be null with env\.level=act"),
-        (["env.ask_below=2"], r"env\.ask_below must be"),
-        (["env.errors=counted"], r"env\.errors must be one of drawn, measured, got 'counted'"),
-    ],
-)
-def test_training_refuses_sentences_and_errors_of_two_kinds(overrides, sentence):
-    with pytest.raises(ConfigError, match=sentence):
-        compose(overrides)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "sentence"),
-    [
-        (["env.level=text", "env.errors=measured"], r"env\.errors must be drawn"),
-        (["env.level=text", "env.compile_turns=true"], r"env\.compile_turns must be false"),
-        (["env.level=text", "env.slot_error_prob=.1"], r"env\.slot_error_prob must be null"),
-    ],
-)
-def test_an_evaluation_refuses_errors_that_sentences_do_not_have(movie, overrides, sentence):
-    config = compose(["policy=rule", *overrides], EvaluateConfig)
-    with pytest.raises(ConfigError, match=sentence):
-        config.env.make(movie, (1, 2))
 
 
 def counted(domain, monkeypatch, turns=500, trained=None, **settings):
