@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from host_waits import NeverWaits
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import NONE
@@ -105,18 +104,6 @@ def test_requests_and_acts_are_heard_as_they_were(movie):
     informs = heard.act == opening.tensors.act["inform"]
     assert near(informs[asking], 0.25)
     assert not informs[~asking].any()
-
-
-@pytest.mark.parametrize("device", ["cpu", "meta"])
-def test_a_turn_never_waits_for_its_device(movie, device):
-    tensors = tensorize(movie)
-    simulator = Simulator(tensors, errors=MeasuredErrors(tensors, SOME)).to(device)
-    active = torch.ones(tensors.n_slots, dtype=torch.bool, device=device)
-    action = torch.full((2, 7), movie.action_index("request(city)"), device=device)
-    with NeverWaits():
-        state = simulator.reset(simulator.draw_reset((2, 7)), active)
-        state = simulator.turn(state, action, simulator.draw_turn((2, 7)), active)
-    assert {entry.device.type for entry in state.values()} == {device}
 
 
 @pytest.mark.parametrize(
