@@ -19,9 +19,8 @@ from bbq_torchrl.simulator import MeasuredErrors
 from bbq_torchrl.simulator.measured_errors import (
     CONTEXTS,
     MOST_REQUESTS,
-    OFFER,
-    OPENING,
-    context_of,
+    questions_of,
+    situation_of,
 )
 from bbq_torchrl.text import shown
 
@@ -153,7 +152,7 @@ def _lines(content: Any, depth: int) -> str:
 
 
 class _Recorder:
-    """The channel of sentences, which counts what it transmits to one replica, ``[1, B]``."""
+    """The channel of sentences, which counts what it transmits."""
 
     def __init__(self, channel: TextChannel) -> None:
         self._channel = channel
@@ -162,6 +161,7 @@ class _Recorder:
         self.turns = 0
         coding = channel.coding
         self._acts, self._slots = coding.acts, coding.slots
+        self._questions = questions_of(coding.acts, coding.slots)
         self._text = coding.text
         self._counted: Counter[tuple[str, ...]] = Counter()
         self._asked: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
@@ -179,37 +179,20 @@ class _Recorder:
         active: torch.Tensor,
     ) -> Utterance:
         heard = self._channel.transmit(said, agent, before, is_silent, draws, active)
-        columns = [said.act, said.informs, said.requests, heard.act, heard.informs, heard.requests]
-        questions = [OPENING] * is_silent.numel()
-        contexts = torch.zeros_like(said.informs)
-        asked = torch.zeros_like(said.requests)
-        if agent is not None:
-            offers = agent.is_booking[0].tolist()
-            named = [self._acts[act] for act in agent.act[0].tolist()]
-            questions = [
-                OFFER if offer else name for offer, name in zip(offers, named, strict=True)
-            ]
-            asked, contexts = agent.requests, context_of(agent)
-        rows = zip(
-            is_silent[0].tolist(),
-            questions,
-            asked[0].tolist(),
-            contexts[0].tolist(),
-            *(column[0].tolist() for column in columns),
-            strict=True,
+        columns = (
+            *situation_of(agent, said, len(self._acts)),
+            *(said.act, said.informs, said.requests),
+            *(heard.act, heard.informs, heard.requests),
         )
-        for silent, question, asked_, contexts_, *turn in rows:
-            if not silent:
-                slot = asked_.index(True) if any(asked_) else None
-                where = question if slot is None else f"request({self._slots[slot]})"
-                self._count(question, where, [CONTEXTS[place] for place in contexts_], *turn)
+        for turn in zip(*(column[~is_silent].tolist() for column in columns), strict=True):
+            self._count(*turn)
         return heard
 
     def _count(
         self,
-        question: str,
-        asks_or_question: str,
-        contexts: list[str],
+        question: int,
+        asks_or_question: int,
+        contexts: list[int],
         act: int,
         informs: list[int],
         requests: list[bool],
@@ -220,8 +203,9 @@ class _Recorder:
         self.turns += 1
         acts, slots, text = self._acts, self._slots, self._text
         manner = "asking" if any(heard_requests) else "silent"
-        counted = self._counted
-        counted["acts", f"{question} {acts[act]} {manner}", acts[heard_act]] += 1
+        asked, counted = self._questions[asks_or_question], self._counted
+        said_act = f"{self._questions[question]} {acts[act]} {manner}"
+        counted["acts", said_act, acts[heard_act]] += 1
         values = list(enumerate(zip(informs, heard_informs, strict=True)))
         lost = [slot for slot, (said, heard) in values if said and not heard]
         new = [slot for slot, (said, heard) in values if heard and not said]
@@ -232,15 +216,15 @@ class _Recorder:
             place = moved[1] if moved and moved[0] == slot else slot
             value = heard_informs[place]
             name = f"{slots[place]}={text(place, value)}" if value else ""
-            counted["values", contexts[slot], slots[slot], text(slot, said), name] += 1
-        counted["inserted", asks_or_question, "turns"] += 1
+            counted["values", CONTEXTS[contexts[slot]], slots[slot], text(slot, said), name] += 1
+        counted["inserted", asked, "turns"] += 1
         for slot in [] if moved else new[:1]:
             name = f"{slots[slot]}={text(slot, heard_informs[slot])}"
-            counted["inserted", asks_or_question, name] += 1
+            counted["inserted", asked, name] += 1
         count = min(sum(requests), MOST_REQUESTS)
         for slot, name in enumerate(slots):
             said_ = "said" if requests[slot] else "unsaid"
-            pair = self._asked[f"{count} {said_} {contexts[slot]}", name]
+            pair = self._asked[f"{count} {said_} {CONTEXTS[contexts[slot]]}", name]
             pair[0] += heard_requests[slot]
             pair[1] += 1
 

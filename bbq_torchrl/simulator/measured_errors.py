@@ -20,12 +20,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["CONTEXTS", "MOST_REQUESTS", "OFFER", "OPENING", "MeasuredErrors", "context_of"]
+__all__ = ["CONTEXTS", "MOST_REQUESTS", "MeasuredErrors", "questions_of", "situation_of"]
 
-OPENING, OFFER = "opening", "offer"
-"""Questions that are no act of the agent: none, and the offer of a booking."""
-
-CONTEXTS = (OPENING, "asked", "beside", "corrected", "told")
+CONTEXTS = ("opening", "asked", "beside", "corrected", "told")
 """Where a slot is spoken of: at the opening; where the agent has asked for it, or for another one;
 where the agent has told it; and elsewhere."""
 
@@ -69,12 +66,12 @@ class MeasuredErrors(Movable):
         self._first = domain.n_values.cumsum(0) - domain.n_values
         self._slots = torch.arange(domain.n_slots)
         self._value_rows(domain, counts["values"])
-        questions = (OPENING, *domain.act, OFFER)
+        questions = questions_of(tuple(domain.act), self._names)
         self._insertion_rows(counts["inserted"], questions)
         self._request_rates(counts["requests"])
         found = [
             counts["acts"].get(f"{question} {act} {heard}", {act: 1})
-            for question in questions
+            for question in questions[: self._n_acts + 2]
             for act in domain.act
             for heard in ("asking", "silent")
         ]
@@ -92,14 +89,7 @@ class MeasuredErrors(Movable):
         active: torch.Tensor,
     ) -> Utterance:
         """Returns what is heard; see :class:`~bbq_torchrl.simulator.Channel`."""
-        context = torch.zeros_like(said.informs)
-        question = asks_or_question = torch.zeros_like(said.act)
-        if agent is not None:
-            context = context_of(agent)
-            question = torch.where(agent.is_booking, self._n_acts + 1, agent.act + 1)
-            asks_or_question = torch.where(
-                agent.is_request, agent.slot + self._n_acts + 2, question
-            )
+        question, asks_or_question, context = situation_of(agent, said, self._n_acts)
         informs = self._hear_values(said.informs, context, asks_or_question, draws) * active
         requests = self._hear_requests(said.requests, context, draws) & active
         row = (question * self._n_acts + said.act) * 2 + (~requests.any(-1)).long()
@@ -172,8 +162,8 @@ class MeasuredErrors(Movable):
 
     def _insertion_rows(self, counts: Mapping[str, Any], questions: tuple[str, ...]) -> None:
         table = []
-        for key in (*questions, *(f"request({slot})" for slot in self._names)):
-            found = dict(counts.get(key, {}))
+        for question in questions:
+            found = dict(counts.get(question, {}))
             turns = float(found.pop("turns", 1))
             row = [(self._code(*heard.split("=", 1)), float(n)) for heard, n in found.items()]
             nothing = (self._n_slots * ABOVE_IDS, turns - sum(n for _, n in row))
@@ -190,11 +180,34 @@ class MeasuredErrors(Movable):
         self._request_rate = torch.tensor(rates).flatten()
 
 
-def context_of(agent: AgentTurn) -> torch.Tensor:
-    """Returns which of :data:`CONTEXTS` each slot is in after an act, long ``[*B, S]``."""
+def questions_of(acts: Sequence[str], slots: Sequence[str]) -> tuple[str, ...]:
+    """Returns what users answer, by number: nothing, an act, the offer of a booking, a request."""
+    return ("opening", *acts, "offer", *(f"request({slot})" for slot in slots))
+
+
+def situation_of(
+    agent: AgentTurn | None, said: Utterance, n_acts: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Returns in which situation users speak.
+
+    Args:
+        agent: what the agent has said before; ``None`` at the opening.
+        said: what the users say.
+        n_acts: how many acts there are.
+
+    Returns:
+        The number of the question among :func:`questions_of`, long ``[*B]``, an act or the offer;
+        the same, but for requests that of the slot; and which of :data:`CONTEXTS` each slot is in,
+        long ``[*B, S]``.
+    """
+    if agent is None:
+        nothing = torch.zeros_like(said.act)
+        return nothing, nothing, torch.zeros_like(said.informs)
+    question = torch.where(agent.is_booking, n_acts + 1, agent.act + 1)
+    asks_or_question = torch.where(agent.is_request, agent.slot + n_acts + 2, question)
     told = agent.is_slot & agent.is_inform[..., None]
     context = torch.where(told, 3, torch.where(agent.is_request[..., None], 2, 4))
-    return torch.where(agent.requests, 1, context)
+    return question, asks_or_question, torch.where(agent.requests, 1, context)
 
 
 def _rate(found: Mapping[str, Sequence[int]], is_said: bool, slots: Sequence[str]) -> list[float]:
