@@ -51,8 +51,6 @@ class TextChannel:
 
     Attributes:
         coding: how frames are numbered.
-        acts: how many acts of users there were.
-        understood: how many of them were not remembered.
     """
 
     slot_draws: tuple[str, ...] = ()
@@ -66,7 +64,6 @@ class TextChannel:
         speak: Generator,
         ask_below: float | None = None,
     ) -> None:
-        self.acts = self.understood = 0
         self._understand, self._speak, self._ask_below = understand, speak, ask_below
         self._act = domain.act
         self.coding = Coding(domain)
@@ -109,11 +106,9 @@ class TextChannel:
 
     def _recall(self, row: torch.Tensor, n_slots: int) -> torch.Tensor:
         """Returns what is understood, long ``[2 + 2 S]``: repeats, act, informs, requests."""
-        self.acts += 1
         key = row.numpy().tobytes()
         heard = self._heard.get(key)
         if heard is None:
-            self.understood += 1
             if len(self._heard) >= _REMEMBERED:
                 self._heard.clear()
             words, *row_ = row.tolist()
