@@ -31,7 +31,7 @@ class StrayingAgent:
     def __init__(self, world: World, number: int, random: Random) -> None:
         self.random = random
         self.legal = [world.action_names[index] for index in world.legal_actions()]
-        ticket = f"inform({world.domain.ticket_slot})"
+        ticket = f"inform({world.ticket})"
         odd = ("confirm_answer", "confirm_question", "greeting", "deny", ticket)
         self.odd = [name for name in self.legal if name in odd or "choice" in name]
         specs = list(world.domain.policies.values())
@@ -75,12 +75,12 @@ def careful(asked: Sequence[str]) -> Policy:
             for slot in asked[already + 1 :]:
                 if slot not in tracker.held:
                     return f"request({slot})"
-        if dialogue.world.domain.complete_slot in tracker.agent_informs:
+        if dialogue.world.complete in tracker.agent_informs:
             return "thanks"
         for slot in dialogue.world.slots:
-            is_open = slot in tracker.user_requests and slot != dialogue.world.domain.ticket_slot
+            is_open = slot in tracker.user_requests and slot != dialogue.world.ticket
             if is_open and f"inform({slot})" in dialogue.world.action_names:
                 return f"inform({slot})"
-        return f"inform({dialogue.world.domain.complete_slot})"
+        return f"inform({dialogue.world.complete})"
 
     return act

@@ -23,25 +23,9 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain, DomainTensors
 
+    from .dialogue import Setting
+
 LANES = 2
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One setting of the environment; `active` of None is the full domain."""
-
-    slot_error_prob: float = 0.0
-    slot_error_mode: str = "value"
-    intent_error_prob: float = 0.0
-    max_turn: int = 40
-    extension: int | None = None
-
-    def active(self, domain: Domain) -> list[str]:
-        """Returns the slots active in this setting, in slot order."""
-        if self.extension is None:
-            return list(domain.slots)
-        chosen = {*domain.essential, *domain.extension_order[: self.extension]}
-        return [slot for slot in domain.slots if slot in chosen]
 
 
 @dataclass
@@ -126,22 +110,11 @@ class Comparison:
     ) -> None:
         tensors = tensorize(domain)
         errors = ErrorModel(
-            tensors,
-            slot_error_prob=setting.slot_error_prob,
-            slot_error_mode=setting.slot_error_mode,
-            intent_error_prob=setting.intent_error_prob,
+            tensors, setting.slot_error_prob, setting.slot_error_mode, setting.intent_error_prob
         )
         self.simulator = Simulator(tensors, errors=errors, max_turn=setting.max_turn).to(device)
-        active = setting.active(domain)
-        self.world = World(
-            domain,
-            active=active,
-            slot_error_prob=setting.slot_error_prob,
-            slot_error_mode=setting.slot_error_mode,
-            intent_error_prob=setting.intent_error_prob,
-            max_turn=setting.max_turn,
-        )
-        self.active = torch.tensor([slot in active for slot in domain.slots], device=device)
+        self.world = World(domain, setting)
+        self.active = torch.tensor([s in self.world.active for s in domain.slots], device=device)
         self.codec = Codec(tensors)
         self.shape = (LANES, dialogues // LANES)
         self.generator = torch.Generator(device).manual_seed(seed)

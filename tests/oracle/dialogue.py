@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from .draws import Draws, choose_index
@@ -14,8 +15,6 @@ from .user import User
 from .values import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from bbq_torchrl.domains.domain import Action, Domain
 
 SUCCESS_REWARD = 40.0
@@ -34,37 +33,39 @@ def value_order_of(domain: Domain) -> dict[str, list[str]]:
     return {slot: list(values) for slot, values in order.items()}
 
 
+@dataclass(frozen=True)
+class Setting:
+    """One setting of the environment; all slots are active where neither of two says which."""
+
+    slot_error_prob: float = 0.0
+    slot_error_mode: str = "value"
+    intent_error_prob: float = 0.0
+    max_turn: int = 40
+    active: tuple[str, ...] | None = None
+    extension: int | None = None
+
+    def active_slots(self, domain: Domain) -> list[str]:
+        """Returns the slots active in this setting, in slot order."""
+        chosen = domain.slots if self.active is None else self.active
+        if self.extension is not None:
+            chosen = (*domain.essential, *domain.extension_order[: self.extension])
+        return [slot for slot in domain.slots if slot in chosen]
+
+
 class World:
     """What all dialogues of one setting share."""
 
-    def __init__(
-        self,
-        domain: Domain,
-        *,
-        active: Iterable[str] | None = None,
-        slot_error_prob: float = 0.0,
-        slot_error_mode: str = "value",
-        intent_error_prob: float = 0.0,
-        max_turn: int = 40,
-    ) -> None:
+    def __init__(self, domain: Domain, setting: Setting) -> None:
         self.domain = domain
+        self.setting = setting
         self.slots = list(domain.slots)
         self.acts = list(domain.acts)
+        self.ticket, self.complete = domain.special_slots
         self.action_names = [str(action) for action in domain.actions]
-        self.active = set(self.slots if active is None else active)
-        self.max_turn = max_turn
+        self.active = set(setting.active_slots(domain))
         self.fired: Counter[str] = Counter()
         self.shelf = Shelf(domain.records, domain.free_slots, value_order_of(domain))
-        self.noise = Noise(
-            slots=self.slots,
-            acts=self.acts,
-            error_values=domain.error_values,
-            active=self.active,
-            slot_error_prob=slot_error_prob,
-            slot_error_mode=slot_error_mode,
-            intent_error_prob=intent_error_prob,
-            fired=self.fired,
-        )
+        self.noise = Noise(self)
 
     def legal_actions(self) -> list[int]:
         """Returns the numbers of the actions that are without a slot or whose slot is active."""
@@ -79,26 +80,11 @@ class Dialogue:
     """One dialogue, from its first user act to its end."""
 
     def __init__(self, world: World, draws: Draws) -> None:
-        domain = world.domain
+        goals = world.domain.goals
         self.world = world
-        self.goal_number = choose_index(draws["goal"], len(domain.goals))
-        goal = domain.goals[self.goal_number]
-        self.user = User(
-            constraints={
-                slot: plain(value)
-                for slot, value in goal.constraints.items()
-                if slot in world.active
-            },
-            requests={slot for slot in goal.requests if slot in world.active}
-            | {domain.ticket_slot},
-            slots=world.slots,
-            ticket=domain.ticket_slot,
-            complete=domain.complete_slot,
-            opening=domain.opening_slots,
-            fired=world.fired,
-            draws=draws,
-        )
-        self.tracker = Tracker(world.shelf, domain.ticket_slot, domain.complete_slot, world.fired)
+        self.goal_number = choose_index(draws["goal"], len(goals))
+        self.user = User(world, goals[self.goal_number], draws)
+        self.tracker = Tracker(world)
         self.tracker.hear(self.user.act, self.user.informs, self.user.pending)
         self.meant_informs = dict(self.user.informs)
         self.turn_count = 0
@@ -114,7 +100,7 @@ class Dialogue:
         offered = self._offered(slot) if kind == "multiple_choice" else []
         self.tracker.speak(kind, act, slot)
         self.turn_count += 2
-        if self.turn_count > self.world.max_turn:
+        if self.turn_count > self.world.setting.max_turn:
             self.world.fired["end: out of turns"] += 1
             self._end(success=False)
             return
@@ -152,11 +138,4 @@ class Dialogue:
 
     def features(self) -> list[float]:
         """Returns what the agent sees of this state."""
-        return features(
-            self.tracker,
-            acts=self.world.acts,
-            slots=self.world.slots,
-            active=self.world.active,
-            turn=self.turn_count,
-            turn_width=self.world.domain.turn_width,
-        )
+        return features(self.world, self.tracker, self.turn_count)

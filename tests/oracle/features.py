@@ -7,25 +7,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
+    from .dialogue import World
     from .tracker import Tracker
 
 PER_HUNDRED = 100.0
 PER_TEN = 10.0
 
 
-def features(
-    tracker: Tracker,
-    *,
-    acts: Sequence[str],
-    slots: Sequence[str],
-    active: set[str],
-    turn: int,
-    turn_width: int,
-) -> list[float]:
+def features(world: World, tracker: Tracker, turn: int) -> list[float]:
     """Returns 2 acts + 7 slots + 3 + turn_width numbers; `turn` is the user's counter."""
+    acts, slots, turn_width = world.acts, world.slots, world.domain.turn_width
     acts_so_far = turn + 1
     turn_place = min(acts_so_far, turn_width - 1)
-    counts = knowledge_base_counts(tracker, slots, active)
+    counts = knowledge_base_counts(tracker, slots, world.active)
     return [
         *(1.0 if act == tracker.heard_act else 0.0 for act in acts),
         *marks(tracker.heard_informs, slots),

@@ -8,37 +8,21 @@ from .draws import Draws, choose_index
 from .values import plain
 
 if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Mapping, Sequence
+    from .dialogue import World
 
 
 class Noise:
     """Hits informed slots, and the act, with fixed probabilities."""
 
-    def __init__(
-        self,
-        *,
-        slots: Sequence[str],
-        acts: Sequence[str],
-        error_values: Mapping[str, Sequence[str]],
-        active: set[str],
-        slot_error_prob: float,
-        slot_error_mode: str,
-        intent_error_prob: float,
-        fired: Counter[str],
-    ) -> None:
-        self.slots = slots
-        self.acts = acts
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.setting = world.setting
+        self.slots, self.fired = world.slots, world.fired
         self.error_values = {
             slot: [plain(value) for value in values]
-            for slot, values in error_values.items()
+            for slot, values in world.domain.error_values.items()
             if values
         }
-        self.active = active
-        self.slot_error_prob = slot_error_prob
-        self.slot_error_mode = slot_error_mode
-        self.intent_error_prob = intent_error_prob
-        self.fired = fired
 
     def transmit(
         self, act: str, informs: dict[str, str], draws: Draws
@@ -49,10 +33,10 @@ class Noise:
         for number, slot in enumerate(self.slots):
             if slot not in informs:
                 continue
-            if draws["error"][number] >= self.slot_error_prob:
+            if draws["error"][number] >= self.setting.slot_error_prob:
                 heard[slot] = informs[slot]
                 continue
-            mode = self.slot_error_mode
+            mode = self.setting.slot_error_mode
             if mode == "mixed":
                 mode = self._mixed(draws["error_kind"][number])
             if mode == "value":
@@ -65,9 +49,10 @@ class Noise:
             if slot in heard:
                 self.fired["error: overlays another slot"] += 1
             heard[slot] = value
-        if draws["intent"] < self.intent_error_prob:
+        if draws["intent"] < self.setting.intent_error_prob:
             self.fired["error: intent"] += 1
-            act = self.acts[choose_index(draws["intent_act"], len(self.acts))]
+            acts = self.world.acts
+            act = acts[choose_index(draws["intent_act"], len(acts))]
         return act, heard
 
     def _mixed(self, u: float) -> str:
@@ -87,7 +72,7 @@ class Noise:
         others = [
             other
             for other in self.slots
-            if other != slot and other in self.active and other in self.error_values
+            if other != slot and other in self.world.active and other in self.error_values
         ]
         if not others:
             self.fired["error: slot, but no other"] += 1

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.domain import Action, Domain, Goal, ScriptedPolicySpec
 
-from .dialogue import Dialogue, World
+from .dialogue import Dialogue, Setting, World
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -98,7 +98,7 @@ def start(
     **setting: Any,
 ) -> Dialogue:
     """Returns a dialogue about one goal in the small cinema, after the user's first act."""
-    world = World(small_domain(Goal(constraints, requests)), **setting)
+    world = World(small_domain(Goal(constraints, requests)), Setting(**setting))
     return Dialogue(world, draws(**(first or {})))
 
 

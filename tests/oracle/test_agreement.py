@@ -10,7 +10,9 @@ import torch
 
 from bbq_torchrl.domains import Goal, load_miulab
 
-from .agreement import Comparison, Played, Setting
+from .agreement import Comparison, Played
+from .dialogue import Setting
+from .rules import rules_at_work
 from .small import small_domain
 
 SETTINGS = (
@@ -30,64 +32,6 @@ FEW = SETTINGS[2::3]
 ENOUGH = 10
 """How often each rule must have been at work for an agreement to mean something."""
 
-RULES = {
-    "open: the opening slot",
-    "open: a request",
-    "open: ticket",
-    "request: a constraint",
-    "request: an answered request",
-    "request: an open request",
-    "request: an open request, with constraints",
-    "request: of no interest",
-    "request: of no interest, nothing left",
-    "inform: right",
-    "inform: wrong",
-    "inform: no constraint",
-    "inform: ticket, ticket available",
-    "inform: ticket, no match",
-    "A: a pending request",
-    "A: a constraint",
-    "A: a request of the agenda",
-    "A: the ticket",
-    "A: thanks",
-    "B: a pending request",
-    "B: a constraint with the ticket",
-    "B: a constraint",
-    "B: a request of the agenda",
-    "B: the ticket",
-    "B: thanks",
-    "offer: thanks, available",
-    "offer: thanks, not available",
-    "offer: deny, available",
-    "offer: deny, not available",
-    "confirm_answer: a constraint",
-    "confirm_answer: a request",
-    "confirm_answer: the ticket",
-    "confirm_answer: thanks",
-    "repeat: greeting",
-    "repeat: deny",
-    "repeat: confirm_question",
-    "end: thanks, success",
-    "end: thanks, failure",
-    "end: closing, success",
-    "end: closing, failure",
-    "end: out of turns",
-    "end: failure only by constraints not met",
-    "end: failure only by an agenda",
-    "end: failure only by no match in history",
-    "end: failure only by a wrong value in history",
-    "error: value",
-    "error: slot",
-    "error: delete",
-    "error: overlays another slot",
-    "error: intent",
-    "fill: only one most frequent",
-    "fill: tie",
-    "fill: slot held already",
-    "fill: no match",
-}
-"""What the user, the errors and the tracker do in the movie domain."""
-
 RARE_RULES = {
     "open: no constraint",
     "choice: a constraint",
@@ -97,6 +41,9 @@ RARE_RULES = {
     "error: slot, but no other",
 }
 """What only domains of another kind bring about."""
+
+RULES = rules_at_work() - RARE_RULES
+"""What the user, the errors and the tracker do in the movie domain."""
 
 
 def test_the_simulator_agrees_with_the_oracle_on_our_movies(movie):

@@ -7,19 +7,15 @@ from typing import TYPE_CHECKING
 from .values import AVAILABLE, NO_MATCH
 
 if TYPE_CHECKING:
-    from collections import Counter
-
-    from .shelf import Shelf
+    from .dialogue import World
 
 
 class Tracker:
     """Holds the latest value of each slot, from either side."""
 
-    def __init__(self, shelf: Shelf, ticket: str, complete: str, fired: Counter[str]) -> None:
-        self.shelf = shelf
-        self.ticket = ticket
-        self.complete = complete
-        self.fired = fired
+    def __init__(self, world: World) -> None:
+        self.shelf, self.fired = world.shelf, world.fired
+        self.ticket, self.complete = world.ticket, world.complete
         self.held: dict[str, str] = {}
         self.heard_act = ""
         self.heard_informs: dict[str, str] = {}

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from .draws import Draws, choose_index, choose_slot
-from .values import AVAILABLE, DONT_CARE, NO_MATCH
+from .values import AVAILABLE, DONT_CARE, NO_MATCH, plain
 
 if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection
+
+    from bbq_torchrl.domains import Goal
+
+    from .dialogue import World
 
 
 class User:
@@ -19,31 +22,20 @@ class User:
     meant until the errors have had it, and then what was transmitted.
     """
 
-    def __init__(
-        self,
-        *,
-        constraints: dict[str, str],
-        requests: set[str],
-        slots: Sequence[str],
-        ticket: str,
-        complete: str,
-        opening: tuple[str, ...],
-        fired: Counter[str],
-        draws: Draws,
-    ) -> None:
-        self.constraints = constraints
-        self.requests = requests
-        self.slots = slots
-        self.ticket = ticket
-        self.complete = complete
-        self.fired = fired
+    def __init__(self, world: World, goal: Goal, draws: Draws) -> None:
+        self.constraints = {
+            slot: plain(value) for slot, value in goal.constraints.items() if slot in world.active
+        }
+        self.requests = {slot for slot in goal.requests if slot in world.active} | {world.ticket}
+        self.slots, self.fired = world.slots, world.fired
+        self.ticket, self.complete = world.ticket, world.complete
         self.history: dict[str, str] = {}
         self.constraints_met = False
-        self.agenda = set(constraints) | set(requests)
+        self.agenda = set(self.constraints) | self.requests
         self.pending: set[str] = set()
         self.informs: dict[str, str] = {}
         self.act = "request"
-        self._open(opening, draws)
+        self._open(world.domain.opening_slots, draws)
 
     def _open(self, opening: tuple[str, ...], draws: Draws) -> None:
         for slot in opening:

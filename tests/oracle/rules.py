@@ -1,0 +1,89 @@
+"""Dialogues worked out by hand: ``rules.txt`` has a rule a dialogue.
+
+There stand what the user wants (``goal``: constraints, ``?``, requests), the draws of its first
+turn (``first``) and the ``setting``; then the agent's acts with the draws of the turn, and,
+indented, what must be so after them (:func:`seen`).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from .small import SLOTS, say, start
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from .dialogue import Dialogue
+
+RULES = Path(__file__).with_name("rules.txt").read_text().strip().split("\n\n")
+
+
+def played(rule: str) -> Iterator[tuple[Dialogue, dict[str, str]]]:
+    """Plays a dialogue of the file. Yields it wherever something must be so, with what that is."""
+    lines = [line for line in rule.splitlines() if not line.startswith("#")]
+    head = dict(line.split(" ", 1) for line in lines if line[0] != " ")
+    wants, _, asks = head["goal"].partition("?")
+    constraints = dict(pair.split("=") for pair in wants.split())
+    setting = options(head.get("setting", ""))
+    if "active" in setting:
+        setting["active"] = tuple(setting["active"].split(","))
+    first = options(head.get("first", ""))
+    dialogue = start(constraints, tuple(asks.split()), first=first, **setting)
+    for line in lines:
+        word, *rest = line.split(" ", 2)
+        if word == "agent":
+            say(dialogue, rest[0], **options("".join(rest[1:])))
+        elif not word:
+            yield dialogue, dict(part.split(": ") for part in line.strip().split("; "))
+
+
+def rules_at_work() -> set[str]:
+    """Returns the names of all rules that the dialogues of the file bring about."""
+    dialogues = [[*played(rule)][-1][0] for rule in RULES]
+    return {name for dialogue in dialogues for name in dialogue.world.fired}
+
+
+def options(text: str) -> dict[str, Any]:
+    """Returns ``a=1 b.city=0.5`` as ``{"a": 1, "b": {"city": 0.5}}``."""
+    found: dict[str, Any] = {}
+    for pair in text.split():
+        path, value = pair.split("=")
+        name, _, slot = path.partition(".")
+        if slot:
+            found.setdefault(name, {})[slot] = yaml.safe_load(value)
+        else:
+            found[name] = yaml.safe_load(value)
+    return found
+
+
+def seen(dialogue) -> dict[str, str]:
+    """Returns what there is to see of a dialogue, as text."""
+    user, tracker = dialogue.user, dialogue.tracker
+    return {
+        "user": f"{user.act}({values(user.informs)})",
+        "pending": slots(user.pending),
+        "agenda": slots(user.agenda),
+        "history": values(user.history),
+        "met": str(user.constraints_met),
+        "faults": ", ".join(user.faults()) or "none",
+        "heard": tracker.heard_act,
+        "asked": slots(tracker.user_requests),
+        "agent": f"{tracker.agent_act}({values(tracker.agent_informs)})",
+        "held": values(tracker.held),
+        "rows": str(len(tracker.shelf.matching(tracker.held))),
+        "turn": str(dialogue.turn_count),
+        "end": "success" if dialogue.success else "failure" if dialogue.done else "not yet",
+        "reward": str(dialogue.reward),
+    }
+
+
+def slots(chosen) -> str:
+    return " ".join(slot for slot in SLOTS if slot in chosen) or "none"
+
+
+def values(held) -> str:
+    return ", ".join(f"{slot}={held[slot]}" for slot in SLOTS if slot in held)
