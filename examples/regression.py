@@ -4,7 +4,7 @@
     python examples/regression.py --steps 200 --out quick.png
 
 A curve is learned from noisy points in [0, 0.5] by :class:`~bbq_torchrl.bayes.BayesMLP`, trained
-on the evidence bound with :class:`~bbq_torchrl.bayes.weight_scope`, and by a plain network of the
+on the evidence bound with :func:`~bbq_torchrl.bayes.weight_scope`, and by a plain network of the
 same size. Where there are no points the plain network extrapolates one curve as if it were sure of
 it; the weight draws of the Bayesian one fan out. This is what Thompson sampling explores by.
 Nothing of reinforcement learning or of dialogue is needed.

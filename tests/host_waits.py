@@ -62,5 +62,5 @@ def _has_place(tensor: object) -> bool:
 def draw_as_on_a_device(monkeypatch) -> None:
     """Has noise drawn by torch's generator and nothing held or put off, as on a CUDA device."""
     monkeypatch.setattr("bbq_torchrl.bayes.posterior.fill_normal_", lambda out: out.normal_())
-    monkeypatch.setattr(BBQNLoss, "_holds", lambda loss, tensors: False)
+    monkeypatch.setattr(BBQNLoss, "_held_for", lambda loss, tensors: None)
     monkeypatch.setattr("bbq_torchrl.trainers.learn._AT_ONCE", 1)

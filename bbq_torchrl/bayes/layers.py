@@ -9,12 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.posterior import GaussianPosterior
-from bbq_torchrl.bayes.scope import (
-    WeightMode,
-    check_weight_mode,
-    current_scope,
-    resolve_weight_mode,
-)
+from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,7 +37,7 @@ class BayesLayer(nn.Module):
     each row can be had without a batch of weights, also :meth:`run_local`. Mode, given weights,
     noise and KL are then the same for it as for the layers of this package. (A module that only
     holds a :class:`GaussianPosterior` and calls its ``weights()`` follows a
-    :class:`weight_scope` too.)
+    :func:`weight_scope` too.)
 
     Args:
         group_sizes: how many weights each group has; P is their sum.
@@ -175,16 +170,11 @@ class BayesLayer(nn.Module):
         Raises:
             ValueError: for another mode, or a shape that does not fit.
         """
-        if weights is None:
-            weights = current_scope().weights.get(self.posterior)
-        elif mode is not None:
-            check_weight_mode(mode)
-        if weights is not None:
-            return self.run(x, weights)
-        mode = resolve_weight_mode(mode)
-        if mode != "local":
-            return self.run(x, self.posterior.weights(mode))
-        kl = current_scope().kl
-        if kl is not None:
-            kl.add([self.posterior])
-        return self.run_local(x)
+        mode, scope = resolve_weight_mode(mode), current_scope()
+        if weights is None and mode == "local":
+            weights = scope.weights.get(self.posterior)
+            if weights is None:
+                if scope.kl is not None:
+                    scope.kl.add([self.posterior])
+                return self.run_local(x)
+        return self.run(x, self.posterior.weights(mode) if weights is None else weights)

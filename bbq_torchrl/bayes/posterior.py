@@ -13,7 +13,7 @@ from bbq_torchrl.bayes.replicas import replica_shape, replica_values
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
 from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind, closed_kl, draw_with_kl
 
-__all__ = ["GaussianPosterior", "inverse_softplus"]
+__all__ = ["GaussianPosterior", "inverse_softplus", "kl_divergence", "posteriors"]
 
 
 def inverse_softplus(std: Tensor) -> Tensor:
@@ -144,7 +144,7 @@ class GaussianPosterior(nn.Module):
     def weights(self, mode: WeightMode | None = None) -> Tensor:
         """Returns the weights that a layer is to use, [*replicas, *rows, P].
 
-        Those that the :class:`weight_scope` around the call gives to this posterior, else a draw
+        Those that the :func:`weight_scope` around the call gives to this posterior, else a draw
         or the mean, whose KL goes into the scope's sum if it has one.
 
         Args:
@@ -241,3 +241,41 @@ class GaussianPosterior(nn.Module):
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""
         return f"weights={sum(self.group_sizes)}, replicas={tuple(self.replicas)}"
+
+
+def posteriors(module: nn.Module) -> list[GaussianPosterior]:
+    """Returns all posteriors in ``module``, in the order of its modules.
+
+    Raises:
+        ValueError: if there are none.
+
+    Example:
+        >>> from torch import nn
+        >>> from bbq_torchrl.bayes import BayesLinear
+        >>> from bbq_torchrl.bayes.posterior import posteriors
+        >>> len(posteriors(nn.Sequential(BayesLinear(3, 4), nn.Tanh(), BayesLinear(4, 2))))
+        2
+    """
+    found = [m for m in module.modules() if isinstance(m, GaussianPosterior)]
+    if not found:
+        raise ValueError(
+            f"{type(module).__name__} has no Bayesian layer: weight draws, their KL and Thompson "
+            "sampling need a network with Bayesian layers (BayesMLP, BayesLinear, or any module "
+            "that holds a GaussianPosterior)"
+        )
+    return found
+
+
+def kl_divergence(module: nn.Module) -> Tensor:
+    """Returns the closed KL from the prior over all posteriors in ``module``, [*replicas].
+
+    Raises:
+        ValueError: if the module has none.
+
+    Example:
+        >>> from bbq_torchrl.bayes import BayesMLP
+        >>> bool((kl_divergence(BayesMLP(3, 2, replicas=5)) < 1e-3).all())
+        True
+    """
+    first, *others = (posterior.kl() for posterior in posteriors(module))
+    return sum(others, first)

@@ -1,6 +1,6 @@
 """The one scope that says which weights the layers inside of it use, and what comes with them.
 
-A layer looks first at the arguments it is called with, then at the innermost :class:`weight_scope`
+A layer looks first at the arguments it is called with, then at the innermost :func:`weight_scope`
 around the call, then at the exploration type of TorchRL. So a policy or a loss reaches the layers
 of a network whatever stands around them (``nn.Sequential``, a TensorDict module, a functional call)
 without access to them.
@@ -9,6 +9,7 @@ without access to them.
 from __future__ import annotations
 
 import threading
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -17,12 +18,11 @@ from tensordict.nn.probabilistic import InteractionType, interaction_type
 from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from types import TracebackType
+    from collections.abc import Iterable, Iterator, Mapping
 
     from torch import Tensor
 
-    from bbq_torchrl.bayes.noise_sources import NoiseSource
+    from bbq_torchrl.bayes.noise import NoiseSource
     from bbq_torchrl.bayes.posterior import GaussianPosterior
 
 __all__ = [
@@ -58,15 +58,13 @@ class KLSum:
             gradient of today's; one that is not is added. Defaults to None: all are computed.
 
     Raises:
-        ValueError: for another kind, or known values of another one than "closed".
+        ValueError: for another kind; at a draw, for known values of another one than "closed".
     """
 
     def __init__(
         self, kind: KLKind = "closed", known: dict[GaussianPosterior, Tensor] | None = None
     ) -> None:
         check_kl_kind(kind)
-        if known is not None and kind != "closed":
-            raise ValueError(f"known values need kl='closed', got {kind!r}")
         self.kind = kind
         self._known = known
         self._terms: dict[GaussianPosterior, Tensor] = {}
@@ -107,14 +105,12 @@ class KLSum:
         if not self._terms:
             raise RuntimeError("no Bayesian layer ran inside of the weight_scope with a KL")
         first, *others = self._terms.values()
-        for term in others:
-            first = first + term
-        return first
+        return sum(others, first)
 
 
 @dataclass(frozen=True)
 class WeightScope:
-    """What a layer reads: one object a :class:`weight_scope`.
+    """What a layer reads: one object a :func:`weight_scope`.
 
     Attributes:
         mode: "draw", "local", "mean", or None to follow the exploration type.
@@ -146,11 +142,19 @@ _here = _Here()
 
 
 def current_scope() -> WeightScope:
-    """Returns what the innermost :class:`weight_scope` of this thread says; empty outside."""
+    """Returns what the innermost :func:`weight_scope` of this thread says; empty outside."""
     return _here.scope
 
 
-class weight_scope:
+@contextmanager
+def weight_scope(
+    mode: WeightMode | None = None,
+    *,
+    weights: Mapping[Any, Tensor] | None = None,
+    noise: NoiseSource | None = None,
+    kl: KLKind | KLSum | None = None,
+    sigma: dict[GaussianPosterior, Tensor] | None = None,
+) -> Iterator[WeightScope]:
     """Says which weights the layers inside of it use. What is not given is as outside of it.
 
     - ``"draw"``: one draw of all weights for the call, shared by its rows (dropout: a mask).
@@ -187,51 +191,30 @@ class weight_scope:
         ...     bool((net(x)[0] == net(x)[1]).any())
         False
     """
-
-    def __init__(
-        self,
-        mode: WeightMode | None = None,
-        *,
-        weights: Mapping[Any, Tensor] | None = None,
-        noise: NoiseSource | None = None,
-        kl: KLKind | KLSum | None = None,
-        sigma: dict[GaussianPosterior, Tensor] | None = None,
-    ) -> None:
-        if mode is not None:
-            check_weight_mode(mode)
-        self._mode = mode
-        self._weights = weights
-        self._noise = noise
-        self._kl = KLSum(kl) if isinstance(kl, str) else kl
-        self._sigma = sigma
-
-    def __enter__(self) -> WeightScope:
-        self._outer = outer = _here.scope
-        weights = outer.weights
-        if self._weights is not None:
-            weights = {getattr(m, "posterior", m): w for m, w in self._weights.items()}
-        scope = _here.scope = WeightScope(
-            outer.mode if self._mode is None else self._mode,
-            weights,
-            outer.noise if self._noise is None else self._noise,
-            outer.kl if self._kl is None else self._kl,
-            outer.sigma if self._sigma is None else self._sigma,
-        )
-        return scope
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        _here.scope = self._outer
+    if mode is not None:
+        check_weight_mode(mode)
+    outer, given = _here.scope, None
+    if weights is not None:
+        given = {getattr(module, "posterior", module): own for module, own in weights.items()}
+    if isinstance(kl, str):
+        kl = KLSum(kl)
+    _here.scope = WeightScope(
+        outer.mode if mode is None else mode,
+        outer.weights if given is None else given,
+        outer.noise if noise is None else noise,
+        outer.kl if kl is None else kl,
+        outer.sigma if sigma is None else sigma,
+    )
+    try:
+        yield _here.scope
+    finally:
+        _here.scope = outer
 
 
 def resolve_weight_mode(mode: WeightMode | None = None) -> WeightMode:
     """Returns the mode that a call with this argument uses.
 
-    Without an argument and where no :class:`weight_scope` has a mode it follows TorchRL's
+    Without an argument and where no :func:`weight_scope` has a mode it follows TorchRL's
     exploration type: RANDOM is "draw"; DETERMINISTIC, MEAN, MODE and None (outside of any context,
     as TorchRL's NoisyLinear has it) are "mean".
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tensordict import TensorDict
 
-from bbq_torchrl.bayes.kl import posteriors
+from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP

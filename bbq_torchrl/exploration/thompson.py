@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, get_args
 
 import torch
 
-from bbq_torchrl.bayes.kl import posteriors
+from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration.base import ActorPolicy, Per, begins, explores
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType
 
-from bbq_torchrl.bayes.kl import posteriors
-from bbq_torchrl.bayes.noise_sources import NoisePool, SharedNoise
+from bbq_torchrl.bayes.noise import NoisePool, SharedNoise
+from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.bayes.scope import KLSum
 from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.bayes import GaussianPosterior
-    from bbq_torchrl.bayes.noise_sources import NoiseSource
+    from bbq_torchrl.bayes.noise import NoiseSource
     from bbq_torchrl.objectives.value_function import Inputs
 
 __all__ = ["BBQNLoss", "Target", "TargetNoise"]
@@ -37,6 +38,15 @@ _TARGET_NOISES: dict[Target, tuple[TargetNoise, ...]] = {
     "map": ("mean",),
     "mc": ("independent", "shared"),
 }
+
+
+@dataclass
+class _Held:
+    """What is much the same from batch to batch, made at the first batch that needs it."""
+
+    noise: NoisePool = field(default_factory=NoisePool)
+    kl: dict[GaussianPosterior, Tensor] = field(default_factory=dict)
+    sigma: dict[GaussianPosterior, Tensor] = field(default_factory=dict)
 
 
 class BBQNLoss(NumData, OneStepQLoss):
@@ -79,7 +89,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         hold: whether what is much the same from batch to batch is made at the first batch after
             :meth:`begin_epoch` only, and held until the next call: the pool that the weight
             noise of all batches is taken from
-            (:class:`~bbq_torchrl.bayes.noise_sources.NoisePool`), the frozen posterior's σ for an
+            (:class:`~bbq_torchrl.bayes.noise.NoisePool`), the frozen posterior's σ for an
             "mc" target, and the value of the closed KL, which is reported in ``kl`` and in the
             losses until then (its gradient is every batch's own).
             That saves a quarter of an update on a CPU, and needs the call at least after each
@@ -158,7 +168,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         self._online_noise: SharedNoise | None = None
         self.kl = kl
         self.hold = hold
-        self._forget()
+        self._held = _Held()
         self._set("noise_std", noise_std)
         self._set("kl_temperature", kl_temperature, minimum=0)
         self._register_num_data(num_data, self._posteriors[0].mu)
@@ -185,31 +195,25 @@ class BBQNLoss(NumData, OneStepQLoss):
 
     def begin_epoch(self) -> None:
         """Discards what is held, where ``hold`` is set: the next batch computes it afresh."""
-        self._forget()
+        self._held = _Held()
 
-    def _forget(self) -> None:
-        self._pool = NoisePool()
-        self._held_kl: dict[GaussianPosterior, Tensor] = {}
-        self._held_sigma: dict[GaussianPosterior, Tensor] = {}
-
-    def _holds(self, tensors: Sequence[Tensor]) -> bool:
-        """Whether anything is held for a network of these parameters: on a CPU only."""
+    def _held_for(self, tensors: Sequence[Tensor]) -> _Held | None:
+        """Returns what is held for a network of these parameters: on a CPU only."""
         on_cpu = tensors[0].device.type == "cpu"
-        return self.hold and on_cpu and not torch.compiler.is_compiling()
+        return self._held if self.hold and on_cpu and not torch.compiler.is_compiling() else None
 
     def __getstate__(self) -> dict[str, Any]:
-        held = {"_pool": NoisePool(), "_held_kl": {}, "_held_sigma": {}}
-        return {**super().__getstate__(), **held}
+        return {**super().__getstate__(), "_held": _Held()}
 
     def _predict(
         self, tensors: Sequence[Tensor], inputs: Inputs
     ) -> tuple[Tensor, dict[str, Tensor]]:
         self._check_num_data()
-        holds = self._holds(tensors)
-        noise: NoiseSource | None = self._pool if holds else None
+        held = self._held_for(tensors)
+        noise: NoiseSource | None = held.noise if held else None
         if self.target_noise == "shared":
             noise = self._online_noise = SharedNoise(noise)
-        kl = KLSum(self.kl, self._held_kl if holds and self.kl == "closed" else None)
+        kl = KLSum(self.kl, held.kl if held and self.kl == "closed" else None)
         values = self._function(tensors, inputs, "draw", noise=noise, kl=kl)
         return values, {"kl": kl.total()}
 
@@ -218,9 +222,9 @@ class BBQNLoss(NumData, OneStepQLoss):
         shared, self._online_noise = self._online_noise, None
         if self.target == "map":
             return super()._target_values(tensors, inputs)
-        holds = self._holds(tensors)
-        noise: NoiseSource | None = self._pool if holds else None
+        held = self._held_for(tensors)
+        noise: NoiseSource | None = held.noise if held else None
         if shared is not None:
             noise = shared.again()
-        sigma = self._held_sigma if holds else None
+        sigma = held.sigma if held else None
         return self._function(tensors, inputs, "draw", noise=noise, sigma=sigma)

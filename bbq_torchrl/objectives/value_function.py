@@ -98,7 +98,7 @@ class ValueFunction:
             tensors: what :meth:`tensors` returned.
             inputs: what :meth:`inputs` returned.
             mode: "draw" (dropout on) or "mean" (dropout off).
-            scope: what else :class:`~bbq_torchrl.bayes.weight_scope` takes. The KL is that of
+            scope: what else :func:`~bbq_torchrl.bayes.weight_scope` takes. The KL is that of
                 all posteriors, also of those whose layer does not draw through the scope.
         """
         training = [dropout.training for dropout in self._dropouts]

@@ -22,7 +22,7 @@ from bbq_torchrl.bayes import (
     kl_divergence,
     weight_scope,
 )
-from bbq_torchrl.bayes.kl import posteriors
+from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 

@@ -15,7 +15,7 @@ import torch
 from scipy.linalg import hadamard
 
 from bbq_torchrl.bayes import BayesLinear, KLSum, weight_scope
-from bbq_torchrl.bayes.noise_sources import NoisePool
+from bbq_torchrl.bayes.noise import NoisePool
 
 NOISE_STD, PRIOR_STD = 0.5, 1.0
 ROWS, FEATURES, DRAWS = 32, 3, 512
@@ -49,7 +49,9 @@ def optimum(data: Data) -> tuple[torch.Tensor, torch.Tensor]:
     return mean, precision.diagonal() ** -0.5
 
 
-def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", steps=200, pool=None):
+def learn(
+    data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", steps=200, pooled=False
+):
     """Returns mean and standard deviation of the weights that maximize the evidence bound.
 
     One network whose gradient is the average over draws (replicas of one network, each with a
@@ -62,9 +64,10 @@ def learn(data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", ste
     num_data = count if num_data is None else num_data
     optimizer = torch.optim.Adam(net.parameters(), 0.1, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    pool = None
     for step in range(steps):
-        if pool is not None and step % 10 == 0:
-            pool.clear()
+        if pooled and step % 10 == 0:
+            pool = NoisePool()
         index = torch.arange(count) if rows is None else torch.randint(count, (DRAWS, rows))
         x, y = data.x[index].expand(DRAWS, -1, -1), data.y[index]
         kl_sum = KLSum(kl)
@@ -95,7 +98,7 @@ def assert_optimal(found, expected):
         {"mode": "draw"},
         {"mode": "draw", "kl": "sampled"},
         {"mode": "local", "rows": 8},
-        {"mode": "draw", "rows": 8, "pool": NoisePool()},
+        {"mode": "draw", "rows": 8, "pooled": True},
     ],
     ids=["full", "full sampled KL", "batches local", "batches pool"],
 )

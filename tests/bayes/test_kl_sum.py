@@ -69,5 +69,6 @@ def test_nothing_collected_is_an_error():
         scope.kl.total()
     with pytest.raises(ValueError, match="Linear has no Bayesian layer"):
         kl_divergence(nn.Linear(3, 2))
-    with pytest.raises(ValueError, match=r"kl must be one of \['closed', 'sampled'\]"):
-        weight_scope(kl="open")
+    message = r"kl must be one of \['closed', 'sampled'\]"
+    with pytest.raises(ValueError, match=message), weight_scope(kl="open"):
+        pass

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from bbq_torchrl.bayes import BayesMLP, GaussianPosterior
-from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.networks.growth import reset_inactive_
 
 
@@ -67,11 +66,3 @@ def test_what_does_not_fit_the_replicas_is_refused(values, message):
         BayesMLP(3, 2, replicas=(2,), prior_std=values)
     with pytest.raises(ValueError, match=f"std_init {message}"):
         BayesMLP(3, 2, replicas=(2,), std_init=values)
-
-
-def test_the_least_value_may_be_given():
-    assert replica_values("kl_temperature", torch.zeros(2), (2,), minimum=0).tolist() == [0, 0]
-    with pytest.raises(ValueError, match=r"kl_temperature must be at least 0 and finite"):
-        replica_values("kl_temperature", torch.tensor([-1.0, 0]), (2,), minimum=0)
-    with pytest.raises(ValueError, match=r"gamma must be at least 0 and at most 1, got \[0\.5, 2"):
-        replica_values("gamma", torch.tensor([0.5, 2.0]), (2,), minimum=0, maximum=1)

@@ -7,7 +7,7 @@ import torch
 from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss, transitions
 
 from bbq_torchrl.bayes import BayesMLP, weight_scope
-from bbq_torchrl.bayes.noise_sources import NoisePool
+from bbq_torchrl.bayes.noise import NoisePool
 
 pytestmark = [
     pytest.mark.slow,
