@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
 
-__all__ = ["ActorPolicy", "Per", "begins", "explores"]
+__all__ = ["ActorPolicy", "Per", "begins", "check_batch", "explores", "schedule"]
 
 Per = Literal["step", "episode", "round"]
 
@@ -45,6 +46,33 @@ def begins(tensordict: TensorDictBase, init_key: NestedKey) -> Tensor:
         )
     marks: Tensor = found.reshape(tensordict.batch_size)
     return marks
+
+
+def schedule(
+    start: float | Tensor, end: float | Tensor, annealing_num_steps: int
+) -> tuple[Tensor, Tensor]:
+    """Returns where a schedule starts and ends, float32 of one shape: not those that were given.
+
+    Raises:
+        ValueError: for a schedule without a step.
+    """
+    if annealing_num_steps < 1:
+        raise ValueError(f"annealing_num_steps must be at least 1, got {annealing_num_steps}")
+    pair = [torch.as_tensor(value, dtype=torch.float32) for value in (start, end)]
+    first, last = (value.clone() for value in torch.broadcast_tensors(*pair))
+    return first, last
+
+
+def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
+    """Raises ValueError unless values have a shape that broadcasts to the batch's."""
+    missing = len(batch) - values.ndim
+    fits = missing >= 0 and all(
+        size in (1, rows) for size, rows in zip(values.shape, batch[missing:], strict=True)
+    )
+    if not fits:
+        raise ValueError(
+            f"{name} of shape {list(values.shape)} must broadcast with the batch, got {list(batch)}"
+        )
 
 
 class ActorPolicy(TensorDictModuleBase):

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from bbq_torchrl.exploration.base import explores
-from bbq_torchrl.exploration.schedules import check_batch, schedule
+from bbq_torchrl.exploration.base import check_batch, explores, schedule
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -70,14 +69,12 @@ class Boltzmann(TensorDictModuleBase):
         spec: Composite | None = None,
         device: torch.device | str | None = None,
     ) -> None:
-        start, end = schedule(temperature_init, temperature_end)
+        start, end = schedule(temperature_init, temperature_end, annealing_num_steps)
         if not bool(((start >= end) & (end > 0)).all()):
             raise ValueError(
                 "temperature_init must be at least temperature_end and that positive, got "
                 f"{start.tolist()} and {end.tolist()}"
             )
-        if annealing_num_steps < 1:
-            raise ValueError(f"annealing_num_steps must be at least 1, got {annealing_num_steps}")
         super().__init__()
         self.action_key = action_key
         self.action_value_key = action_value_key

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from torchrl.modules import EGreedyModule
 
-from bbq_torchrl.exploration.schedules import check_batch, schedule
+from bbq_torchrl.exploration.base import check_batch, schedule
 
 if TYPE_CHECKING:
     import torch
@@ -62,14 +62,12 @@ class BatchedEGreedy(EGreedyModule):
         action_mask_key: NestedKey | None = None,
         device: torch.device | None = None,
     ) -> None:
-        start, end = schedule(eps_init, eps_end)
+        start, end = schedule(eps_init, eps_end, annealing_num_steps)
         if not bool(((start <= 1) & (start >= end) & (end >= 0)).all()):
             raise ValueError(
                 "eps_init must be at least eps_end and both be between 0 and 1, got "
                 f"{start.tolist()} and {end.tolist()}"
             )
-        if annealing_num_steps < 1:
-            raise ValueError(f"annealing_num_steps must be at least 1, got {annealing_num_steps}")
         super().__init__(
             spec,
             1.0,

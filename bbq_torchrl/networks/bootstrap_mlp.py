@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
-from bbq_torchrl.bayes.scope import WeightMode, check_weight_mode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -161,18 +160,15 @@ class BootstrapMLP(nn.Module):
             flats = (self.trunk, self.prior_trunk)
         return [layout.unflatten(flat)[0][0] for flat in flats if flat is not None]
 
-    def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
+    def forward(self, x: Tensor) -> Tensor:
         """Returns the outputs of all heads, shape [*replicas, *batch, K, out].
 
         Args:
             x: inputs, shape [*replicas, *batch, in].
-            mode: for the sake of networks that draw; there is nothing random here.
 
         Raises:
-            ValueError: for another mode, or a shape that does not fit.
+            ValueError: for a shape that does not fit.
         """
-        if mode is not None:
-            check_weight_mode(mode)
         as_rows(x, self.replicas, self.in_features)  # refuses a shape that does not fit
         out = self._run(x, self.trunk, self.heads)
         if self.prior_heads is not None:

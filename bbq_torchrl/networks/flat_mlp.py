@@ -89,7 +89,7 @@ class FlatMLP(nn.Module):
         Args:
             x: inputs, shape [*replicas, *batch, in].
             mode: "draw" and "local" (dropout on), "mean" (off), or None: what
-                :class:`~bbq_torchrl.bayes.weight_scope` says, and outside of it on in
+                :func:`~bbq_torchrl.bayes.weight_scope` says, and outside of it on in
                 training mode, as ``nn.Dropout``.
 
         Raises:

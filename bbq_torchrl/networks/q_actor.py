@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
 from tensordict.nn import TensorDictSequential
 from torchrl.modules import QValueActor
 
@@ -12,10 +13,10 @@ if TYPE_CHECKING:
 
     from tensordict.nn import TensorDictModuleBase
     from tensordict.utils import NestedKey
-    from torch import nn
+    from torch import Tensor, nn
     from torchrl.data import TensorSpec
 
-__all__ = ["q_actor", "split_actor"]
+__all__ = ["masked", "q_actor", "split_actor"]
 
 
 def q_actor(
@@ -59,6 +60,18 @@ def q_actor(
         action_value_key=action_value_key,
         action_mask_key=action_mask_key,
     )
+
+
+def masked(values: Tensor, mask: Tensor | None) -> Tensor:
+    """Returns values [*batch, N] with the least number at what is not legal, as TorchRL has it.
+
+    Args:
+        values: of all actions.
+        mask: bool [*batch, N], True for legal actions; None if all are.
+    """
+    if mask is None:
+        return values
+    return torch.where(mask, values, torch.finfo(values.dtype).min)
 
 
 def split_actor(

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.data import Categorical, Composite, OneHot
 from torchrl.modules import QValueActor
 
-from bbq_torchrl.networks.masking import masked
+from bbq_torchrl.networks.q_actor import masked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,7 +12,7 @@ from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import replica_values, replicas_of
-from bbq_torchrl.networks.masking import masked
+from bbq_torchrl.networks.q_actor import masked
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 

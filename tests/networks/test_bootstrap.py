@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch import nn
 from torch.func import functional_call, grad, stack_module_state, vmap
 
 from bbq_torchrl.networks import BootstrapMLP
@@ -135,22 +134,6 @@ def test_a_feature_that_appears_late_changes_nothing_when_it_does(
     assert layout.unflatten(first.grad)[0][0][..., inactive, :].any()  # from now on it learns
 
 
-def test_it_runs_inside_of_other_modules_and_draws_nothing():
-    net = nn.Sequential(make((3,), dtype=torch.float), nn.Identity())
-    x = torch.randn(3, 8, FEATURES)
-    state = torch.get_rng_state()
-    for mode in ("draw", "local", "mean", None):
-        assert torch.equal(net[0](x, mode), net(x))
-    assert torch.equal(torch.get_rng_state(), state)
-
-
-def test_a_network_without_hidden_layers_has_linear_heads():
-    net = BootstrapMLP(FEATURES, OUT, (), heads=2)
-    assert net.trunk is None
-    assert (net.in_features, net.out_features) == (FEATURES, OUT)
-    assert net(torch.randn(8, FEATURES)).shape == (8, 2, OUT)
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -172,8 +155,6 @@ def test_sizes_and_shapes_that_do_not_fit_are_refused():
         for shape in [(2, 8, FEATURES), (3, 8, FEATURES + 1), (3,), (FEATURES,)]:
             with pytest.raises(ValueError, match=r"input must have shape \[3, \*batch, 5\], got"):
                 net(torch.randn(shape, dtype=torch.double))
-    with pytest.raises(ValueError, match="mode must be one of"):
-        make()(torch.randn(FEATURES, dtype=torch.double), "mode")
 
 
 @pytest.mark.parametrize("replicas", [(), (2,)])
