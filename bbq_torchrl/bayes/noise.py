@@ -134,7 +134,7 @@ class NoisePool:
     Scalable Alternative to Reinforcement Learning"). Each draw is of independent standard normal
     numbers; two draws may share some of them, at different weights. Networks share none.
 
-    Draws with more dimensions than the replicas (one for each dialogue, say) have new noise, and so
+    Draws with more dimensions than the replicas (one for each episode, say) have new noise, and so
     have draws on devices other than the CPU, where noise costs little.
 
     Args:

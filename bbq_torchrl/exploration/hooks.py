@@ -11,7 +11,7 @@ class Resampled(Protocol):
     """A module that keeps something for a round, such as a draw of weights. Others keep nothing."""
 
     def resample(self) -> None:
-        """Draws anew; called before the dialogues of a round are played."""
+        """Draws anew; called before the episodes of a round are played."""
 
 
 class Annealed(Protocol):

@@ -15,7 +15,9 @@ from torch.distributions import Normal, kl_divergence
 from torch.nn.functional import softplus
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.objectives import HardUpdate
 
+from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
@@ -132,3 +134,20 @@ def test_settings_outside_of_what_is_listed_are_refused(setting, message):
 def test_a_network_without_posterior_is_refused():
     with pytest.raises(ValueError, match="network with Bayesian layers"):
         BBQNLoss(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)))
+
+
+def test_the_sampled_kl_moves_weights_that_no_data_reach():
+    # why the closed form is the default
+    net = BayesMLP(3, 2, ())
+    loss = BBQNLoss(q_actor(net, Categorical(2), action_mask_key=None), kl="sampled", num_data=50)
+    HardUpdate(loss, value_network_update_interval=0)
+    optimizer = torch.optim.Adam(loss.parameters(), 1e-3)
+    td = transitions()
+    zeros = torch.zeros(32, 3)
+    td["observation"], td["next", "observation"] = zeros, zeros
+    td["action"] = torch.zeros(32, dtype=torch.int64)
+    for _ in range(20):
+        optimizer.zero_grad()
+        loss(td)["loss"].backward()
+        optimizer.step()
+    assert (net.layout.unflatten(flat(loss, "mu"))[0][0] != 0).all()

@@ -7,7 +7,6 @@ import torch
 from q_transitions import ACTIONS, REPLICAS, noisy_loss, transitions
 from torch.func import functional_call
 from torchrl.data import Categorical
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
@@ -55,22 +54,6 @@ def test_value_and_gradient_are_those_of_the_definition(replicas, double_dqn, ki
         torch.autograd.grad(out["loss"], parameters),
         torch.autograd.grad(expected.sum(), parameters),
     )
-
-
-@pytest.mark.parametrize("exploration", [None, *ExplorationType])
-def test_noise_is_on_under_every_exploration_type(exploration):
-    # TorchRL runs forward under DETERMINISTIC, where its NoisyLinear is its mean
-    loss, _ = noisy_loss((2,), hidden=(8,))
-    td = transitions((2,))
-    with set_exploration_type(exploration):
-        out = loss(td)
-    out["loss"].backward()
-    for name, parameter in loss.named_parameters():
-        assert parameter.grad.any(), name
-    targets = [loss._td_target(td["next"], *loss._tensors()) for _ in range(2)]
-    going_on = ~td["next", "terminated"]
-    assert (targets[0] != targets[1])[going_on].any()
-    assert torch.equal(targets[0][~going_on], targets[1][~going_on])
 
 
 def test_a_network_without_noise_is_refused():

@@ -76,16 +76,6 @@ def test_only_the_scalar_loss_has_a_graph(case, replicas):
         assert out[key].requires_grad == (key == "loss")
 
 
-def test_squared_td_errors_are_written_for_prioritized_replay(case):
-    make, _, _ = case
-    loss, _ = make((3,))
-    td = transitions((3,))
-    out = loss(td)
-    assert td["td_error"].shape == (3, 32, 1)
-    if make is not heads_loss:  # a mean over heads there
-        torch.testing.assert_close(td["td_error"].sqrt().mean((1, 2)), out["td_error"])
-
-
 def test_it_can_be_called_with_tensors(case):
     make, _, out_keys = case
     loss, _ = make()
@@ -166,14 +156,6 @@ def test_the_dtype_can_change(case):
     assert out["loss"].dtype == torch.double
     for name in names:
         assert flat(loss, name).grad.dtype == torch.double
-
-
-def test_hard_updates_copy_at_each_step(case):
-    make, names, _ = case
-    loss, update = make((2,))
-    assert not any(torch.equal(flat(loss, n), flat(loss, n, target=True)) for n in names)
-    update.step()
-    assert all(torch.equal(flat(loss, n), flat(loss, n, target=True)) for n in names)
 
 
 def test_parameters_can_be_reset(case):

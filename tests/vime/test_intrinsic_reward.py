@@ -54,18 +54,6 @@ def test_each_replica_may_have_an_eta():
         transform((2,), eta=torch.tensor([1.0, -1.0]))
 
 
-def test_single_rows_can_be_added_and_stored_bonuses_are_kept():
-    vime = transform()
-    memory = buffer(vime)
-    for row in transitions(5):
-        memory.add(row)
-    assert len(memory) == 5
-    other = buffer(transform())
-    rows = memory._storage.get(slice(0, 5)).clone()
-    other.extend(rows)
-    assert torch.equal(other._storage.get(slice(0, 5))[BONUS], rows[BONUS])
-
-
 def test_keys_can_have_other_names():
     td = transitions(20)
     expected = transform()

@@ -6,7 +6,7 @@ from statistics import median_low
 
 import pytest
 import torch
-from rewarded import BONUS, REWARD, A, going_on, transform, transitions
+from rewarded import BONUS, REWARD, going_on, transform, transitions
 
 from bbq_torchrl.vime import information_gain
 
@@ -80,12 +80,9 @@ def test_mc_is_one_draw_a_store_and_map_none(weights):
     torch.testing.assert_close(gain, expected)
 
 
-def test_one_hot_actions_single_rows_and_batches_of_any_shape():
+def test_single_rows_and_batches_of_any_shape():
     td = transitions(12, end=0.0)
     expected = transform().inv(td)[BONUS]
-    one_hot = td.clone()
-    one_hot["action"] = torch.nn.functional.one_hot(td["action"], A)
-    assert torch.equal(transform().inv(one_hot)[BONUS], expected)
     assert torch.equal(transform().inv(td.reshape(3, 4))[BONUS], expected.reshape(3, 4, 1))
     assert transform().inv(td[0])[BONUS].shape == (1,)
     assert transform().inv(td[:0])[BONUS].shape == (0, 1)
