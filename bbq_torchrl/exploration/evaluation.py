@@ -34,7 +34,8 @@ class EvaluationPolicy(ActorPolicy):
         actor: a Q-value actor: a network and the choice of the action behind it.
 
     Keyword Args:
-        mode: "mean", Q at the mean weights (and without dropout); "average", the mean of Q over
+        mode: "mean", Q at the mean weights (without dropout, but for ``nn.Dropout``, which is as
+            ``eval()`` and ``train()`` say); "average", the mean of Q over
             ``num_draws`` weight draws; "draw", Q at one weight draw; "thompson", Q at new draws at
             every call, for each row its own, as ThompsonSampling(per="step") trains. The draws of
             "average" and "draw" are made at the first call, for each replica, and

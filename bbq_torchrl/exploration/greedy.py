@@ -14,7 +14,9 @@ __all__ = ["Greedy"]
 
 
 class Greedy(ActorPolicy):
-    """Acts greedily on the mean network (dropout off), whatever the exploration type.
+    """Acts greedily on the mean network, whatever the exploration type.
+
+    Dropout of this package's networks is off; ``nn.Dropout`` is as ``eval()`` and ``train()`` say.
 
     Args:
         actor: what chooses actions from values.

@@ -2,8 +2,7 @@
 
 from bbq_torchrl.objectives.bbqn import BBQNLoss
 from bbq_torchrl.objectives.bootstrap import BootstrapDQNLoss
-from bbq_torchrl.objectives.dqn import DropoutDQNLoss
-from bbq_torchrl.objectives.noisy import NoisyDQNLoss
+from bbq_torchrl.objectives.dqn import DropoutDQNLoss, NoisyDQNLoss
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 __all__ = [

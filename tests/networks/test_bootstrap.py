@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.func import functional_call, grad, stack_module_state, vmap
 
-from bbq_torchrl.networks import BootstrapMLP
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP
 from bbq_torchrl.networks.growth import reset_inactive_
 
 FEATURES, OUT, HIDDEN, HEADS = 5, 3, (7, 6), 4
@@ -157,8 +157,13 @@ def test_sizes_and_shapes_that_do_not_fit_are_refused():
                 net(torch.randn(shape, dtype=torch.double))
 
 
+def flat_mlp(replicas, **_):
+    return FlatMLP(FEATURES, OUT, HIDDEN, replicas=replicas, dtype=torch.double)
+
+
 @pytest.mark.parametrize("replicas", [(), (2,)])
-def test_gradients_and_loops_by_torch_func_are_autograds(replicas):
+@pytest.mark.parametrize("make", [make, flat_mlp])
+def test_gradients_and_loops_by_torch_func_are_autograds(make, replicas):
     nets = [make(replicas, trunk_layers=1, prior_scale=0.5) for _ in range(3)]
     x = torch.randn(*replicas, 8, FEATURES, dtype=torch.double)
 
