@@ -6,18 +6,19 @@ import hashlib
 import re
 import threading
 import unicodedata
+from contextlib import contextmanager
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.study.outcome import Judge
-from bbq_torchrl.study.records import SCALES
+from bbq_torchrl.study.records import SCALES, current
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from bbq_torchrl.domains import Goal
     from bbq_torchrl.study.plan import Study
-    from bbq_torchrl.study.records import Person, Session, StoredExchange
+    from bbq_torchrl.study.records import Session, StoredExchange
     from bbq_torchrl.study.store import Store
     from bbq_torchrl.study.talk import Frame, Talker
 
@@ -77,22 +78,17 @@ class Conversations:
             )
         return token
 
-    def goal(self, session: Session) -> Goal:
-        """Returns the goal on the card."""
-        return self._talker.domain.goals[session.goal - 1]
-
-    def say(self, person: Person, form: Mapping[str, str]) -> None:
+    def say(self, token: str, form: Mapping[str, str]) -> None:
         """Answers a person's text. A message that was answered already changes nothing.
 
         Raises:
             RefusedError: with what the person may do instead.
         """
-        nonce, session = _nonce(form), _session(person, form)
-        with self._locks[session.id % _LOCKS]:
-            if self._store.has_message(session.id, nonce):
-                return
+        with self._step(token, form) as (session, nonce):
             exchanges = self._store.exchanges(session.id)
-            if self._is_ended(session):
+            if any(item.nonce == nonce for item in exchanges):
+                return
+            if session.is_ended:
                 raise RefusedError(
                     HTTPStatus.CONFLICT, "That conversation has ended; your message was not sent."
                 )
@@ -109,36 +105,33 @@ class Conversations:
             said = [*_frames(exchanges), (reply.heard, reply.said)]
             end = None
             if reply.ended:
-                end = ("agent", self._judge.verdict(self.goal(session), said))
+                end = ("agent", self._judge.verdict(self._goal(session), said))
             elif number >= self._study.terms.max_turns:
-                end = ("turns", self._judge.verdict(self.goal(session), said, in_time=False))
+                end = ("turns", self._judge.verdict(self._goal(session), said, in_time=False))
             self._store.add_exchange(session, number, nonce, text, reply, end)
 
-    def end(self, person: Person, form: Mapping[str, str]) -> None:
+    def end(self, token: str, form: Mapping[str, str]) -> None:
         """Ends a conversation, as the person wishes. One that has ended stays so.
 
         Raises:
             RefusedError: nothing was said yet.
         """
-        _nonce(form)
-        session = _session(person, form)
-        with self._locks[session.id % _LOCKS]:
+        with self._step(token, form) as (session, _):
             exchanges = self._store.exchanges(session.id)
             if not exchanges:
                 raise RefusedError(
                     HTTPStatus.CONFLICT, "Please say something to the assistant before you end."
                 )
-            verdict = self._judge.verdict(self.goal(session), _frames(exchanges))
+            verdict = self._judge.verdict(self._goal(session), _frames(exchanges))
             self._store.end(session, "person", verdict)
 
-    def rate(self, person: Person, form: Mapping[str, str]) -> None:
+    def rate(self, token: str, form: Mapping[str, str]) -> None:
         """Stores a person's ratings. The same form sent again changes nothing.
 
         Raises:
             RefusedError: a rating is missing or out of range, or it was rated before.
         """
-        nonce, session = _nonce(form), _session(person, form)
-        with self._locks[session.id % _LOCKS]:
+        with self._step(token, form) as (session, nonce):
             rated = self._store.rating_nonce(session.id)
             if rated == nonce:
                 return
@@ -147,7 +140,7 @@ class Conversations:
                     HTTPStatus.CONFLICT,
                     "You have rated this conversation already; your first ratings count.",
                 )
-            if not self._is_ended(session):
+            if not session.is_ended:
                 raise RefusedError(
                     HTTPStatus.CONFLICT, "Please end the conversation before you rate it."
                 )
@@ -160,9 +153,15 @@ class Conversations:
                 )
             self._store.rate(session, nonce, scales, verdict)
 
-    def _is_ended(self, session: Session) -> bool:
-        found = self._store.session(session.id)
-        return found is not None and found.is_ended
+    @contextmanager
+    def _step(self, token: str, form: Mapping[str, str]) -> Iterator[tuple[Session, str]]:
+        """Yields session and nonce of a form; a person takes one step at a time."""
+        nonce = _nonce(form)
+        with self._locks[hash(token) % _LOCKS]:
+            yield _session(self._store.sessions(token), form), nonce
+
+    def _goal(self, session: Session) -> Goal:
+        return self._talker.domain.goals[session.goal - 1]
 
 
 def clean(text: str) -> str:
@@ -214,13 +213,13 @@ def _nonce(form: Mapping[str, str]) -> str:
     return nonce
 
 
-def _session(person: Person, form: Mapping[str, str]) -> Session:
-    """Returns the session that a form is of: the current one or an earlier one."""
-    given = form.get("session", "")
-    for session in person.sessions:
+def _session(sessions: Sequence[Session], form: Mapping[str, str]) -> Session:
+    """Returns the session that a form is of: a person's current one or an earlier one."""
+    given, now = form.get("session", ""), current(sessions)
+    for session in sessions:
         if str(session.position) == given:
             return session
-        if session == person.current:
+        if session is now:
             break
     raise RefusedError(
         HTTPStatus.BAD_REQUEST,

@@ -121,6 +121,7 @@ def _lines(results: Results) -> Iterable[str]:
             said["heard"]["informs"] = {
                 slot: without_names(value) for slot, value in stored.heard.informs.items()
             }
-            del said["state"]  # the talker's own, and it may repeat texts
+            del said["state"], said["nonce"]  # the talker's own may repeat texts
+        del content["messages"]
         line = {**content, "simulated": results.simulated}
         yield json.dumps(line, ensure_ascii=False) + "\n"

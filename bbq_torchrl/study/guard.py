@@ -7,7 +7,8 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import MutableHeaders
+from starlette.requests import ClientDisconnect, Request
 
 from bbq_torchrl.study.conversations import RefusedError
 
@@ -73,70 +74,68 @@ class Guard:
         app: ASGIApp = self._app
         if scope["method"] not in ("GET", "HEAD"):
             try:
-                scope.setdefault("state", {})["form"] = await self._form(scope, receive)
+                scope.setdefault("state", {})["form"] = await _form(Request(scope, receive))
+            except ClientDisconnect:
+                return  # half a form is none, and nobody reads an answer
             except RefusedError as error:
                 app = self._page(error.status, str(error))
                 app.headers["connection"] = "close"
         await app(scope, receive, send_with_headers)
 
-    async def _form(self, scope: Scope, receive: Receive) -> dict[str, str]:
-        """Returns the fields of a form.
 
-        Raises:
-            RefusedError: it is not one to read.
-        """
-        headers = Headers(scope=scope)
-        origin = headers.get("origin")
-        try:
-            is_foreign = origin is not None and urlsplit(origin).netloc != headers.get("host")
-        except ValueError:
-            is_foreign = True
-        if is_foreign:
-            raise RefusedError(HTTPStatus.FORBIDDEN, "This form was sent from another site.")
-        kind = headers.get("content-type", "").partition(";")[0].strip().lower()
-        if kind != "application/x-www-form-urlencoded":
-            raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected.")
-        try:
-            body = await asyncio.wait_for(_body(receive), BODY_SECONDS)
-        except asyncio.TimeoutError:
-            raise RefusedError(
-                HTTPStatus.REQUEST_TIMEOUT,
-                f"The form took more than {BODY_SECONDS:g} seconds to arrive: send it again.",
-            ) from None
-        if body is None:
-            raise RefusedError(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-                f"The form is too large: {MAX_BODY:,} bytes are allowed.",
-            )
-        try:
-            fields = parse_qsl(
-                body.decode("latin-1"),
-                keep_blank_values=True,
-                encoding="utf-8",
-                errors="replace",
-                max_num_fields=MAX_FIELDS,
-            )
-        except ValueError:
-            text = f"The form has more than {MAX_FIELDS} fields."
-            raise RefusedError(HTTPStatus.BAD_REQUEST, text) from None
-        form = dict(fields)
-        if len(form) < len(fields):
-            raise RefusedError(HTTPStatus.BAD_REQUEST, "The form has a field twice.")
-        return form
+async def _form(request: Request) -> dict[str, str]:
+    """Returns the fields of a form.
+
+    Raises:
+        ClientDisconnect: it has not arrived.
+        RefusedError: it is not one to read.
+    """
+    origin = request.headers.get("origin")
+    try:
+        is_foreign = origin is not None and urlsplit(origin).netloc != request.headers.get("host")
+    except ValueError:
+        is_foreign = True
+    if is_foreign:
+        raise RefusedError(HTTPStatus.FORBIDDEN, "This form was sent from another site.")
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != "application/x-www-form-urlencoded":
+        raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected.")
+    try:
+        body = await asyncio.wait_for(_body(request), BODY_SECONDS)
+    except asyncio.TimeoutError:
+        raise RefusedError(
+            HTTPStatus.REQUEST_TIMEOUT,
+            f"The form took more than {BODY_SECONDS:g} seconds to arrive: send it again.",
+        ) from None
+    if body is None:
+        raise RefusedError(
+            HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+            f"The form is too large: {MAX_BODY:,} bytes are allowed.",
+        )
+    try:
+        fields = parse_qsl(
+            body.decode("latin-1"),
+            keep_blank_values=True,
+            encoding="utf-8",
+            errors="replace",
+            max_num_fields=MAX_FIELDS,
+        )
+    except ValueError:
+        text = f"The form has more than {MAX_FIELDS} fields."
+        raise RefusedError(HTTPStatus.BAD_REQUEST, text) from None
+    form = dict(fields)
+    if len(form) < len(fields):
+        raise RefusedError(HTTPStatus.BAD_REQUEST, "The form has a field twice.")
+    return form
 
 
-async def _body(receive: Receive) -> bytes | None:
-    """Returns a request's body, ``None`` for one that is too large; reads no more than it keeps."""
-    chunks: list[bytes] = []
-    size, more = 0, True
-    while more and size <= MAX_DISCARDED:
-        message = await receive()
-        if message["type"] == "http.disconnect":
+async def _body(request: Request) -> bytes | None:
+    """Returns a request's body, ``None`` for one that is too large; keeps no more than it needs."""
+    body, size = b"", 0
+    async for chunk in request.stream():
+        size += len(chunk)
+        if size > MAX_DISCARDED:
             break
-        chunk = message.get("body", b"")
-        size, more = size + len(chunk), message.get("more_body", False)
         if size <= MAX_BODY:
-            chunks.append(chunk)
-        else:
-            chunks.clear()
-    return None if size > MAX_BODY else b"".join(chunks)
+            body += chunk
+    return body if size <= MAX_BODY else None

@@ -1,4 +1,4 @@
-"""What is stored of a study, as objects: people, their sessions and what was said in them."""
+"""What is stored of a study, as objects: people's sessions and what was said in them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.study.talk import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
-__all__ = ["EXCHANGES", "SCALES", "SESSIONS", "Person", "Session", "StoredExchange"]
+__all__ = ["EXCHANGES", "SCALES", "SESSIONS", "Session", "StoredExchange", "current"]
 
 SCALES = ("overall", "naturalness", "coherence", "completion")
 """What people rate from 1 to 5; the first is the paper's one figure."""
@@ -30,6 +30,7 @@ class StoredExchange:
         said: the agent's act.
         beliefs: the agent's, as plain data.
         state: the talker's.
+        nonce: of the person's message.
     """
 
     number: int
@@ -40,66 +41,93 @@ class StoredExchange:
     said: Frame
     beliefs: Mapping[str, Any] | None
     state: str
+    nonce: str
 
     @classmethod
     def of(cls, row: tuple[Any, ...]) -> StoredExchange:
         """Returns the exchange in a row of :data:`EXCHANGES`."""
-        number, at, text, answer, heard, said, beliefs, state = row
+        number, at, text, answer, heard, said, beliefs, state, nonce = row
         frames = Frame.of(json.loads(heard)), Frame.of(json.loads(said))
         content = None if beliefs is None else json.loads(beliefs)
-        return cls(number, at, text, answer, *frames, content, state)
-
-
-@dataclass(frozen=True)
-class Session:
-    """A conversation that a person has, or is to have.
-
-    Attributes:
-        id: in the file.
-        position: among the person's sessions, from 1.
-        agent: its name.
-        goal: number of the goal in the domain, from 1.
-        is_ended: nothing more is said.
-        is_rated: the person has rated it.
-    """
-
-    id: int
-    position: int
-    agent: str
-    goal: int
-    is_ended: bool
-    is_rated: bool
-
-    @classmethod
-    def of(cls, row: tuple[Any, ...]) -> Session:
-        """Returns the session in a row of :data:`SESSIONS`."""
-        return cls(*row[:4], *map(bool, row[4:]))
-
-
-@dataclass(frozen=True)
-class Person:
-    """Somebody who takes part.
-
-    Attributes:
-        sessions: first to last.
-    """
-
-    sessions: tuple[Session, ...]
-
-    @property
-    def current(self) -> Session | None:
-        """The first session that is not rated; ``None`` after the last."""
-        return next((session for session in self.sessions if not session.is_rated), None)
+        return cls(number, at, text, answer, *frames, content, state, nonce)
 
 
 EXCHANGES = """
-    SELECT number, at, text, answer, heard, said, beliefs, state FROM exchange
+    SELECT number, at, text, answer, heard, said, beliefs, state, nonce FROM exchange
     WHERE session = ? ORDER BY number
 """
 """Selects of a session what :meth:`StoredExchange.of` takes, first to last."""
 
-SESSIONS = """
-    SELECT session.id, position, agent, goal, ended IS NOT NULL, rating.session IS NOT NULL
+
+@dataclass(frozen=True)
+class Session:
+    """A conversation that a person has had, has, or is to have.
+
+    Attributes:
+        id: in the file.
+        person: whose it is.
+        position: among the person's sessions, from 1.
+        agent: its name.
+        goal: number of the goal in the domain, from 1.
+        ended_by: ``agent``, ``person`` or ``turns``; ``None`` where it has not ended.
+        success: the judge's verdict; false where it has not ended.
+        reasons: why it was no success.
+        ratings: scale to 1 to 5; ``None`` where the person has not rated.
+        verdict: the person's own; ``None`` where they have not rated.
+        messages: how many the person has sent.
+    """
+
+    id: int
+    person: str
+    position: int
+    agent: str
+    goal: int
+    ended_by: str | None
+    success: bool
+    reasons: tuple[str, ...]
+    ratings: Mapping[str, int] | None
+    verdict: bool | None
+    messages: int
+
+    @property
+    def is_ended(self) -> bool:
+        """Nothing more is said."""
+        return self.ended_by is not None
+
+    @property
+    def is_rated(self) -> bool:
+        """The person has rated it."""
+        return self.ratings is not None
+
+    @classmethod
+    def of(cls, row: tuple[Any, ...]) -> Session:
+        """Returns the session in a row of :data:`SESSIONS`."""
+        number, person, position, agent, goal, ended_by, success, reasons, *rest = row
+        verdict, messages, *scales = rest
+        is_rated = verdict is not None
+        return cls(
+            id=number,
+            person=str(person),
+            position=position,
+            agent=agent,
+            goal=goal,
+            ended_by=ended_by,
+            success=bool(success),
+            reasons=tuple(json.loads(reasons or "[]")),
+            ratings=dict(zip(SCALES, scales, strict=True)) if is_rated else None,
+            verdict=bool(verdict) if is_rated else None,
+            messages=messages,
+        )
+
+
+SESSIONS = f"""
+    SELECT session.id, person, position, agent, goal, ended_by, session.success, reasons, verdict,
+           (SELECT COUNT(*) FROM exchange WHERE exchange.session = session.id), {", ".join(SCALES)}
     FROM session LEFT JOIN rating ON rating.session = session.id
 """
 """Selects what :meth:`Session.of` takes."""
+
+
+def current(sessions: Sequence[Session]) -> Session | None:
+    """Returns the first session that is not rated; ``None`` after a person's last."""
+    return next((session for session in sessions if not session.is_rated), None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,11 +11,10 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.study.database import reading
 from bbq_torchrl.study.plan import Terms
-from bbq_torchrl.study.records import EXCHANGES, SCALES, StoredExchange
+from bbq_torchrl.study.records import EXCHANGES, SESSIONS, Session, StoredExchange
 
 if TYPE_CHECKING:
-    import sqlite3
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
 
@@ -24,33 +22,13 @@ __all__ = ["Result", "Results", "read_results"]
 
 
 @dataclass(frozen=True)
-class Result:
-    """An ended session.
+class Result(Session):
+    """An ended session; its person is a name that tells nothing: ``P1``, ``P2``, ...
 
     Attributes:
-        id: in the file.
-        person: a name that tells nothing: ``P1``, ``P2``, ...
-        position: among the person's sessions, from 1.
-        agent: its name.
-        goal: number of the goal, from 1.
-        ended_by: ``agent``, ``person`` or ``turns``.
-        success: the judge's verdict.
-        reasons: why it was none.
-        ratings: scale to 1 to 5; ``None`` where the person has not rated.
-        verdict: the person's own; ``None`` where they have not rated.
         exchanges: what was said.
     """
 
-    id: int
-    person: str
-    position: int
-    agent: str
-    goal: int
-    ended_by: str
-    success: bool
-    reasons: tuple[str, ...]
-    ratings: Mapping[str, int] | None
-    verdict: bool | None
     exchanges: tuple[StoredExchange, ...]
 
     @property
@@ -163,52 +141,27 @@ def read_results(data: Path) -> Results:
             "SELECT terms, package, simulated FROM study"
         ).fetchone()
         people = connection.execute("SELECT id, token FROM person").fetchall()
-        [(begun,)] = connection.execute(
-            "SELECT COUNT(DISTINCT session) FROM exchange JOIN session ON session.id = session "
-            "WHERE ended IS NULL"
-        )
+        names = _names(people)
+        sessions = [
+            Session.of(row) for row in connection.execute(f"{SESSIONS} ORDER BY session.id")
+        ]
+
+        def result(session: Session) -> Result:
+            rows = connection.execute(EXCHANGES, (session.id,))
+            exchanges = tuple(map(StoredExchange.of, rows))
+            return Result(**{**vars(session), "person": names[session.person]}, exchanges=exchanges)
+
         return Results(
             terms=Terms.of(terms),
             package=package,
             simulated=bool(simulated),
             enrolled=len(people),
-            open=begun,
-            sessions=tuple(_sessions(connection, _names(people))),
+            open=sum(session.messages > 0 and not session.is_ended for session in sessions),
+            sessions=tuple(result(session) for session in sessions if session.is_ended),
         )
 
 
-def _names(people: Sequence[tuple[int, str]]) -> dict[int, str]:
+def _names(people: Sequence[tuple[int, str]]) -> dict[str, str]:
     """Returns names in an order that tells nothing of who came when."""
     by_chance = sorted(people, key=lambda person: hashlib.sha256(person[1].encode()).digest())
-    return {person: f"P{number}" for number, (person, _) in enumerate(by_chance, start=1)}
-
-
-def _sessions(connection: sqlite3.Connection, names: Mapping[int, str]) -> list[Result]:
-    rows = connection.execute(
-        f"""
-        SELECT id, person, position, agent, goal, ended_by, session.success, reasons,
-               verdict, {", ".join(SCALES)}
-        FROM session LEFT JOIN rating ON rating.session = session.id
-        WHERE ended IS NOT NULL ORDER BY id
-        """
-    ).fetchall()
-    found = []
-    for row in rows:
-        number, person, position, agent, goal, ended_by, success, reasons, verdict, *scales = row
-        is_rated = verdict is not None
-        found.append(
-            Result(
-                id=number,
-                person=names[person],
-                position=position,
-                agent=agent,
-                goal=goal,
-                ended_by=ended_by,
-                success=bool(success),
-                reasons=tuple(json.loads(reasons)),
-                ratings=dict(zip(SCALES, scales, strict=True)) if is_rated else None,
-                verdict=bool(verdict) if is_rated else None,
-                exchanges=tuple(map(StoredExchange.of, connection.execute(EXCHANGES, (number,)))),
-            )
-        )
-    return found
+    return {str(person): f"P{number}" for number, (person, _) in enumerate(by_chance, start=1)}

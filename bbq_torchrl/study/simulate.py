@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Protocol
 
 from bbq_torchrl.study.conversations import Conversations, seed_of
 from bbq_torchrl.study.rating import drawn_ratings
+from bbq_torchrl.study.records import current
 from bbq_torchrl.study.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bbq_torchrl.study.plan import Study
-    from bbq_torchrl.study.records import Person, Session
+    from bbq_torchrl.study.records import Session
     from bbq_torchrl.study.talk import Frame, Talker
 
 __all__ = ["User", "simulate"]
@@ -78,16 +79,16 @@ def simulate(
         for place in range(wanted):
             clock.now = begin = place * _DAY
             token = conversations.enrol({"nonce": _nonce(seed, place), "consent": "yes"})
-            while (person := store.person(token)) and (session := person.current):
+            while (session := current(store.sessions(token))) is not None:
                 clock.now = begin + session.position * _HOUR
                 drawn = seed_of(seed, place, session.position)
                 user = users(session.goal, drawn)
-                messages = _converse(conversations, store, clock, person, session, user)
+                messages = _converse(conversations, store, clock, token, session, user)
                 ratings = drawn_ratings(user.satisfied, messages, drawn)
                 form = {"nonce": _nonce(drawn, "rating"), "session": str(session.position)}
                 form |= {name: str(rating) for name, rating in ratings.items()}
                 form["verdict"] = "yes" if user.satisfied else "no"
-                conversations.rate(person, form)
+                conversations.rate(token, form)
             if (place + 1) % 10 == 0 or place + 1 == wanted:
                 tell(f"{place + 1} of {wanted} simulated users have taken part")
 
@@ -96,7 +97,7 @@ def _converse(
     conversations: Conversations,
     store: Store,
     clock: _Clock,
-    person: Person,
+    token: str,
     session: Session,
     user: User,
 ) -> int:
@@ -106,7 +107,7 @@ def _converse(
         number += 1
         clock.now += _PAUSE
         form = {"nonce": _nonce(session.id, number), "session": str(session.position)}
-        conversations.say(person, {**form, "turn": str(number), "text": user.say(said)})
+        conversations.say(token, {**form, "turn": str(number), "text": user.say(said)})
         exchanges = store.exchanges(session.id)
         said = exchanges[number - 1].said
         found = store.session(session.id)

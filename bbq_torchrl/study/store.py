@@ -8,18 +8,19 @@ import json
 import secrets
 import time
 from base64 import urlsafe_b64encode
+from contextlib import contextmanager
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import bbq_torchrl
 from bbq_torchrl.study.database import Database, StoreError
 from bbq_torchrl.study.design import assignments
 from bbq_torchrl.study.plan import Terms
-from bbq_torchrl.study.records import EXCHANGES, SCALES, SESSIONS, Person, Session, StoredExchange
+from bbq_torchrl.study.records import EXCHANGES, SCALES, SESSIONS, Session, StoredExchange
 
 if TYPE_CHECKING:
     import sqlite3
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from bbq_torchrl.study.outcome import Verdict
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["Store"]
 
 
-class Store:
+class Store(Database):
     """The data of a study, in one SQLite file.
 
     Whatever a method has written is on the disk when it returns.
@@ -55,10 +56,10 @@ class Store:
         secret: str | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
+        super().__init__(path)
         self._terms, self._clock = terms, clock
-        self._database = Database(path)
         try:
-            with self._database.transaction() as connection:
+            with self.transaction() as connection:
                 self._secret = self._begin(connection, fingerprints, simulated, secret)
         except BaseException:
             self.close()
@@ -97,7 +98,7 @@ class Store:
         ]
         if faults:
             advice = "a study goes on as it was begun; a changed one needs a new file name"
-            raise StoreError(self._database.path, *(f"{fault} ({advice})" for fault in faults))
+            raise StoreError(self.path, *(f"{fault} ({advice})" for fault in faults))
         connection.execute("UPDATE study SET terms = ?", (self._terms.text(),))
         return str(found[2])
 
@@ -105,10 +106,6 @@ class Store:
         """Returns an unguessable word that is the same each time: of a link, say."""
         digest = hmac.digest(self._secret.encode(), purpose.encode(), "sha256")
         return urlsafe_b64encode(digest[:24]).decode()
-
-    def close(self) -> None:
-        """Closes the file."""
-        self._database.close()
 
     # -- people ------------------------------------------------------------------------------------
 
@@ -119,7 +116,7 @@ class Store:
         lowest goes first. The same nonce gets the same token.
         """
         token, now = self.key(f"person {nonce}"), self._clock()
-        with self._database.transaction() as connection:
+        with self.transaction() as connection:
             known = "SELECT id FROM person WHERE token = ?"
             if connection.execute(known, (_hashed(token),)).fetchone():
                 return token
@@ -141,11 +138,10 @@ class Store:
             )
         return token
 
-    def person(self, token: str) -> Person | None:
-        """Returns the person who has the token; ``None`` if nobody has."""
+    def sessions(self, token: str) -> list[Session]:
+        """Returns the sessions of the person who has the token, none if nobody has."""
         whose = "WHERE person = (SELECT id FROM person WHERE token = ?) ORDER BY position"
-        rows = self._database.rows(f"{SESSIONS} {whose}", _hashed(token))
-        return Person(tuple(map(Session.of, rows))) if rows else None
+        return list(map(Session.of, self.rows(f"{SESSIONS} {whose}", _hashed(token))))
 
     def _idle_since(self, now: float) -> float:
         return now - 60 * self._terms.idle_minutes
@@ -154,17 +150,7 @@ class Store:
 
     def exchanges(self, session: int) -> list[StoredExchange]:
         """Returns what was said in a session, first to last."""
-        return list(map(StoredExchange.of, self._database.rows(EXCHANGES, session)))
-
-    def texts(self, session: int) -> list[tuple[str, str]]:
-        """Returns what both said in a session: all that people see of an exchange."""
-        query = "SELECT text, answer FROM exchange WHERE session = ? ORDER BY number"
-        return [(text, answer) for text, answer in self._database.rows(query, session)]
-
-    def has_message(self, session: int, nonce: str) -> bool:
-        """Returns whether a message has been stored."""
-        query = "SELECT 1 FROM exchange WHERE session = ? AND nonce = ?"
-        return bool(self._database.rows(query, session, nonce))
+        return list(map(StoredExchange.of, self.rows(EXCHANGES, session)))
 
     def add_exchange(
         self,
@@ -186,8 +172,7 @@ class Store:
             end: who or what ended the conversation, and the verdict; ``None`` if it goes on.
         """
         beliefs = None if reply.beliefs is None else json.dumps(asdict(reply.beliefs))
-        with self._database.transaction() as connection:
-            now = self._clock()
+        with self._step(session) as (connection, now):
             connection.execute(
                 "INSERT INTO exchange VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 (
@@ -198,53 +183,50 @@ class Store:
             )
             if end is not None:
                 _end(connection, session.id, now, *end)
-            _touch(connection, session.id, now)
 
     def end(self, session: Session, ended_by: str, verdict: Verdict) -> None:
         """Stores that a conversation has ended; nothing if it had."""
-        with self._database.transaction() as connection:
-            now = self._clock()
+        with self._step(session) as (connection, now):
             _end(connection, session.id, now, ended_by, verdict)
-            _touch(connection, session.id, now)
+
+    @contextmanager
+    def _step(self, session: Session) -> Iterator[tuple[sqlite3.Connection, float]]:
+        """Runs a block as one transaction, at the time of which the person is at work."""
+        with self.transaction() as connection:
+            now = self._clock()
+            yield connection, now
+            whose = "(SELECT person FROM session WHERE id = ?)"
+            connection.execute(
+                f"UPDATE person SET active = ? WHERE id = {whose}", (now, session.id)
+            )
 
     # -- ratings -----------------------------------------------------------------------------------
 
     def rating_nonce(self, session: int) -> str | None:
         """Returns the nonce of the session's rating; ``None`` before it is rated."""
-        rows = self._database.rows("SELECT nonce FROM rating WHERE session = ?", session)
+        rows = self.rows("SELECT nonce FROM rating WHERE session = ?", session)
         return rows[0][0] if rows else None
 
     def rate(self, session: Session, nonce: str, scales: Mapping[str, int], verdict: bool) -> None:
         """Stores a person's ratings (see :data:`SCALES`) and own verdict."""
-        with self._database.transaction() as connection:
-            now = self._clock()
+        with self._step(session) as (connection, now):
             connection.execute(
                 "INSERT INTO rating VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
                 (session.id, nonce, now, *(scales[name] for name in SCALES), int(verdict)),
             )
-            _touch(connection, session.id, now)
 
     # -- the researcher's view ---------------------------------------------------------------------
 
-    def progress(self) -> tuple[dict[str, int], list[tuple[Any, ...]]]:
+    def progress(self) -> tuple[dict[str, int], list[Session]]:
         """Returns how far the study is.
 
         Returns:
             How many people there are, by ``wanted``, ``enrolled``, ``finished``, ``active`` and
-            ``left``; and for every session id, person, position, agent, goal, exchanges, whether
-            it has ended, and whether it is rated.
+            ``left``; and all sessions.
         """
-        rows = self._database.rows(
-            """
-            SELECT session.id, person, position, agent, goal,
-                   (SELECT COUNT(*) FROM exchange WHERE exchange.session = session.id),
-                   ended IS NOT NULL, rating.session IS NOT NULL
-            FROM session LEFT JOIN rating ON rating.session = session.id
-            ORDER BY person, position
-            """
-        )
+        rows = self.rows(f"{SESSIONS} ORDER BY person, position")
         query = f"SELECT active > ?, {_IS_FINISHED} FROM person"
-        people = self._database.rows(query, self._idle_since(self._clock()))
+        people = self.rows(query, self._idle_since(self._clock()))
         finished = sum(done for _, done in people)
         active = sum(recent and not done for recent, done in people)
         counts = {
@@ -254,11 +236,11 @@ class Store:
             "active": active,
             "left": len(people) - finished - active,
         }
-        return counts, rows
+        return counts, list(map(Session.of, rows))
 
     def session(self, number: int) -> Session | None:
         """Returns a session by its id; ``None`` if there is none."""
-        rows = self._database.rows(f"{SESSIONS} WHERE session.id = ?", number)
+        rows = self.rows(f"{SESSIONS} WHERE session.id = ?", number)
         return Session.of(rows[0]) if rows else None
 
 
@@ -276,13 +258,6 @@ def _end(
         "UPDATE session SET ended = ?, ended_by = ?, success = ?, reasons = ? "
         "WHERE id = ? AND ended IS NULL",
         (now, ended_by, int(verdict.success), json.dumps(verdict.reasons), session),
-    )
-
-
-def _touch(connection: sqlite3.Connection, session: int, now: float) -> None:
-    connection.execute(
-        "UPDATE person SET active = ? WHERE id = (SELECT person FROM session WHERE id = ?)",
-        (now, session),
     )
 
 

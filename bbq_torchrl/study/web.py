@@ -6,21 +6,21 @@ import hmac
 import logging
 import secrets
 from http import HTTPStatus
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.responses import FileResponse, HTMLResponse, RedirectResponse
-from starlette.routing import Route
+from starlette.responses import HTMLResponse, RedirectResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
 
 from bbq_torchrl.study.conversations import MAX_TEXT, Conversations, RefusedError
 from bbq_torchrl.study.database import StoreError
 from bbq_torchrl.study.guard import Guard
 from bbq_torchrl.study.outcome import card
-from bbq_torchrl.study.records import SCALES
+from bbq_torchrl.study.records import SCALES, current
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
     from bbq_torchrl.study.plan import Study
-    from bbq_torchrl.study.records import Person
+    from bbq_torchrl.study.records import Session
     from bbq_torchrl.study.store import Store
     from bbq_torchrl.study.talk import Talker
 
@@ -75,18 +75,11 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         Route("/p/{token}/{step}", pages.step, methods=["POST"]),
         Route("/r/{key}", pages.progress),
         Route("/r/{key}/{session:int}", pages.transcript),
-        Route("/static/{name}", _static),
+        Mount("/static", StaticFiles(packages=[("bbq_torchrl.study", "static")])),
     ]
     handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
     guard = Middleware(Guard, page=pages.message)
     return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
-
-
-def _static(request: Request) -> Response:
-    name = request.path_params["name"]
-    if name not in ("study.css", "study.js"):
-        raise HTTPException(HTTPStatus.NOT_FOUND)
-    return FileResponse(Path(__file__).parent / "static" / name)
 
 
 class _Pages:
@@ -115,23 +108,18 @@ class _Pages:
 
     def now(self, request: Request) -> Response:
         """What the person does next."""
-        return self._page(request.path_params["token"], self._person(request))
+        return self._page(self._token(request))
 
     def step(self, request: Request) -> Response:
         """Takes a step, then shows what comes next; a refused one keeps what was given."""
-        token, person, form = (
-            request.path_params["token"],
-            self._person(request),
-            request.state.form,
-        )
+        token, form = self._token(request), request.state.form
         take = self._steps.get(request.path_params["step"])
         if take is None:
             raise HTTPException(HTTPStatus.NOT_FOUND)
         try:
-            take(person, form)
+            take(token, form)
         except RefusedError as error:
-            person = self._person(request)  # as it is by now
-            return self._page(token, person, error.status, str(error), form)
+            return self._page(token, error.status, str(error), form)
         except StoreError:
             _log.exception("a step could not be stored")
             status = HTTPStatus.SERVICE_UNAVAILABLE
@@ -142,20 +130,20 @@ class _Pages:
             problem = "The assistant could not answer. Please send your message again."
         else:
             return _to(token)
-        return self._page(token, person, status, problem, form, keep_nonce=True)
+        return self._page(token, status, problem, form, keep_nonce=True)
 
     def _page(
         self,
         token: str,
-        person: Person,
         status: HTTPStatus = HTTPStatus.OK,
         problem: str = "",
         form: Mapping[str, str] | None = None,
         *,
         keep_nonce: bool = False,
     ) -> Response:
-        session, form = person.current, form or {}
-        if session is None:
+        """Returns the page of what the person does next."""
+        sessions, form = self._store.sessions(token), form or {}
+        if (session := current(sessions)) is None:
             return self._html("done", status, problem=problem)
         # A text that was refused is kept, one of an earlier conversation is not.
         given = form if form.get("session") == str(session.position) else {}
@@ -165,20 +153,21 @@ class _Pages:
             token=token,
             problem=problem,
             session=session.position,
-            sessions=len(person.sessions),
-            card=card(self._conversations.goal(session), self._talker.labels),
-            exchanges=self._store.texts(session.id),
+            sessions=len(sessions),
+            card=self._card(session),
+            exchanges=[(said.text, said.answer) for said in self._store.exchanges(session.id)],
             nonce=form.get("nonce", "") if keep_nonce else _new_nonce(),
             given=given,
             max_text=MAX_TEXT,
             questions={name: QUESTIONS[name] for name in SCALES},
         )
 
-    def _person(self, request: Request) -> Person:
-        person = self._store.person(request.path_params["token"])
-        if person is None:
+    def _token(self, request: Request) -> str:
+        """Returns the token of somebody who takes part."""
+        token: str = request.path_params["token"]
+        if not self._store.sessions(token):
             raise HTTPException(HTTPStatus.NOT_FOUND)
-        return person
+        return token
 
     # -- the researcher ----------------------------------------------------------------------------
 
@@ -186,15 +175,15 @@ class _Pages:
         """How far the study is. Outcomes by agent are in the report: looking early misleads."""
         self._check(request, RESEARCHER)
         counts, sessions = self._store.progress()
+        begun = [session for session in reversed(sessions) if session.messages]
         agents = {
             agent: {
-                "begun": sum(row[3] == agent and row[5] > 0 for row in sessions),
-                "ended": sum(row[3] == agent and row[6] for row in sessions),
-                "rated": sum(row[3] == agent and row[7] for row in sessions),
+                "begun": sum(item.agent == agent for item in begun),
+                "ended": sum(item.agent == agent and item.is_ended for item in begun),
+                "rated": sum(item.agent == agent and item.is_rated for item in begun),
             }
             for agent in self._study.terms.agents
         }
-        begun = [row for row in reversed(sessions) if row[5]]
         return self._html(
             "progress",
             HTTPStatus.OK,
@@ -216,7 +205,7 @@ class _Pages:
             HTTPStatus.OK,
             key=request.path_params["key"],
             session=session,
-            card=card(self._conversations.goal(session), self._talker.labels),
+            card=self._card(session),
             turns=self._store.exchanges(session.id),
             max_bars=MAX_BARS,
         )
@@ -239,6 +228,9 @@ class _Pages:
         _log.error("%s", error)
         text = "The study cannot be reached just now. Please try again in a minute."
         return self.message(HTTPStatus.SERVICE_UNAVAILABLE, text)
+
+    def _card(self, session: Session) -> dict[str, Any]:
+        return card(self._talker.domain.goals[session.goal - 1], self._talker.labels)
 
     def _check(self, request: Request, purpose: str) -> None:
         given = request.path_params["key"].encode()

@@ -12,7 +12,7 @@ pytest.importorskip("starlette", reason="needs the extra study")
 from starlette.testclient import TestClient
 
 from bbq_torchrl.study import load_study
-from bbq_torchrl.study.records import SCALES
+from bbq_torchrl.study.records import SCALES, current
 from bbq_torchrl.study.store import Store
 from bbq_torchrl.study.web import JOIN, RESEARCHER, application
 
@@ -65,7 +65,7 @@ class Site:
         return link.removeprefix("/p/")
 
     def session(self, link):
-        return self.store.person(self.token(link)).current
+        return current(self.store.sessions(self.token(link)))
 
 
 def hidden(page):

@@ -12,7 +12,7 @@ import bbq_torchrl
 from bbq_torchrl.study import database
 from bbq_torchrl.study.database import Database, StoreError, reading
 from bbq_torchrl.study.outcome import Verdict
-from bbq_torchrl.study.records import SCALES
+from bbq_torchrl.study.records import SCALES, current
 from bbq_torchrl.study.store import Store
 
 from .fakes import AGENTS, FakeTalker, prints
@@ -35,7 +35,7 @@ def open_store(study, clock):
 
 
 def test_the_file_is_as_safe_as_sqlite_makes_it(open_store):
-    connection = open_store()._database._connection
+    connection = open_store()._connection
     assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
     assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
     tables = connection.execute("SELECT name, strict FROM pragma_table_list WHERE type = 'table'")
@@ -55,10 +55,10 @@ def test_another_server_on_the_same_file_is_refused(open_store):
 def test_a_closed_study_goes_on_where_it_was(open_store):
     first = open_store()
     token = first.enrol(NONCES[0])
-    person, key = first.person(token), first.key("join")
+    sessions, key = first.sessions(token), first.key("join")
     first.close()
     second = open_store()
-    assert second.person(token) == person
+    assert second.sessions(token) == sessions != []
     assert second.key("join") == key
 
 
@@ -95,7 +95,7 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
     assert store.enrol(NONCES[5]) is None
     clock.now += 60 * study.terms.idle_minutes
     # Three people are at work: one talks, one ends, one rates.
-    says, ends, rates = (store.person(token).current for token in tokens[1:4])
+    says, ends, rates = (current(store.sessions(token)) for token in tokens[1:4])
     reply = FakeTalker(study.domain).reply("secret-dqn", None, "hello", 0)
     store.add_exchange(says, 1, NONCES[7], "hello", reply, None)
     store.end(ends, "person", Verdict(()))
@@ -105,17 +105,16 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
     assert store.enrol(NONCES[9]) is not None
     assert store.enrol(NONCES[10]) is None
     plans = [
-        [(session.agent, session.goal) for session in store.person(token).sessions]
+        [(session.agent, session.goal) for session in store.sessions(token)]
         for token in (tokens[0], later)
     ]
     assert plans[0] == plans[1]
-    assert store.person(tokens[0]) is not None
 
 
 def test_who_has_finished_keeps_their_place(open_store, study, clock):
     store = open_store(replace(study.terms, participants=1))
     token = store.enrol(NONCES[0])
-    for session in store.person(token).sessions:
+    for session in store.sessions(token):
         store.end(session, "person", Verdict(("wishes",)))
         store.rate(session, NONCES[1], dict.fromkeys(SCALES, 3), True)
     clock.now += 1e9
@@ -141,9 +140,9 @@ def test_an_older_file_is_brought_up_to_date(open_store, study, monkeypatch):
     with pytest.raises(StoreError, match="older version"), reading(study.data):
         pass
     store = open_store()
-    assert store.person(token) is not None
-    assert store._database.rows("SELECT age FROM person") == [(None,)]
-    assert store._database.rows("PRAGMA user_version") == [(2,)]
+    assert store.sessions(token) != []
+    assert store.rows("SELECT age FROM person") == [(None,)]
+    assert store.rows("PRAGMA user_version") == [(2,)]
 
 
 def test_a_migration_that_fails_leaves_the_file_as_it_was(open_store, study, monkeypatch):
@@ -154,8 +153,8 @@ def test_a_migration_that_fails_leaves_the_file_as_it_was(open_store, study, mon
         with pytest.raises(StoreError):
             open_store()
     store = open_store()
-    assert store._database.rows("PRAGMA user_version") == [(1,)]
-    assert store._database.rows("SELECT name FROM sqlite_master WHERE name = 'extra'") == []
+    assert store.rows("PRAGMA user_version") == [(1,)]
+    assert store.rows("SELECT name FROM sqlite_master WHERE name = 'extra'") == []
 
 
 @pytest.mark.parametrize("share", [0.001, 0.3, 0.6, 0.9])
@@ -190,6 +189,9 @@ def test_a_database_of_something_else_is_refused(open_store, study):
 def test_a_file_or_folder_that_is_not_there_is_a_sentence(study, tmp_path):
     with pytest.raises(StoreError, match="folder does not exist"):
         Database(tmp_path / "nowhere" / "study.sqlite")
+    (tmp_path / "locked.sqlite.lock").mkdir()
+    with pytest.raises(StoreError, match="it cannot be used: Is a directory"):
+        Database(tmp_path / "locked.sqlite")
     with pytest.raises(StoreError, match="has not been served yet"), reading(study.data):
         pass
 
@@ -198,27 +200,35 @@ def test_a_block_that_fails_stores_nothing(open_store):
     store = open_store()
 
     def half():
-        with store._database.transaction() as connection:
+        with store.transaction() as connection:
             connection.execute("INSERT INTO agent VALUES ('x', 'y')")
             raise KeyError("in between")
 
     with pytest.raises(KeyError):
         half()
-    assert store._database.rows("SELECT name FROM agent WHERE name = 'x'") == []
+    assert store.rows("SELECT name FROM agent WHERE name = 'x'") == []
 
 
-def test_a_full_disk_is_a_sentence_and_keeps_what_was_stored(open_store):
+@pytest.mark.parametrize(
+    ("pragma", "sentence"),
+    [
+        ("max_page_count = 1", "the disk is full: nothing of the last step was stored"),
+        ("query_only = ON", "it is read-only: a study needs a file that it can write"),
+    ],
+)
+def test_what_cannot_be_written_is_a_sentence_and_keeps_what_was_stored(
+    open_store, pragma, sentence
+):
     store = open_store()
-    # SQLite's own way to run out of room: the file may not grow any more.
-    [(pages,)] = store._database.rows("PRAGMA page_count")
-    store._database._connection.execute(f"PRAGMA max_page_count = {pages}")
+    # SQLite's own ways: the file may not grow, or not change, any more.
+    store.rows(f"PRAGMA {pragma}")
 
     def fill():
         for number in range(1_000):
-            with store._database.transaction() as connection:
+            with store.transaction() as connection:
                 row = (f"agent {number}", "x" * 4_000)
                 connection.execute("INSERT INTO agent VALUES (?, ?)", row)
 
-    with pytest.raises(StoreError, match="the disk is full: nothing of the last step was stored"):
+    with pytest.raises(StoreError, match=sentence):
         fill()
-    assert len(store._database.rows("SELECT name FROM agent")) >= len(AGENTS)
+    assert len(store.rows("SELECT name FROM agent")) >= len(AGENTS)
