@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.markdown import table
 from bbq_torchrl.run_folder import write_text
@@ -17,7 +17,7 @@ from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.statistics import auroc, kappa, mean, proportion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from bbq_torchrl.study.comparisons import Comparison
@@ -47,64 +47,61 @@ def write_report(folder: Path, results: Results) -> None:
 
 def report_text(results: Results) -> str:
     """Returns the report as Markdown."""
-    terms = results.terms
-    lines = [f"# {results.title}", ""]
+    found = (_agents, _pairs, _ratings, _failures, _agreement, _uncertainty, _flags)
+    sections = (_head, *(found if results.sessions else (_nothing,)))
+    blocks = chain.from_iterable(section(results) for section in sections)
+    return "\n\n".join(blocks) + "\n"
+
+
+def _head(results: Results) -> Iterator[str]:
+    yield f"# {results.title}"
     if results.simulated:
-        lines += [f"**The people of this study are simulated users.** {RATING_RULE}", ""]
-    rated = sum(session.ratings is not None for session in results.sessions)
-    who = _who(results)
-    lines += [
-        f"{results.enrolled} {who} enrolled of {terms.participants} wanted; "
+        yield f"**The people of this study are simulated users.** {RATING_RULE}"
+    rated = sum(session.is_rated for session in results.sessions)
+    yield (
+        f"{results.enrolled} {_who(results)} enrolled of {results.terms.participants} wanted; "
         f"{len(results.sessions)} sessions ended, {rated} of them rated; {results.open} begun and "
-        f"not ended (they are in no number below). bbq-torchrl {results.package}.",
-        "",
-    ]
-    if not results.sessions:
-        return "\n".join([*lines, "No session has ended yet: there is nothing to report.", ""])
-    for section in (_agents, _pairs, _ratings, _failures, _agreement, _uncertainty, _flags):
-        lines += section(results)
-    return "\n".join(lines)
+        f"not ended (they are in no number below). bbq-torchrl {results.package}."
+    )
+
+
+def _nothing(_: Results) -> Iterator[str]:
+    yield "No session has ended yet: there is nothing to report."
 
 
 def _agents(results: Results) -> Iterator[str]:
-    yield from ("## Agents", "")
+    yield "## Agents"
     rows = []
     for agent in results.terms.agents:
         success = proportion(results.successes(agent).values())
         own = proportion(
             [
-                [bool(item.verdict) for item in sessions if item.ratings]
+                [bool(item.verdict) for item in sessions if item.is_rated]
                 for sessions in results.of(agent).values()
             ]
         )
         scales = [mean(results.ratings(agent, name).values()) for name in SCALES]
         rows.append((agent, success.count, success, own, *scales))
-    head = ("agent", "sessions", "success", "own verdict", *SCALES)
-    yield from (
-        table(head, rows),
-        "",
+    yield table(("agent", "sessions", "success", "own verdict", *SCALES), rows)
+    yield (
         "Means with 95 % intervals: Wilson's for success (sessions of one person counted by "
         "their design effect), Student's t over people for ratings from 1 to 5. Success is the "
-        f"judge's, by goal card and dialogue acts; own verdict is what {_who(results)} said.",
-        "",
-        "![Success of each agent](success.png)",
-        "",
+        f"judge's, by goal card and dialogue acts; own verdict is what {_who(results)} said."
     )
+    yield "![Success of each agent](success.png)"
 
 
 def _pairs(results: Results) -> Iterator[str]:
-    yield from ("## Declared pairs", "")
+    yield "## Declared pairs"
     if not results.terms.pairs:
-        yield from ("No pair was declared, so nothing is tested.", "")
+        yield "No pair was declared, so nothing is tested."
         return
     comparisons = compare_pairs(results)
-    yield from (
-        _comparison_table(comparisons),
-        "",
+    yield _comparison_table(comparisons)
+    yield (
         "Primary: p of the sign-flip permutation test of people's differences in success, and "
         "the same by Holm over all declared pairs. Fisher and Boschloo take sessions for "
-        "independent and stand beside it, unadjusted. The unit is the person.",
-        "",
+        "independent and stand beside it, unadjusted. The unit is the person."
     )
     rows = [
         (f"{item.better} – {item.worse}", item.rating, _p(item.rating_p), _p(item.rating_holm),
@@ -112,10 +109,9 @@ def _pairs(results: Results) -> Iterator[str]:
         for item in comparisons
     ]  # fmt: skip
     yield table(("pair", "overall rating", "p sign-flip", "Holm", "Mann-Whitney"), rows)
-    yield ""
     if flagged := results.flags():
-        yield from (f"Without the {len(flagged)} people who are flagged below:", "")
-        yield from (_comparison_table(compare_pairs(results, flagged)), "")
+        yield f"Without the {len(flagged)} people who are flagged below:"
+        yield _comparison_table(compare_pairs(results, flagged))
 
 
 def _comparison_table(comparisons: Iterable[Comparison]) -> str:
@@ -129,29 +125,30 @@ def _comparison_table(comparisons: Iterable[Comparison]) -> str:
 
 
 def _ratings(results: Results) -> Iterator[str]:
-    yield from ("## Distribution of overall ratings", "")
-    rows = []
-    for agent in results.terms.agents:
-        counts = Counter(chain(*results.ratings(agent).values()))
-        rows.append((agent, *(counts[rating] for rating in range(1, 6))))
-    yield table(("agent", "1", "2", "3", "4", "5"), rows)
-    yield from ("", "![Distribution of ratings](ratings.png)", "")
+    yield "## Distribution of overall ratings"
+    counts = {
+        agent: Counter(chain(*results.ratings(agent).values())) for agent in results.terms.agents
+    }
+    yield _counted(counts, range(1, 6))
+    yield "![Distribution of ratings](ratings.png)"
 
 
 def _failures(results: Results) -> Iterator[str]:
-    yield from ("## Why sessions failed", "")
-    reasons = sorted({reason for session in results.sessions for reason in session.reasons})
-    if not reasons:
-        yield from ("No session failed.", "")
-        return
-    counts = Counter(
-        (session.agent, reason) for session in results.sessions for reason in session.reasons
-    )
-    rows = [
-        (agent, *(counts[agent, reason] for reason in reasons)) for agent in results.terms.agents
-    ]
-    yield table(("agent", *reasons), rows)
-    yield from ("", "A session may fail for several reasons.", "")
+    yield "## Why sessions failed"
+    counts = {agent: Counter[str]() for agent in results.terms.agents}
+    for session in results.sessions:
+        counts[session.agent].update(session.reasons)
+    if reasons := sorted(set(chain(*counts.values()))):
+        yield _counted(counts, reasons)
+        yield "A session may fail for several reasons."
+    else:
+        yield "No session failed."
+
+
+def _counted(counts: Mapping[str, Counter[Any]], items: Sequence[object]) -> str:
+    """Returns a table of how often each agent has each item."""
+    rows = [(agent, *(counter[item] for item in items)) for agent, counter in counts.items()]
+    return table(("agent", *map(str, items)), rows)
 
 
 def _agreement(results: Results) -> Iterator[str]:
@@ -161,13 +158,12 @@ def _agreement(results: Results) -> Iterator[str]:
             by_person.setdefault(session.person, []).append((session.verdict, session.success))
     found = kappa(list(by_person.values()))
     whose = "The simulated users'" if results.simulated else "People's"
-    yield from (f"## {whose} own verdict and the judge's", "")
+    yield f"## {whose} own verdict and the judge's"
     if math.isnan(found.value):
-        yield from ("κ is undefined: one of the two is always the same, or nothing is rated.", "")
+        yield "κ is undefined: one of the two is always the same, or nothing is rated."
     else:
-        yield from (
-            f"Cohen's κ {found} over {found.count} sessions (95 % bootstrap interval over people).",
-            "",
+        yield (
+            f"Cohen's κ {found} over {found.count} sessions (95 % bootstrap interval over people)."
         )
 
 
@@ -183,16 +179,14 @@ def _uncertainty(results: Results) -> Iterator[str]:
             soon = _warning(people, lambda item: item.entropy_of_first(FIRST))
             rows.append((agent, count, whole, soon, _warning(people, lambda i: len(i.exchanges))))
     if rows:
-        yield from ("## Does uncertainty predict failure?", "")
+        yield "## Does uncertainty predict failure?"
         head = ("agent", "sessions", "entropy", f"entropy of the first {FIRST} answers", "length")
-        yield from (
-            table(head, rows),
-            "",
+        yield table(head, rows)
+        yield (
             "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people: "
             ".5 says nothing, 1 all. Entropy is that of the best action, a mean over a session's "
             "answers or over its first ones; length is the number of messages. Conversations that "
-            "fail are long: a sign that comes no sooner than length and is no better adds nothing.",
-            "",
+            "fail are long: a sign that comes no sooner than length and is no better adds nothing."
         )
 
 
@@ -209,13 +203,12 @@ def _warning(
 
 
 def _flags(results: Results) -> Iterator[str]:
-    yield from ("## Flags", "")
-    flags = results.flags()
-    if not flags:
-        yield from ("Nobody is conspicuous.", "")
-        return
-    yield table(("person", "flags"), [(who, "; ".join(what)) for who, what in flags.items()])
-    yield from ("", "All of them are in every number above unless it says otherwise.", "")
+    yield "## Flags"
+    if flags := results.flags():
+        yield table(("person", "flags"), [(who, "; ".join(what)) for who, what in flags.items()])
+        yield "All of them are in every number above unless it says otherwise."
+    else:
+        yield "Nobody is conspicuous."
 
 
 def _who(results: Results) -> str:
