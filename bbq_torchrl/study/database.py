@@ -1,4 +1,4 @@
-"""The SQLite file of a study: opened by one server, brought up to date, never half written."""
+"""The SQLite file of a study: opened by one server, never half written."""
 
 from __future__ import annotations
 
@@ -17,67 +17,65 @@ if TYPE_CHECKING:
 
 __all__ = ["Database", "StoreError", "reading"]
 
-MIGRATIONS = (
-    """
-    CREATE TABLE study (
-        id INTEGER PRIMARY KEY CHECK (id = 1),
-        terms TEXT NOT NULL,
-        package TEXT NOT NULL,
-        secret TEXT NOT NULL,
-        simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)),
-        created REAL NOT NULL
-    ) STRICT;
-    CREATE TABLE agent (
-        name TEXT PRIMARY KEY,
-        fingerprint TEXT NOT NULL
-    ) STRICT;
-    CREATE TABLE person (
-        id INTEGER PRIMARY KEY,
-        token TEXT NOT NULL UNIQUE,
-        place INTEGER NOT NULL,
-        enrolled REAL NOT NULL,
-        active REAL NOT NULL
-    ) STRICT;
-    CREATE INDEX person_by_place ON person (place);
-    CREATE TABLE session (
-        id INTEGER PRIMARY KEY,
-        person INTEGER NOT NULL REFERENCES person,
-        position INTEGER NOT NULL,
-        agent TEXT NOT NULL REFERENCES agent,
-        goal INTEGER NOT NULL,
-        ended REAL,
-        ended_by TEXT CHECK (ended_by IN ('agent', 'person', 'turns')),
-        success INTEGER CHECK (success IN (0, 1)),
-        reasons TEXT,
-        UNIQUE (person, position)
-    ) STRICT;
-    CREATE TABLE exchange (
-        session INTEGER NOT NULL REFERENCES session,
-        number INTEGER NOT NULL,
-        nonce TEXT NOT NULL,
-        at REAL NOT NULL,
-        text TEXT NOT NULL,
-        answer TEXT NOT NULL,
-        heard TEXT NOT NULL,
-        said TEXT NOT NULL,
-        beliefs TEXT,
-        state TEXT NOT NULL,
-        PRIMARY KEY (session, number),
-        UNIQUE (session, nonce)
-    ) STRICT;
-    CREATE TABLE rating (
-        session INTEGER PRIMARY KEY REFERENCES session,
-        nonce TEXT NOT NULL,
-        at REAL NOT NULL,
-        overall INTEGER NOT NULL CHECK (overall BETWEEN 1 AND 5),
-        naturalness INTEGER NOT NULL CHECK (naturalness BETWEEN 1 AND 5),
-        coherence INTEGER NOT NULL CHECK (coherence BETWEEN 1 AND 5),
-        completion INTEGER NOT NULL CHECK (completion BETWEEN 1 AND 5),
-        verdict INTEGER NOT NULL CHECK (verdict IN (0, 1))
-    ) STRICT;
-    """,
-)
-"""One script for each version of the file, the first makes it."""
+_VERSION = 1
+_SCHEMA = """
+CREATE TABLE study (
+    id INTEGER PRIMARY KEY CHECK (id = 1),
+    terms TEXT NOT NULL,
+    package TEXT NOT NULL,
+    secret TEXT NOT NULL,
+    simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)),
+    created REAL NOT NULL
+) STRICT;
+CREATE TABLE agent (
+    name TEXT PRIMARY KEY,
+    fingerprint TEXT NOT NULL
+) STRICT;
+CREATE TABLE person (
+    id INTEGER PRIMARY KEY,
+    token TEXT NOT NULL UNIQUE,
+    place INTEGER NOT NULL,
+    enrolled REAL NOT NULL,
+    active REAL NOT NULL
+) STRICT;
+CREATE INDEX person_by_place ON person (place);
+CREATE TABLE session (
+    id INTEGER PRIMARY KEY,
+    person INTEGER NOT NULL REFERENCES person,
+    position INTEGER NOT NULL,
+    agent TEXT NOT NULL REFERENCES agent,
+    goal INTEGER NOT NULL,
+    ended REAL,
+    ended_by TEXT CHECK (ended_by IN ('agent', 'person', 'turns')),
+    success INTEGER CHECK (success IN (0, 1)),
+    reasons TEXT,
+    UNIQUE (person, position)
+) STRICT;
+CREATE TABLE exchange (
+    session INTEGER NOT NULL REFERENCES session,
+    number INTEGER NOT NULL,
+    nonce TEXT NOT NULL,
+    at REAL NOT NULL,
+    text TEXT NOT NULL,
+    answer TEXT NOT NULL,
+    heard TEXT NOT NULL,
+    said TEXT NOT NULL,
+    beliefs TEXT,
+    state TEXT NOT NULL,
+    PRIMARY KEY (session, number),
+    UNIQUE (session, nonce)
+) STRICT;
+CREATE TABLE rating (
+    session INTEGER PRIMARY KEY REFERENCES session,
+    nonce TEXT NOT NULL,
+    at REAL NOT NULL,
+    overall INTEGER NOT NULL CHECK (overall BETWEEN 1 AND 5),
+    naturalness INTEGER NOT NULL CHECK (naturalness BETWEEN 1 AND 5),
+    coherence INTEGER NOT NULL CHECK (coherence BETWEEN 1 AND 5),
+    completion INTEGER NOT NULL CHECK (completion BETWEEN 1 AND 5),
+    verdict INTEGER NOT NULL CHECK (verdict IN (0, 1))
+) STRICT;
+"""
 
 _SQLITE = (3, 37, 0)  # the first with STRICT tables
 
@@ -135,14 +133,11 @@ class Database:
         version = _check(self.path, connection)
         for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
-        for number, script in enumerate(MIGRATIONS[version:], start=version + 1):
-            connection.executescript(
-                f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {number}; COMMIT;"
-            )
-        # A file system that lets nothing be written says so now and not at the first message.
-        connection.execute("BEGIN IMMEDIATE")
-        connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
-        connection.execute("COMMIT")
+        # Written anew also where it is: a file system that lets nothing be written says so now.
+        script = "" if version else _SCHEMA
+        connection.executescript(
+            f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {_VERSION}; COMMIT;"
+        )
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
@@ -183,8 +178,8 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         raise StoreError(path, "there is no such file: the study has not been served yet")
     address = path.absolute().as_uri() + "?mode=ro"
     with _told(path), closing(sqlite3.connect(address, uri=True)) as connection:
-        if _check(path, connection) < len(MIGRATIONS):
-            raise StoreError(path, "it is of an older version: serve the study once to update it")
+        if not _check(path, connection):
+            raise StoreError(path, "it is empty: the study has not been served yet")
         connection.execute("BEGIN")  # one moment of the study for all queries
         yield connection
 
@@ -192,11 +187,11 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
 def _check(path: Path, connection: sqlite3.Connection) -> int:
     """Refuses a file that is newer, damaged, or of something else. Returns its version."""
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
-    if version > len(MIGRATIONS):
+    if version > _VERSION:
         raise StoreError(
             path,
             f"it is of version {version}, made by a newer bbq-torchrl; "
-            f"this one reads versions up to {len(MIGRATIONS)}",
+            f"this one reads versions up to {_VERSION}",
         )
     found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
     if found != "ok":

@@ -9,7 +9,6 @@ from dataclasses import replace
 import pytest
 
 import bbq_torchrl
-from bbq_torchrl.study import database
 from bbq_torchrl.study.database import Database, StoreError, reading
 from bbq_torchrl.study.outcome import Verdict
 from bbq_torchrl.study.records import SCALES, current
@@ -129,32 +128,6 @@ def test_a_newer_file_is_refused(open_store, study):
         open_store()
     with pytest.raises(StoreError, match="version 99"), reading(study.data):
         pass
-
-
-def test_an_older_file_is_brought_up_to_date(open_store, study, monkeypatch):
-    first = open_store()
-    token = first.enrol(NONCES[0])
-    first.close()
-    more = (*database.MIGRATIONS, "ALTER TABLE person ADD COLUMN age INTEGER;")
-    monkeypatch.setattr(database, "MIGRATIONS", more)
-    with pytest.raises(StoreError, match="older version"), reading(study.data):
-        pass
-    store = open_store()
-    assert store.sessions(token) != []
-    assert store.rows("SELECT age FROM person") == [(None,)]
-    assert store.rows("PRAGMA user_version") == [(2,)]
-
-
-def test_a_migration_that_fails_leaves_the_file_as_it_was(open_store, study, monkeypatch):
-    open_store().close()
-    scripts = (*database.MIGRATIONS, "CREATE TABLE extra (id INTEGER) STRICT; NONSENSE;")
-    with monkeypatch.context() as patch:
-        patch.setattr(database, "MIGRATIONS", scripts)
-        with pytest.raises(StoreError):
-            open_store()
-    store = open_store()
-    assert store.rows("PRAGMA user_version") == [(1,)]
-    assert store.rows("SELECT name FROM sqlite_master WHERE name = 'extra'") == []
 
 
 @pytest.mark.parametrize("share", [0.001, 0.3, 0.6, 0.9])
