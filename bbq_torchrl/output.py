@@ -10,17 +10,26 @@ import argparse
 import errno
 import os
 import sys
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from io import StringIO, TextIOWrapper
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.text import sentence
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from typing import TextIO
 
-__all__ = ["NOT_WRITTEN", "NO_READER", "Parser", "collected", "complain", "settle", "write"]
+__all__ = [
+    "NOT_WRITTEN",
+    "NO_READER",
+    "Parser",
+    "between",
+    "collected",
+    "complain",
+    "settle",
+    "write",
+]
 
 NOT_WRITTEN = 1
 """Exit code of a command whose standard output cannot be written."""
@@ -91,6 +100,27 @@ class Parser(argparse.ArgumentParser):
             write(self.format_help())
         else:
             super().print_help(file)
+
+
+def between(kind: type[int] | type[float], low: float, high: float) -> Callable[[str], float]:
+    """Returns what reads an argument that must be a number, ends included.
+
+    Args:
+        kind: ``int`` for a whole number, else ``float``.
+        low: the least that is allowed.
+        high: the most.
+    """
+
+    def number(text: str) -> float:
+        with suppress(ValueError):
+            if low <= (value := kind(text)) <= high:
+                return value
+        name = "a whole number" if kind is int else "a number"
+        raise argparse.ArgumentTypeError(
+            f"must be {name} between {low} and {high}, got {shown(text)}"
+        )
+
+    return number
 
 
 def _discard(stream: TextIO | None) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import io
-import math
 import os
 import sys
 from pathlib import Path
@@ -12,9 +10,11 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl import output
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.output import between
+from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Sequence
 
     from bbq_torchrl.language import Endpoint
@@ -49,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--weights", choices=("last", "best"), default="last")
     parser.add_argument(
         "--ask-below",
-        type=_probability,
+        type=between(float, 0, 1),
         metavar="P",
         help="confidence below which it asks you again; 0: never",
     )
@@ -65,16 +65,6 @@ def _parser() -> argparse.ArgumentParser:
         "--model", help=f"the endpoint's; its key, if any, in the environment variable {_KEY}"
     )
     return parser
-
-
-def _probability(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"must be between 0 and 1, got {shown(text)}")
-    return value
 
 
 def _chat(given: argparse.Namespace) -> None:

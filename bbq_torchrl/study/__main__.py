@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import importlib.util
 import sys
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.extras import install_command
+from bbq_torchrl.output import between
 from bbq_torchrl.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Sequence
 
 __all__ = ["main"]
@@ -55,7 +56,9 @@ def _parser() -> argparse.ArgumentParser:
         "unless given, the agents are run folders",
     )
     serve.add_argument("--host", default="127.0.0.1", help="address to listen at")
-    serve.add_argument("--port", type=_whole(1, 65_535), default=8000, help="port to listen at")
+    serve.add_argument(
+        "--port", type=between(int, 1, 65_535), default=8000, help="port to listen at"
+    )
     serve.set_defaults(command=_serve)
 
     simulate = commands.add_parser(
@@ -72,7 +75,10 @@ def _parser() -> argparse.ArgumentParser:
         "unless given, the simulator's, who speak the language of the domain",
     )
     simulate.add_argument(
-        "--seed", type=_whole(0, 2**32 - 1), default=0, help="of plan, users and ratings"
+        "--seed",
+        type=between(int, 0, 2**32 - 1),
+        default=0,
+        help="of plan, users and ratings",
     )
     simulate.add_argument("--out", type=Path, help="folder; without it, <study>-simulated-report")
     simulate.set_defaults(command=_simulate)
@@ -83,21 +89,21 @@ def _parser() -> argparse.ArgumentParser:
     report.set_defaults(command=_report)
 
     power = commands.add_parser("power", help="how likely a study finds a difference")
-    power.add_argument("better", type=_number(0.001, 0.999), help="success of one agent")
-    power.add_argument("worse", type=_number(0.001, 0.999), help="success of the other")
-    power.add_argument("people", type=_whole(1, 100_000), help="who each meet both")
+    power.add_argument("better", type=between(float, 0.001, 0.999), help="success of one agent")
+    power.add_argument("worse", type=between(float, 0.001, 0.999), help="success of the other")
+    power.add_argument("people", type=between(int, 1, 100_000), help="who each meet both")
     power.add_argument(
-        "--sessions", type=_whole(1, 50), default=1, help="of a person with each agent"
+        "--sessions", type=between(int, 1, 50), default=1, help="of a person with each agent"
     )
-    power.add_argument("--pairs", type=_whole(1, 1_000), default=1, help="pairs declared")
+    power.add_argument("--pairs", type=between(int, 1, 1_000), default=1, help="pairs declared")
     power.add_argument(
         "--person-sd",
-        type=_number(0.0, 10.0),
+        type=between(float, 0.0, 10.0),
         default=1.0,
         help="how much people differ, in log-odds",
     )
-    power.add_argument("--simulations", type=_whole(100, 1_000_000), default=4_000)
-    power.add_argument("--seed", type=_whole(0, 2**32 - 1), default=0)
+    power.add_argument("--simulations", type=between(int, 100, 1_000_000), default=4_000)
+    power.add_argument("--seed", type=between(int, 0, 2**32 - 1), default=0)
     power.set_defaults(command=_power)
     return parser
 
@@ -181,29 +187,6 @@ def _power(given: argparse.Namespace) -> None:
     _say(f"power of the sign-flip test, the declared one: {found.sign_flip:.3f}")
     _say(f"power of Fisher's exact test over all sessions: {found.fisher:.3f}")
     _say(f"standard error of both: at most {found.standard_error:.3f}")
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    def whole_number(text: str) -> int:
-        if text.isascii() and text.isdigit() and low <= int(text[:20]) <= high:
-            return int(text)
-        raise argparse.ArgumentTypeError(
-            f"must be a whole number between {low} and {high}, got {shown(text)}"
-        )
-
-    return whole_number
-
-
-def _number(low: float, high: float) -> Callable[[str], float]:
-    def number(text: str) -> float:
-        with suppress(ValueError):
-            if low <= (value := float(text)) <= high:
-                return value
-        raise argparse.ArgumentTypeError(
-            f"must be a number between {low} and {high}, got {shown(text)}"
-        )
-
-    return number
 
 
 def _say(line: str) -> None:

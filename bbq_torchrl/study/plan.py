@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,7 +70,7 @@ class Terms:
 
     def text(self) -> str:
         """Returns the terms as JSON."""
-        return json.dumps({item.name: getattr(self, item.name) for item in fields(self)})
+        return json.dumps(asdict(self))
 
     @classmethod
     def of(cls, text: str) -> Terms:
@@ -186,8 +186,7 @@ class _Reader:
         from bbq_torchrl.domains import load_domain, movie_domain
 
         allowed = f"{key} must be {_MOVIE} or a domain's folder"
-        if not _is_text(name):
-            raise ValueError(f"{allowed}, got {shown(name)}")
+        _expect(_is_text(name), allowed, name)
         folder = self._file.parent / Path(name).expanduser()
         try:
             return movie_domain() if name == _MOVIE else load_domain(folder)
@@ -207,21 +206,17 @@ class _Reader:
         return sessions
 
     def _pairs(self, key: str, value: Any) -> tuple[tuple[str, str], ...]:
-        if not isinstance(value, list):
-            raise ValueError(
-                f"{key} must be a list of pairs of agents, [] for none, got {shown(value)}"
-            )
+        is_list = isinstance(value, list)
+        _expect(is_list, f"{key} must be a list of pairs of agents, [] for none", value)
         if faults := list(_pair_faults(value, self._agents)):
             raise FaultsError(key, faults)
         return tuple((better, worse) for better, worse in value)
 
     def _ask_below(self, key: str, value: Any) -> dict[str, float]:
         is_known = isinstance(value, dict) and set(value) <= set(self._agents or value)
-        if is_known and all(map(_is_probability, value.values())):
-            return {name: float(below) for name, below in value.items()}
-        raise ValueError(
-            f"{key} must map agents of the study to numbers between 0 and 1, got {shown(value)}"
-        )
+        holds = is_known and all(map(_is_probability, value.values()))
+        _expect(holds, f"{key} must map agents of the study to numbers between 0 and 1", value)
+        return {name: float(below) for name, below in value.items()}
 
     def _goals(self, sessions: int, key: str, value: Any) -> tuple[int, ...]:
         from bbq_torchrl.study.outcome import Judge
@@ -233,11 +228,9 @@ class _Reader:
             number for number, goal in enumerate(goals, start=1) if judge.is_attainable(goal)
         ]
         chosen = attainable if value == _ATTAINABLE else value
-        if not isinstance(chosen, list) or not all(_is_whole(n, 1, len(goals)) for n in chosen):
-            raise ValueError(
-                f"{key} must be {_ATTAINABLE} or a list of numbers between 1 and {len(goals)}, "
-                f"got {shown(value)}"
-            )
+        holds = isinstance(chosen, list) and all(_is_whole(n, 1, len(goals)) for n in chosen)
+        allowed = f"{_ATTAINABLE} or a list of numbers between 1 and {len(goals)}"
+        _expect(holds, f"{key} must be {allowed}", value)
         faults = []
         if hopeless := sorted(set(chosen) - set(attainable)):
             faults.append(
@@ -254,27 +247,28 @@ class _Reader:
         return tuple(chosen)
 
 
+def _expect(holds: bool, sentence: str, value: Any) -> None:
+    """Refuses a value with a sentence that says what is allowed."""
+    if not holds:
+        raise ValueError(f"{sentence}, got {shown(value)}")
+
+
 def _words(key: str, value: Any) -> str:
-    if not _is_text(value):
-        raise ValueError(f"{key} must be text, not blank, got {shown(value)}")
+    _expect(_is_text(value), f"{key} must be text, not blank", value)
     return str(value.strip())
 
 
 def _count(key: str, value: Any) -> int:
     low, high = _COUNTS[key]
-    if not _is_whole(value, low, high):
-        raise ValueError(
-            f"{key} must be a whole number between {low} and {high}, got {shown(value)}"
-        )
+    holds = _is_whole(value, low, high)
+    _expect(holds, f"{key} must be a whole number between {low} and {high}", value)
     return int(value)
 
 
 def _agents(key: str, value: Any) -> dict[str, str]:
-    if isinstance(value, dict) and value and all(map(_is_text, [*value, *value.values()])):
-        return dict(value)
-    raise ValueError(
-        f"{key} must map one name or more to where the agent is, both text, got {shown(value)}"
-    )
+    holds = isinstance(value, dict) and value and all(map(_is_text, [*value, *value.values()]))
+    _expect(holds, f"{key} must map one name or more to where the agent is, both text", value)
+    return dict(value)
 
 
 def _is_text(value: object) -> bool:
