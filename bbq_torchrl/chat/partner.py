@@ -15,6 +15,7 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.language import Frame, TextError, Understood
 from bbq_torchrl.language.asking import Asking
 from bbq_torchrl.simulator import Simulator
+from bbq_torchrl.study.talk import Frame as Act
 
 if TYPE_CHECKING:
     from bbq_torchrl.chat.agent import Reasons, TrainedAgent
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     Ears = Understander | EndpointUnderstander
     Mouth = Generator | EndpointGenerator
 
-__all__ = ["Answer", "Partner"]
+__all__ = ["Answer", "Partner", "as_act"]
 
 _FLAGS = ("heard_requests", "open_requests", "agent_requests")
 
@@ -238,3 +239,8 @@ class Partner:
         """Returns an act that is not the agent's decision: greeting back, and farewell."""
         sentence = self._mouth.agent(said, session=seed, turn=now.texts)
         return Answer(sentence, understood, heard, said, now.text(), ended=ended)
+
+
+def as_act(frame: Frame, confidence: float | None = None) -> Act:
+    """Returns an act of the language layer as the study writes it."""
+    return Act(frame.act, dict(frame.informs), frame.requests, confidence)

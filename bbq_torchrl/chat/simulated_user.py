@@ -70,10 +70,11 @@ class SimulatedUser:
 
     def say(self, said: Act | None) -> str:
         """Returns what it says to the agent's act; ``None`` begins the conversation."""
-        meant = self._meant()
-        if said is not None and (said.act == "not_sure" or _names_choices(said)):
-            meant = repeated(meant, said.requests)
-        elif said is not None:
+        if said is None:
+            meant = self._meant()
+        elif said.act == "not_sure" or (said.act == _MULTIPLE_CHOICE and said.requests):
+            meant = repeated(self._meant(), said.requests)
+        else:
             self._question = Frame(said.act, said.informs, said.requests)
             self._reply(said)
             meant = self._meant()
@@ -121,11 +122,6 @@ class SimulatedUser:
             is_end=torch.tensor(said.act in ("thanks", "closing")),
             offered=None,
         )
-
-
-def _names_choices(said: Act) -> bool:
-    """Returns whether an agent asks which of several values was meant."""
-    return said.act == _MULTIPLE_CHOICE and bool(said.requests)
 
 
 def make_users(study: Study) -> Callable[[int, int], SimulatedUser]:

@@ -10,9 +10,8 @@ import torch
 
 from bbq_torchrl.chat.agent import TrainedAgent
 from bbq_torchrl.chat.language import make_ears, make_mouth, slot_names
-from bbq_torchrl.chat.partner import Partner
+from bbq_torchrl.chat.partner import Partner, as_act
 from bbq_torchrl.chat.spelling import Spelling
-from bbq_torchrl.chat.terminal import as_act
 from bbq_torchrl.language.kept import language_key
 from bbq_torchrl.shipped import run_folder
 from bbq_torchrl.study import Reply, StudyError

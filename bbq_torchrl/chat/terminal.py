@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.chat.goals import REASONS, goal_lines
+from bbq_torchrl.chat.partner import as_act
 from bbq_torchrl.language.extra import needed
 from bbq_torchrl.study.outcome import Judge
-from bbq_torchrl.study.talk import Frame as Act
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from bbq_torchrl.chat.partner import Answer, Partner
     from bbq_torchrl.domains import Goal
-    from bbq_torchrl.language import Frame
 
-__all__ = ["Chat", "as_act", "console", "prompt"]
+__all__ = ["Chat", "console", "prompt"]
 
 COMMANDS = {
     "/acts": "what was understood, and what the agent thinks of its best actions",
@@ -223,11 +222,6 @@ class Chat:
         for row in rows:
             table.add_row(*row)
         self._screen.print(table)
-
-
-def as_act(frame: Frame, confidence: float | None = None) -> Act:
-    """Returns an act of the language layer as the study writes it."""
-    return Act(frame.act, dict(frame.informs), frame.requests, confidence)
 
 
 def console() -> Any:

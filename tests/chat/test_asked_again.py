@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
 from bbq_torchrl.chat import Partner
+from bbq_torchrl.chat.partner import as_act
 from bbq_torchrl.chat.simulated_user import SimulatedUser
-from bbq_torchrl.chat.terminal import as_act
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.language import Frame, Unclear, Understood

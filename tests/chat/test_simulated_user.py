@@ -8,9 +8,9 @@ import torch
 pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
 from bbq_torchrl.chat import simulated_user
+from bbq_torchrl.chat.partner import as_act
 from bbq_torchrl.chat.simulated_user import SimulatedUser
 from bbq_torchrl.chat.talker import AgentTalker
-from bbq_torchrl.chat.terminal import as_act
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.language import Frame
 from bbq_torchrl.language.coding import Coding
