@@ -7,28 +7,13 @@ import torch
 
 pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
-from bbq_torchrl.chat import simulated_user
 from bbq_torchrl.chat.partner import as_act
 from bbq_torchrl.chat.simulated_user import SimulatedUser
-from bbq_torchrl.chat.talker import AgentTalker
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.language import Frame
 from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.simulator import Simulator
 from bbq_torchrl.study import Frame as Act
-from bbq_torchrl.study import load_study
-from bbq_torchrl.study.results import read_results
-from bbq_torchrl.study.simulate import simulate
-
-from .conftest import Acts
-
-STUDY = """
-name: Tickets
-consent: We study assistants.
-agents: {bbqn: bbqn, dqn: dqn}
-pairs: [[bbqn, dqn]]
-participants: 2
-"""
 
 
 class Letters:
@@ -98,23 +83,3 @@ def test_a_user_who_is_asked_again_says_it_again(movie, simulator):
     assert speak.question is None  # no act of the agent's that its words would answer
     assert user.say(Act("request", {}, (slot,))) == str(Frame("inform", {slot: informs[slot]}))
     assert speak.question == Frame("request", {}, (slot,))
-
-
-def test_simulated_users_take_part_in_a_study_of_trained_agents(runs, mouth, monkeypatch):
-    monkeypatch.setattr(simulated_user, "Generator", lambda _: Letters())
-    file = runs / "rehearsal.yaml"
-    file.write_text(STUDY, encoding="utf-8")
-    study = load_study(file)
-    talker = AgentTalker(study, Acts(), mouth, language="")
-    simulate(study, talker, simulated_user.make_users(study), seed=3)
-    results = read_results(study.data)
-    assert results.simulated
-    assert sorted(session.agent for session in results.sessions) == ["bbqn", "bbqn", "dqn", "dqn"]
-    for session in results.sessions:
-        goal = talker.domain.goals[session.goal - 1]
-        told = session.exchanges[0].heard.informs
-        assert told.items() <= goal.constraints.items()
-        assert (session.exchanges[0].beliefs is not None) == (session.agent == "bbqn")
-        assert session.verdict is not None
-    for left in runs.glob("rehearsal*"):
-        left.unlink()

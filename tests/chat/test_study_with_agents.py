@@ -1,31 +1,34 @@
-"""A study whose agents are run folders, from the study file to the report."""
+"""A study whose agents are run folders, from the study file to its results."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-pytest.importorskip("starlette", reason="needs the extra study")
-
-from starlette.testclient import TestClient
-from study.conftest import STUDY, Clock, Site
-
+from bbq_torchrl.chat import simulated_user
 from bbq_torchrl.chat import talker as talkers
 from bbq_torchrl.study import StudyError, load_study
-from bbq_torchrl.study.report import write_report
 from bbq_torchrl.study.results import read_results
-from bbq_torchrl.study.store import Store
-from bbq_torchrl.study.web import application
+from bbq_torchrl.study.simulate import simulate
 
 from .conftest import Acts
+from .test_simulated_user import Letters
+
+STUDY = """
+name: Tickets
+consent: We study assistants.
+agents: {bbqn: bbqn, dqn: dqn}
+pairs: [[bbqn, dqn]]
+participants: 2
+"""
 
 
 @pytest.fixture
 def study(runs):
     """Beside the runs, whose folders it names from its own folder on."""
     file = runs / "tickets.yaml"
-    file.write_text(
-        STUDY.replace("runs/vault-bbqn", "bbqn").replace("runs/vault-dqn", "dqn"), encoding="utf-8"
-    )
+    file.write_text(STUDY, encoding="utf-8")
     yield load_study(file)
     for left in runs.glob("tickets.*"):
         left.unlink()
@@ -33,56 +36,39 @@ def study(runs):
 
 @pytest.fixture(autouse=True)
 def typed_acts(monkeypatch):
-    """People type acts, so that nothing has to be learned."""
+    """People and simulated users type acts, so that nothing has to be learned."""
     monkeypatch.setattr(talkers, "make_ears", lambda *_: Acts())
+    monkeypatch.setattr(simulated_user, "Generator", lambda _: Letters())
 
 
-def test_people_talk_with_trained_agents_and_are_reported(study, tmp_path):
+def test_simulated_users_take_part_in_a_study_of_trained_agents(study):
     talker = talkers.make_talker(study)
-    prints = {name: talker.fingerprint(name) for name in study.terms.agents}
-    assert len(set(prints.values())) == 2
-    store = Store(study.data, study.terms, prints, clock=Clock())
-    with TestClient(application(study, store, talker), raise_server_exceptions=False) as client:
-        site = Site(study, client, store, talker, Clock())
-        link = site.enrol()
-        for _ in range(2):
-            session = site.session(link)
-            page = site.say(link, "request(ticket) inform(moviename=barbie)").text
-            stored = store.exchanges(session.id)
-            assert stored[0].heard.informs == {"moviename": "barbie"}
-            assert (stored[0].beliefs is not None) == (session.agent == "secret-bbqn")
-            if not store.session(session.id).is_ended:
-                page = site.say(link, "closing").text
-            assert "secret" not in page
-            assert 'name="overall"' in page
-            transcript = client.get(f"{site.researcher}/{session.id}").text
-            assert "moviename=barbie" in transcript
-            site.rate(link)
-    store.close()
+    assert len({talker.fingerprint(name) for name in study.terms.agents}) == 2
+    simulate(study, talker, simulated_user.make_users(study), seed=3)
     results = read_results(study.data)
-    assert {session.agent for session in results.sessions} == set(study.terms.agents)
-    write_report(tmp_path / "report", results)
-    assert (tmp_path / "report" / "success.png").stat().st_size > 0
+    assert results.simulated
+    assert sorted(session.agent for session in results.sessions) == ["bbqn", "bbqn", "dqn", "dqn"]
+    for session in results.sessions:
+        goal = talker.domain.goals[session.goal - 1]
+        told = session.exchanges[0].heard.informs
+        assert told.items() <= goal.constraints.items()
+        assert (session.exchanges[0].beliefs is not None) == (session.agent == "bbqn")
+        assert session.verdict is not None
 
 
-def test_a_shipped_agent_talks_in_a_study(runs):
-    file = runs / "tickets.yaml"
-    text = STUDY.replace("runs/vault-bbqn", "shipped:bbqn_map").replace("runs/vault-dqn", "dqn")
-    file.write_text(text, encoding="utf-8")
-    talker = talkers.make_talker(load_study(file))
-    reply = talker.reply("secret-bbqn", None, "inform(moviename=barbie)", 0)
+def test_a_shipped_agent_talks_in_a_study(study):
+    study = replace(study, terms=replace(study.terms, agents={"bbqn": "shipped:bbqn_map"}))
+    reply = talkers.make_talker(study).reply("bbqn", None, "inform(moviename=barbie)", 0)
     assert reply.heard.informs == {"moviename": "barbie"}
     assert reply.beliefs is not None
-    file.write_text(text.replace("shipped:bbqn_map", "shipped:nobody"), encoding="utf-8")
-    with pytest.raises(StudyError, match="secret-bbqn cannot be loaded: shipped:<name> must name"):
-        talkers.make_talker(load_study(file))
-    file.unlink()
 
 
-def test_agents_that_cannot_talk_are_named_together(study, runs):
-    (runs / "dqn").rename(runs / "moved")
-    try:
-        with pytest.raises(StudyError, match="the agent secret-dqn cannot be loaded"):
-            talkers.make_talker(study)
-    finally:
-        (runs / "moved").rename(runs / "dqn")
+def test_agents_that_cannot_talk_are_named_together(study, restaurant):
+    agents = {"one": "shipped:nobody", "two": "nowhere", "three": "dqn"}
+    terms = replace(study.terms, agents=agents)
+    with pytest.raises(StudyError) as error:
+        talkers.make_talker(replace(study, terms=terms, domain=restaurant))
+    one, two, three = error.value.faults
+    assert one.startswith("the agent one cannot be loaded: shipped:<name> must name")
+    assert two.startswith("the agent two cannot be loaded: ")
+    assert three.endswith("of the domain movie, which is not the study's, restaurant")

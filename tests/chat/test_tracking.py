@@ -39,24 +39,18 @@ class Played:
         return Coding(self.tensors).frame(int(state["heard_act"]), informs, requests)
 
 
-def together(played, place, *, repeats):
+def together(played, place):
     """Yields the simulator's state and the tracking's, turn by turn until the dialogue ends."""
     tracking = Tracking(played.simulator, played.active)
-    known = set()
     for number, states in enumerate(played.states):
         state = states[place]
         if bool(state["done"]):
             return
         heard = played.frame(state)
-        if not repeats:
-            heard = Frame(heard.act, heard.informs, tuple(set(heard.requests) - known))
-        known |= set(heard.requests)
         if number == 0:
             tracked = tracking.start(heard)
         else:
             tracked = tracking.act(tracked, int(played.actions[number - 1][place]))
-            told = tracking.said(tracked)
-            known -= set(told.informs) if told.act == "inform" else set()
             tracked = tracking.hear(tracked, heard)
         yield state, tracked, tracking
 
@@ -66,18 +60,11 @@ def test_an_agent_sees_bit_for_bit_what_it_sees_in_the_simulator(movie, errors):
     played = Played(movie, errors)
     turns = 0
     for place in range(PLACES):
-        for state, tracked, tracking in together(played, place, repeats=True):
+        for state, tracked, tracking in together(played, place):
             expected = played.simulator.observe(state, played.active)
             assert torch.equal(tracking.observe(tracked), expected)
             turns += 1
     assert turns > 5 * PLACES
-
-
-def test_a_question_asked_once_is_not_lost_before_it_is_answered(movie):
-    played = Played(movie, 0.0)
-    for place in range(PLACES):
-        for state, tracked, _ in together(played, place, repeats=False):
-            assert not (state["heard_requests"] & ~tracked["open_requests"]).any()
 
 
 def test_a_question_is_kept_while_the_person_answers_and_shown_again_after(movie):

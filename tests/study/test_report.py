@@ -13,7 +13,7 @@ import pytest
 
 from bbq_torchrl.study.__main__ import main
 from bbq_torchrl.study.comparisons import compare_pairs
-from bbq_torchrl.study.export import defused, export, without_names
+from bbq_torchrl.study.export import defused, without_names
 from bbq_torchrl.study.outcome import Verdict
 from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.report import report_text, write_report
@@ -78,14 +78,6 @@ def test_peoples_names_tell_nothing_of_who_came_when(fill):
     results = fill([(5, 1)] * 8, secret="of this test")
     names = list(dict.fromkeys(session.person for session in results.sessions))
     assert names != sorted(names) == [f"P{number}" for number in range(1, 9)]
-
-
-def test_a_simulated_study_says_so_wherever_it_is_shown(fill, tmp_path):
-    results = fill([(5, 1), (4, 2)], simulated=True)
-    assert "**The people of this study are simulated users.**" in report_text(results)
-    export(tmp_path, results)
-    lines = (tmp_path / "sessions.jsonl").read_text().splitlines()
-    assert all(json.loads(line)["simulated"] for line in lines)
 
 
 def test_a_warning_is_told_from_what_comes_with_length(fill):
@@ -172,13 +164,6 @@ def test_what_a_spreadsheet_would_run_is_defused_and_nothing_else():
 )
 def test_names_that_are_given_as_such_are_replaced(text, kept):
     assert without_names(text) == kept
-
-
-def test_the_report_command_writes_beside_the_study(fill, study, capsys):
-    fill([(5, 1)])
-    assert main(["report", str(study.path)]) == 0
-    assert "2 ended sessions" in capsys.readouterr().out
-    assert (study.path.parent / "study-report" / "report.md").is_file()
 
 
 def test_the_power_command_prints_both_tests(capsys):

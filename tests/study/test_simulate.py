@@ -122,7 +122,9 @@ def test_the_command_leaves_the_study_to_people(tmp_path, capsys):
     command = ["simulate", str(tmp_path / "tickets.yaml"), "--seed", "4"]
     command += ["--talker", f"{__package__}.fakes:make", "--users", f"{__name__}:make_users"]
     assert main(command) == 0
-    assert "5 of 5 simulated users" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "5 of 5 simulated users" in told
+    assert "10 ended sessions" in told
     made = {path.name for path in tmp_path.iterdir()} - {"tickets.yaml"}
     assert all(name.startswith("tickets-simulated") for name in made)
     report = tmp_path / "tickets-simulated-report" / "report.md"
