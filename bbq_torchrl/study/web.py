@@ -20,7 +20,7 @@ from bbq_torchrl.study.conversations import MAX_TEXT, Conversations, RefusedErro
 from bbq_torchrl.study.database import StoreError
 from bbq_torchrl.study.guard import Guard
 from bbq_torchrl.study.outcome import card
-from bbq_torchrl.study.records import SCALES, current
+from bbq_torchrl.study.records import current
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -40,7 +40,7 @@ JOIN, RESEARCHER = "join", "researcher"
 
 MAX_LISTED = 1_000
 MAX_BARS = 12
-QUESTIONS = {
+QUESTIONS = {  # of SCALES
     "overall": "Overall, how well did the assistant do?",
     "naturalness": "How natural was what it said?",
     "coherence": "How well did its answers fit what had been said?",
@@ -159,7 +159,7 @@ class _Pages:
             nonce=form.get("nonce", "") if keep_nonce else _new_nonce(),
             given=given,
             max_text=MAX_TEXT,
-            questions={name: QUESTIONS[name] for name in SCALES},
+            questions=QUESTIONS,
         )
 
     def _token(self, request: Request) -> str:

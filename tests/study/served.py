@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import socket
 import subprocess
 import sys
@@ -22,21 +21,19 @@ class Server:
 
     Args:
         file: the study file.
-        port: to listen at; ``None`` for a free one.
-        before: what stands before the command, to run it in other circumstances.
         talker: where the agents come from.
     """
 
-    def __init__(self, file, port=None, before=(), talker="study.fakes:make"):
-        self.file, self.before, self.talker = file, before, talker
-        self.port = port or free_port()
+    def __init__(self, file, talker="study.fakes:make"):
+        self.file, self.talker = file, talker
+        self.port = free_port()
         self.process = None
         self.links = {}
 
     def start(self):
         path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
         command = [
-            *(*self.before, sys.executable, "-m", "bbq_torchrl.study", "serve", str(self.file)),
+            *(sys.executable, "-m", "bbq_torchrl.study", "serve", str(self.file)),
             *("--talker", self.talker, "--port", str(self.port)),
         ]
         self.process = subprocess.Popen(
@@ -58,14 +55,8 @@ class Server:
                 assert self.process.poll() is None, self.process.stderr.read()
 
     def kill(self):
-        self._end(signal.SIGKILL)
-
-    def stop(self):
-        self._end(signal.SIGTERM)
-
-    def _end(self, number):
         if self.process is not None:
-            self.process.send_signal(number)
+            self.process.kill()
             self.process.communicate(timeout=60)
             self.process = None
 
@@ -73,30 +64,25 @@ class Server:
         return self.start()
 
     def __exit__(self, *error):
-        if self.process is not None:
-            self.kill()
+        self.kill()
 
 
 class Visitor:
     """Somebody who takes part over the network."""
 
     def __init__(self, server):
-        self.server = server
-        self.link = None
+        join = server.links["for people"]
+        form = hidden(httpx2.get(join, timeout=60).text)
+        self.link = str(self.post(join, {**form, "consent": "yes"}).url)
 
-    def get(self, link):
-        return httpx2.get(link, timeout=60)
+    def page(self):
+        return httpx2.get(self.link, timeout=60).text
 
     def post(self, link, form):
         return httpx2.post(link, data=form, follow_redirects=True, timeout=60)
 
-    def enrol(self):
-        join = self.server.links["for people"]
-        self.link = str(self.post(join, {**hidden(self.get(join).text), "consent": "yes"}).url)
-        return self.link
-
     def form(self, text):
-        return {**hidden(self.get(self.link).text), "text": text}
+        return {**hidden(self.page()), "text": text}
 
     def send(self, form):
         return self.post(f"{self.link}/say", form)

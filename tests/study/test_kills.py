@@ -21,7 +21,6 @@ class Talkative:
 
     def __init__(self, server):
         self.visitor = Visitor(server)
-        self.visitor.enrol()
         self.answered, self.unsure, self.count = [], None, 0
 
     def talk(self):
@@ -46,7 +45,7 @@ def test_a_server_that_is_killed_loses_nothing_acknowledged(tmp_path, kills):
         with server:
             people = people or [Talkative(server) for _ in range(3)]
             for person in people:
-                page = person.visitor.get(person.visitor.link).text
+                page = person.visitor.page()
                 assert all(text in page for text in person.answered)
                 if person.unsure is not None:
                     # Sent again it is answered; it had been stored already, or it is now.

@@ -77,20 +77,24 @@ def test_a_seed_is_a_study(study, tmp_path):
     assert one["sessions.csv"] != other["sessions.csv"]
 
 
-def test_a_simulation_that_was_stopped_goes_on_as_if_it_had_not(study, tmp_path):
-    class Stopped(FakeTalker):
-        def reply(self, *given):
-            if self.calls == 11:
-                raise KeyboardInterrupt
-            return super().reply(*given)
-
-    with pytest.raises(KeyboardInterrupt):
-        played(study, tmp_path / "stopped", Stopped(study.domain))
+@pytest.mark.parametrize("step", ["add_exchange", "rate"])
+def test_a_simulation_that_was_stopped_goes_on_as_if_it_had_not(study, tmp_path, monkeypatch, step):
     talker = FakeTalker(study.domain)
-    stopped = played(study, tmp_path / "stopped", talker)
-    assert stopped == played(study, tmp_path / "whole")
-    exchanges = stopped["exchanges.csv"].count("\n") - 1
-    assert talker.calls == exchanges - 11
+    own, calls = getattr(Store, step), iter(range(100))
+
+    def stopped(store, *given):
+        if next(calls) == 5:
+            raise KeyboardInterrupt
+        return own(store, *given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, step, stopped)
+        with pytest.raises(KeyboardInterrupt):
+            played(study, tmp_path / "stopped", talker)
+    files = played(study, tmp_path / "stopped", talker)
+    assert files == played(study, tmp_path / "whole")
+    exchanges = files["exchanges.csv"].count("\n") - 1
+    assert talker.calls == exchanges + (step == "add_exchange")
 
 
 def test_data_of_another_seed_or_of_people_are_not_gone_on_with(study, tmp_path):
