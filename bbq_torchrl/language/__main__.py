@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
+_ROUND_TRIPS = 3_000  # turns
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns 0, or 2 after a line that says what is wrong."""
@@ -120,12 +122,10 @@ def _agent(name: str, domain: Domain) -> TensorDictModuleBase:
 def _measured(
     given: argparse.Namespace, domain: Domain, understand: Understander
 ) -> dict[str, Any]:
-    found = play(domain, given.dialogues, seed=given.seed)
-    turns = [(agent, user) for agent, _, user in found.turns][:3_000]
+    turns = play(domain, given.dialogues, seed=given.seed)[:_ROUND_TRIPS]
     return {
         **measure_lines(understand, given.data),
         **measure_round_trip(understand, Generator(domain), turns),
-        "patterns": len(found.patterns),
     }
 
 

@@ -97,8 +97,7 @@ def make_examples(
 def _played(domain: Domain, seed: int) -> Callable[[random.Random], tuple[Frame | None, Frame]]:
     """Returns what draws a turn of simulated dialogues."""
     # Other dialogues than those that the round trip is measured on.
-    found = play(domain, _DIALOGUES, seed=seed + 1_000_000, kept=_KEPT)
-    turns = [(agent, user) for agent, _, user in found.turns]
+    turns = play(domain, _DIALOGUES, seed=seed + 1_000_000, kept=_KEPT)
     return lambda rng: rng.choice(turns)
 
 
