@@ -6,10 +6,9 @@ import math
 import re
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language.counts import COUNT_WORDS
 from bbq_torchrl.language.frames import ANY, NO_MATCH_TEXT, Frame, Unclear, asked_slot
 from bbq_torchrl.language.mentions import FAIR, LONGEST, SHORT, values_of
-from bbq_torchrl.language.number_words import NUMBER_WORDS
+from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import compact
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language.counts import COUNT_WORDS
-from bbq_torchrl.language.number_words import NUMBER_WORDS
+from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.quantities import (
     DAY_WORDS,
     MONTH_WORDS,

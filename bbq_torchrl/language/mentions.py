@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.language.counts import COUNT_WORDS
 from bbq_torchrl.language.frames import Frame, Unclear, asked_slot
-from bbq_torchrl.language.number_words import NUMBER_WORDS
+from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
 from bbq_torchrl.language.tagger import spans_of
 

@@ -10,8 +10,7 @@ import calendar
 import re
 from typing import TYPE_CHECKING, Literal, get_args
 
-from bbq_torchrl.language.counts import read_count
-from bbq_torchrl.language.number_words import ORDINALS, TEN_WORDS, number_of
+from bbq_torchrl.language.numbers import ORDINALS, TEN_WORDS, number_of, read_count
 from bbq_torchrl.language.words import tokenize
 
 if TYPE_CHECKING:
@@ -118,8 +117,6 @@ def read_time(text: str) -> str | None:
                 joined = re.sub(r"\b(about|around)\b", " ", joined)  # "from about 6"
             break
     words = [word for word in joined.split() if word not in _TIME_FILLERS]
-    if relation == "after" and words[-1:] == ["on"]:
-        words.pop()
     if words[-2:] == ["or", "later"]:
         relation, words = "after", words[:-2]
     meridian = None

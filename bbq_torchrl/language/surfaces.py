@@ -7,7 +7,7 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language.number_words import ORDINALS, TENS, UNITS
+from bbq_torchrl.language.numbers import ORDINALS, TENS, UNITS
 from bbq_torchrl.language.words import compact
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from bbq_torchrl.language.counts import read_count
 from bbq_torchrl.language.extra import needed
+from bbq_torchrl.language.numbers import read_count
 from bbq_torchrl.language.quantities import read_date, read_price, read_time
 from bbq_torchrl.language.words import tokenize
 

@@ -1,13 +1,39 @@
-"""Numbers of people: one canonical key for every way to say the same."""
+"""Words for small numbers, and numbers of people: one key for every way to say the same."""
 
 from __future__ import annotations
 
 import re
 
-from bbq_torchrl.language.number_words import NUMBER_WORDS, number_of
 from bbq_torchrl.language.words import tokenize
 
-__all__ = ["COUNT_WORDS", "read_count"]
+__all__ = [
+    "COUNT_WORDS",
+    "NUMBER_WORDS",
+    "ORDINALS",
+    "TENS",
+    "TEN_WORDS",
+    "UNITS",
+    "number_of",
+    "read_count",
+]
+
+UNITS = """
+    zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen
+    fifteen sixteen seventeen eighteen nineteen
+""".split()
+"""Zero to nineteen."""
+
+TENS = {20: "twenty", 30: "thirty", 40: "forty", 50: "fifty"}
+
+ORDINALS = """
+    first second third fourth fifth sixth seventh eighth ninth tenth eleventh twelfth
+    thirteenth fourteenth fifteenth sixteenth seventeenth eighteenth nineteenth twentieth
+""".split()
+"""First to twentieth."""
+
+TEN_WORDS = {word: ten for ten, word in TENS.items()}
+_NUMBERS = {word: number for number, word in enumerate(UNITS)} | TEN_WORDS
+NUMBER_WORDS = frozenset(_NUMBERS)
 
 _ALONE = {"alone", "myself", "single", "solo", "1x"}
 _COMPANIONS = frozenset(
@@ -31,6 +57,13 @@ COUNT_WORDS = frozenset(
     | set("me my i our and & + plus n of us a couple pair both dozen half just only with".split())
     | set(", w / go".split())
 )
+
+
+def number_of(word: str) -> int | None:
+    """Returns the number that a word or at most four digits name, else ``None``."""
+    if word.isdecimal() and word.isascii():
+        return int(word) if len(word) <= 4 else None
+    return _NUMBERS.get(word)
 
 
 def read_count(text: str) -> str | None:
