@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.chat.goals import REASONS, goal_lines
 from bbq_torchrl.chat.partner import as_act
-from bbq_torchrl.language.extra import needed
+from bbq_torchrl.extras import needed
 from bbq_torchrl.study.outcome import Judge
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from functools import cache, cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
-from bbq_torchrl.language.extra import needed
+from bbq_torchrl.extras import needed
 from bbq_torchrl.language.phrases import load_phrases
 from bbq_torchrl.language.quantities import READERS, Kind, kind_of
 from bbq_torchrl.language.words import compact, pairs, tokenize

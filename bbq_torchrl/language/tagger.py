@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.language.extra import needed
+from bbq_torchrl.extras import needed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from bbq_torchrl.language.extra import needed
+from bbq_torchrl.extras import needed
 from bbq_torchrl.language.numbers import read_count
 from bbq_torchrl.language.quantities import read_date, read_price, read_time
 from bbq_torchrl.language.words import tokenize
