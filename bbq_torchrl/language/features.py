@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.extras import needed
 from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.quantities import (
     DAY_WORDS,
@@ -60,13 +61,12 @@ class Features:
             for noun in entry.nouns:
                 self._nouns.setdefault(noun, []).append(slot)
         self.known = frozenset(word.replace("'", "") for word in known)
+        self._all = {*self.known, *self._part}
         self._alike: dict[tuple[int, str], list[str]] = {}
-        vocabulary = {*self.known, *self._part}
-        for word in sorted(vocabulary):
+        for word in sorted(self._all):
             if word.isalpha() and len(word) > 3:
                 for part in (word[0], word[1:]):
                     self._alike.setdefault((len(word), part), []).append(word)
-        self._all = vocabulary
         self.spelled = lru_cache(maxsize=20_000)(self._spelled)
 
     def _spelled(self, word: str) -> str:
@@ -76,12 +76,13 @@ class Features:
             return word
         if len(word) < 4:
             return UNKNOWN
+        distance = needed("rapidfuzz", "rapidfuzz.distance").OSA.distance
         close = (
             other
             for size in (len(word), len(word) + 1, len(word) - 1)
             for part in (word[0], word[1:])
             for other in self._alike.get((size, part), ())
-            if _is_slip(word, other)
+            if distance(word, other) == 1
         )
         return next(close, UNKNOWN)
 
@@ -276,15 +277,3 @@ _CLASSES = (
     ("meridian", frozenset(("am", "pm", "a.m", "p.m", "a.m.", "p.m."))),
     ("suffix", frozenset(("st", "nd", "rd", "th"))),
 )
-
-
-def _is_slip(left: str, right: str) -> bool:
-    """Returns whether two words differ by one letter left out, put in, changed or swapped."""
-    if len(left) > len(right):
-        left, right = right, left
-    at = next((i for i, (a, b) in enumerate(zip(left, right, strict=False)) if a != b), len(left))
-    if len(left) < len(right):
-        return left[at:] == right[at + 1 :]
-    return left[at + 1 :] == right[at + 1 :] or (
-        left[at + 2 :] == right[at + 2 :] and left[at : at + 2] == right[at : at + 2][::-1]
-    )

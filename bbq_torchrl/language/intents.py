@@ -12,7 +12,7 @@ from torch import nn
 from torch.nn import functional
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
 __all__ = ["IntentNet", "train_intents"]
 
@@ -41,21 +41,26 @@ class IntentNet(nn.Module):
         self.heads = nn.Linear(_WIDTH, len(self.acts) + 2 * (len(self.slots) + 1))
         nn.init.normal_(self.bag.weight, std=0.05)
 
-    def encode(self, names: Sequence[str]) -> list[int]:
-        """Returns the ids of a sentence's features."""
-        return sorted({self._index[name] for name in names if name in self._index})
-
-    def forward(self, bags: Sequence[Sequence[int]]) -> tuple[torch.Tensor, ...]:
-        """Returns the logits of acts ``[B, A]``, requests and don't-cares ``[B, S + 1]``."""
-        flat = torch.tensor([index for bag in bags for index in bag], dtype=torch.long)
-        return self.scores(flat, torch.tensor([len(bag) for bag in bags]))
-
-    def scores(self, flat: torch.Tensor, sizes: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Returns the logits of :meth:`forward` of features one bag after another.
+    def encode(self, sentences: Iterable[Iterable[str]]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Returns the ids of the features of sentences.
 
         Args:
-            flat: long, the features of all bags.
-            sizes: long ``[B]``, how many of them each bag has.
+            sentences: the names of the features of each.
+
+        Returns:
+            The ids of one sentence after another, long, and how many each has, long ``[B]``.
+        """
+        index = self._index
+        bags = [sorted({index[name] for name in names if name in index}) for names in sentences]
+        flat = torch.tensor(list(chain.from_iterable(bags)), dtype=torch.long)
+        return flat, torch.tensor([len(bag) for bag in bags])
+
+    def forward(self, flat: torch.Tensor, sizes: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Returns the logits of acts ``[B, A]``, requests and don't-cares ``[B, S + 1]``.
+
+        Args:
+            flat: the features of sentences, see :meth:`encode`.
+            sizes: how many of them each sentence has.
         """
         starts = sizes.cumsum(0) - sizes
         hidden = self.bag(flat, starts) / sizes.clamp(min=1).sqrt()[:, None]
@@ -118,23 +123,21 @@ def train_intents(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         net = IntentNet([name for name, _ in ranked[:_MOST]], *names)
-        bags = [net.encode(sentence) for sentence in sentences]
-        flat = torch.tensor(list(chain.from_iterable(bags)), dtype=torch.long)
-        sizes = torch.tensor([len(bag) for bag in bags])
+        flat, sizes = net.encode(sentences)
         starts = sizes.cumsum(0) - sizes
         target = torch.tensor(acts)
         optimizer = torch.optim.Adam(net.parameters(), lr=_RATE, fused=True)
-        steps = _EPOCHS * (-(-len(bags) // _BATCH))
+        steps = _EPOCHS * (-(-len(sizes) // _BATCH))
         schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, steps)
         for _ in range(_EPOCHS):
-            for rows in torch.randperm(len(bags)).split(_BATCH):
+            for rows in torch.randperm(len(sizes)).split(_BATCH):
                 own = sizes[rows]
                 shift = starts[rows] - own.cumsum(0) + own
                 places = shift.repeat_interleave(own) + torch.arange(int(own.sum()))
                 is_kept = torch.rand(len(places)) > _LEFT_OUT
                 owner = torch.arange(len(rows)).repeat_interleave(own)[is_kept]
                 kept = torch.bincount(owner, minlength=len(rows))
-                act, request, care = net.scores(flat[places[is_kept]], kept)
+                act, request, care = net(flat[places[is_kept]], kept)
                 loss = (
                     functional.cross_entropy(act, target[rows], label_smoothing=0.02)
                     + 25 * functional.binary_cross_entropy_with_logits(request, requests[rows])

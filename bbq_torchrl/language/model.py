@@ -64,8 +64,7 @@ class Model:
         tags, chance, each = self.tagger(self.features.of_words(words, question))
         parts = [(words, tags), *_clauses(words, tags)]
         named = [self.features.of_sentence(*part, question) for part in parts]
-        bags = [self.net.encode(names) for names in named]
-        acts, requests, dont_care = self.net(bags)
+        acts, requests, dont_care = self.net(*self.net.encode(named))
         slot = asked_slot(question)
         asked = self.net.slots.index(slot) if slot in self.net.slots else None
         return Reading(
