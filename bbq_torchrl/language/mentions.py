@@ -107,15 +107,11 @@ def values_of(
             unclear.append(Unclear(slot, mentions[-1].text))
             continue
         keys = {lexicon.key(slot, value): value for one in known for value in one.link.values}
-        if len(keys) > 1:
-            keys = _narrowed(slot, keys, known, lexicon)
         if len(keys) > 1 and question is not None and slot in question.informs:
             # "Tulsa? I live in Tucson": what the agent has said is repeated to be denied.
             keys.pop(lexicon.key(slot, question.informs[slot]), None)
-            known = [one for one in known if lexicon.key(slot, one.link.values[0]) in keys] or known
         if len(keys) == 1:
-            last = known[-1].link.values
-            informs[slot] = last[0] if len(last) == 1 else next(iter(keys.values()))
+            (informs[slot],) = keys.values()
         else:
             unclear.append(Unclear(slot, mentions[-1].text, tuple(keys.values())))
     return informs, tuple(unclear)
@@ -176,12 +172,3 @@ def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str
         else:
             at += 1
     return found or [(" ".join(words), lexicon.link(slot, " ".join(words)))]
-
-
-def _narrowed(
-    slot: str, keys: dict[str, str], known: Sequence[_Mention], lexicon: Lexicon
-) -> dict[str, str]:
-    """Returns the values that all mentions of the slot may mean, if there are any."""
-    sets = [{lexicon.key(slot, value) for value in mention.link.values} for mention in known]
-    common = set.intersection(*sets)
-    return {key: value for key, value in keys.items() if key in common} or keys

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -68,15 +67,6 @@ class Template:
     """
 
     parts: tuple[str | _Slot | _Rule | _Choice, ...]
-
-    @cached_property
-    def is_free(self) -> bool:
-        """Whether it can be said without any value or rule."""
-        return all(
-            isinstance(part, str)
-            or (isinstance(part, _Choice) and any(option.is_free for option in part.options))
-            for part in self.parts
-        )
 
     def names(self) -> Iterator[tuple[str, str]]:
         """Yields ``("slot", name)`` and ``("rule", name)`` for all that the phrase names."""
@@ -137,8 +127,6 @@ def is_possible(
     rules: Mapping[str, Sequence[Template]],
 ) -> bool:
     """Returns whether the values that the phrase needs are there."""
-    if template.is_free:
-        return True
     for part in template.parts:
         if isinstance(part, _Slot) and part.name not in values:
             return False
