@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.frames import ANY, NO_MATCH_TEXT, Frame, Unclear, asked_slot
-from bbq_torchrl.language.mentions import FAIR, LONGEST, SHORT, values_of
+from bbq_torchrl.language.mentions import LONGEST, SHORT, values_of
 from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import compact
@@ -94,10 +94,8 @@ def assemble(
     asks = act == "request" and "?" in words  # "comedies?" is more than a name
     if not asks and (short := _short_answer(words, reading, asked, lexicon)) is not None:
         return Frame("inform", short), ()
-    if not (informs or unclear):
-        unclear = _ties(words, asked, lexicon)
-        if act == "inform" and not unclear and reading.dont_care.max() < _FAINT:
-            informs = _named(words, asked, lexicon)
+    if not (informs or unclear) and act == "inform" and reading.dont_care.max() < _FAINT:
+        informs = _named(words, asked, lexicon)
     checked = question.informs if question and question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= SHORT:
         return Frame("inform", dict(checked)), ()
@@ -190,16 +188,6 @@ def _short_answer(
         return None
     values = lexicon.link(other, text).values  # "-3" has the name of 3, and is none
     return {other: values[0]} if values else None
-
-
-def _ties(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> tuple[Unclear, ...]:
-    """Returns the values of the slot asked for that a short answer may mean equally well."""
-    if slot not in lexicon.slots or len(words) > SHORT:
-        return ()
-    link = lexicon.link(slot, text := " ".join(words))
-    if len(link.values) < 2 or link.score < FAIR:
-        return ()
-    return (Unclear(slot, text, link.values),)
 
 
 def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str, str]:

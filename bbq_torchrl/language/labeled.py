@@ -141,10 +141,9 @@ def _place(
 
 def _means(slot: str, words: list[str], key: str, lexicon: Lexicon) -> float:
     """Returns how well words name the value of a key, 0 where they name another or several."""
-    text = " ".join(words)
-    link = lexicon.link(slot, text) if compact(text) else None
-    is_meant = link is not None and [lexicon.key(slot, value) for value in link.values] == [key]
-    return link.score if link is not None and is_meant else 0.0
+    link = lexicon.link(slot, " ".join(words))
+    is_meant = [lexicon.key(slot, value) for value in link.values] == [key]
+    return link.score if is_meant else 0.0
 
 
 def varied(

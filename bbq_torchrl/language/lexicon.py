@@ -16,8 +16,6 @@ from bbq_torchrl.language.quantities import READERS, Kind, kind_of
 from bbq_torchrl.language.words import compact, pairs, tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bbq_torchrl.domains import Domain
 
 __all__ = ["Lexicon", "Link"]
@@ -77,12 +75,10 @@ class Lexicon:
             for record in (*domain.records, *(goal.constraints for goal in domain.goals))
             for slot, value in record.items()
         )
-        self.kinds: dict[str, Kind] = {}
-        self.aliases: dict[str, Mapping[str, tuple[str, ...]]] = {}
-        for slot, values in self._values.items():
-            entry = self.phrases.slots[slot]
-            self.kinds[slot] = entry.kind or kind_of(values)
-            self.aliases[slot] = entry.aliases
+        self.kinds: dict[str, Kind] = {
+            slot: self.phrases.slots[slot].kind or kind_of(values)
+            for slot, values in self._values.items()
+        }
         self._group = {slot: self._groups(slot) for slot in self._values}
         self._by_key: dict[str, dict[str, list[str]]] = {}
         self._names: dict[str, dict[str, str]] = {}
@@ -114,7 +110,7 @@ class Lexicon:
     def _groups(self, slot: str) -> dict[str, str]:
         """Returns the key of every spelling that the phrases call equal to a value."""
         groups = {}
-        for value, others in self.aliases[slot].items():
+        for value, others in self.phrases.slots[slot].aliases.items():
             for text in (value, *others):
                 groups[compact(text)] = compact(value)
         return groups
@@ -146,7 +142,10 @@ class Lexicon:
         return {
             slot: {
                 tuple(tokenize(text))
-                for text in (*values, *(a for texts in self.aliases[slot].values() for a in texts))
+                for text in (
+                    *values,
+                    *(a for texts in self.phrases.slots[slot].aliases.values() for a in texts),
+                )
             }
             for slot, values in self._values.items()
         }
@@ -228,7 +227,7 @@ class _Names:
     def __init__(self, lexicon: Lexicon, slot: str) -> None:
         names = {value: lexicon.key(slot, value) for value in lexicon.values(slot)}
         known = set(names.values())
-        for value, texts in lexicon.aliases[slot].items():
+        for value, texts in lexicon.phrases.slots[slot].aliases.items():
             names |= dict.fromkeys(texts, lexicon.key(slot, value))
         names = {name: key for name, key in names.items() if key in known}
         self._keys = list(names.values())

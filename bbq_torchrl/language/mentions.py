@@ -16,10 +16,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.lexicon import Lexicon, Link
     from bbq_torchrl.language.model import Reading
 
-__all__ = ["FAIR", "LONGEST", "SHORT", "values_of"]
+__all__ = ["LONGEST", "SHORT", "values_of"]
 
-FAIR = 0.85
-"""How well words must fit a name to be taken for it."""
+_FAIR = 0.85  # how well words must fit a name to be taken for it
 
 LONGEST = 8
 """The most words of a name that is looked for."""
@@ -80,7 +79,7 @@ def values_of(
             if exact := [part for part in inside if part[1].score == 1.0]:
                 parts = exact  # "one drama"
             elif slot != asked and min(reading.each_chance[start:end]) < (
-                _LIKELY if end - start == 1 or link.score < FAIR else _LEAST
+                _LIKELY if end - start == 1 or link.score < _FAIR else _LEAST
             ):
                 continue  # Words that are no more than like a name are often none.
         is_denied = not _NOT.isdisjoint(words[max(0, start - 2) : start])
@@ -164,8 +163,8 @@ def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str
             # A day that its month does not have is no day of another month.
             if has_month and re.search(r"\d", text) and MONTH_WORDS.isdisjoint(words[at:end]):
                 continue
-            link = lexicon.link(slot, text) if any(map(str.isalnum, text)) else None
-            if link is not None and len(link.values) == 1 and link.score >= FAIR:
+            link = lexicon.link(slot, text)
+            if len(link.values) == 1 and link.score >= _FAIR:
                 found.append((text, link))
                 at = end
                 break

@@ -64,7 +64,7 @@ class Surfaces:
         )
 
     def _alias(self, slot: str, value: str, rng: random.Random) -> str:
-        for main, others in self._lexicon.aliases[slot].items():
+        for main, others in self._lexicon.phrases.slots[slot].aliases.items():
             if compact(value) in (compact(main), *map(compact, others)):
                 return rng.choice((main, *others))
         return ""
