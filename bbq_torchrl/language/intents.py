@@ -68,13 +68,13 @@ class IntentNet(nn.Module):
         n_acts, n_slots = len(self.acts), len(self.slots) + 1
         return self.heads(hidden).split([n_acts, n_slots, n_slots], -1)
 
+    def _weights(self) -> dict[str, nn.Parameter]:
+        return {"bag": self.bag.weight, "heads": self.heads.weight, "bias": self.heads.bias}
+
     def arrays(self) -> dict[str, np.ndarray]:
-        """Returns the weights in half precision."""
-        return {
-            "bag": self.bag.weight.detach().half().numpy(),
-            "heads": self.heads.weight.detach().numpy(),
-            "bias": self.heads.bias.detach().numpy(),
-        }
+        """Returns the weights, those of the features in half precision."""
+        arrays = {name: weight.detach().numpy() for name, weight in self._weights().items()}
+        return arrays | {"bag": arrays["bag"].astype(np.float16)}
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Takes the weights that :meth:`arrays` gave.
@@ -83,11 +83,7 @@ class IntentNet(nn.Module):
             ValueError: if they are of another shape, or not finite.
         """
         with torch.no_grad():
-            for name, weight in (
-                ("bag", self.bag.weight),
-                ("heads", self.heads.weight),
-                ("bias", self.heads.bias),
-            ):
+            for name, weight in self._weights().items():
                 given = torch.from_numpy(np.array(arrays[name], dtype=np.float32))
                 if given.shape != weight.shape or not bool(given.isfinite().all()):
                     raise ValueError(
