@@ -68,7 +68,7 @@ class IntentNet(nn.Module):
         n_acts, n_slots = len(self.acts), len(self.slots) + 1
         return self.heads(hidden).split([n_acts, n_slots, n_slots], -1)
 
-    def _weights(self) -> dict[str, nn.Parameter]:
+    def _weights(self) -> dict[str, torch.Tensor]:
         return {"bag": self.bag.weight, "heads": self.heads.weight, "bias": self.heads.bias}
 
     def arrays(self) -> dict[str, np.ndarray]:
