@@ -89,6 +89,6 @@ class ActorPolicy(TensorDictModuleBase):
         self.out_keys = actor.out_keys
 
     @property
-    def spec(self) -> Composite:
-        """Specs of what the actor writes."""
-        return self.actor.spec
+    def spec(self) -> Composite | None:
+        """Specs of what the actor writes; None where it knows none, as a bare sequence."""
+        return getattr(self.actor, "spec", None)

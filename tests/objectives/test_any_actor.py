@@ -178,6 +178,7 @@ def test_every_strategy_and_evaluation_acts_on_it(name):
         assert first["action_mask"].gather(-1, first["action"].unsqueeze(-1)).all(), what
         same = torch.equal(first["action_value"], second["action_value"])
         assert same == ("step" not in what and what != "thompson"), what
+        assert policy.spec is None  # TensorDictSequential has none
         if "state" in shapes:
             assert first["next", "state"].shape == (ROWS, HIDDEN)
 
