@@ -266,7 +266,8 @@ def _count(key: str, value: Any) -> int:
 
 
 def _agents(key: str, value: Any) -> dict[str, str]:
-    holds = isinstance(value, dict) and value and all(map(_is_text, [*value, *value.values()]))
+    holds = isinstance(value, dict) and bool(value)
+    holds = holds and all(map(_is_text, [*value, *value.values()]))
     _expect(holds, f"{key} must map one name or more to where the agent is, both text", value)
     return dict(value)
 

@@ -92,7 +92,9 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
     store = open_store()
     tokens = [store.enrol(nonce) for nonce in NONCES[:5]]
     assert store.enrol(NONCES[5]) is None
-    clock.now += 60 * study.terms.idle_minutes
+    clock.now += 60 * study.terms.idle_minutes - 1
+    assert store.enrol(NONCES[5]) is None
+    clock.now += 1
     # Three people are at work: one talks, one ends, one rates.
     says, ends, rates = (current(store.sessions(token)) for token in tokens[1:4])
     reply = FakeTalker(study.domain).reply("secret-dqn", None, "hello", 0)
