@@ -118,9 +118,10 @@ def load_config(file: Path) -> Config:
     for key in _REMOVED_KEYS:
         plain.pop(key, None)
     try:
-        if OmegaConf.is_dict(plain.get("protocol")):
-            plain = OmegaConf.merge(plain, _ADDED, plain)
-        return read_config(plain)
+        is_whole = OmegaConf.is_dict(plain.get("protocol"))
+        complete = OmegaConf.merge(plain, _ADDED, plain) if is_whole else plain
+        assert isinstance(complete, DictConfig)
+        return read_config(complete)
     except (ConfigError, OmegaConfBaseException) as error:
         raise ConfigError(f"{file}: {sentence(error)}") from error
 
