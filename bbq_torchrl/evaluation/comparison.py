@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.figures import COLORS, draw_comparison
+from bbq_torchrl.evaluation.groups import references
 from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, reach
 from bbq_torchrl.evaluation.pairs import difference, pair
 from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Pairing
 
-__all__ = ["comparison_report", "learning_table", "pair_parts", "references", "success_table"]
+__all__ = ["comparison_report", "learning_table", "pair_parts", "success_table"]
 
 NOTE = """\
 The unit is the training seed, never the dialogue. Means over seeds with their 95 % Student t
@@ -76,24 +76,6 @@ def _common(groups: Sequence[Group]) -> str:
         for name in ("env", "domain")
     }
     return ", ".join(f"{name}={'|'.join(values)}" for name, values in common.items() if values)
-
-
-def references(groups: Sequence[Group]) -> dict[str, float]:
-    """Returns the success of the privileged policies, by name, mean over the runs.
-
-    Empty unless the runs all know it and have the same users.
-    """
-    runs = [run for group in groups for run in group.runs]
-    users = [
-        {key: value for key, value in run.setting.items() if key.startswith(("env.", "domain."))}
-        for run in runs
-    ]
-    known = [run.result.references for run in runs]
-    if any(other != users[0] for other in users) or any(
-        one.keys() != known[0].keys() for one in known
-    ):
-        return {}
-    return {name: math.fsum(one[name] for one in known) / len(known) for name in known[0]}
 
 
 def success_table(groups: Sequence[Group]) -> Table:

@@ -18,7 +18,14 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.groups import Group
 
-__all__ = ["draw_comparison", "draw_panels", "draw_run", "moving_average", "save"]
+__all__ = [
+    "draw_comparison",
+    "draw_families",
+    "draw_panels",
+    "draw_run",
+    "moving_average",
+    "save",
+]
 
 MIN_BAND = 5
 """Seeds from which on a band is drawn: of fewer it would hide the curves."""
@@ -94,49 +101,74 @@ def draw_run(
 
 
 def draw_comparison(
-    groups: Sequence[Group],
+    groups: Sequence[Group], *, title: str, references: Mapping[str, float] | None = None
+) -> Figure:
+    """Draws groups of seeds: every seed's training success, the mean, and its 95 % band.
+
+    The band is the t interval of the mean over seeds (five or more), round by round.
+
+    Args:
+        groups: at most seven, one for each setting.
+        title: the heading.
+        references: success rates of privileged policies, by name.
+    """
+    _check_count(groups)
+    figure, axes = _axes()
+    for group, color in zip(groups, COLORS, strict=False):
+        _draw_training(axes, group, color, band=True)
+    _draw_references(axes, references or {})
+    axes.set(xlabel="round", ylabel="success rate", xlim=(0, None), ylim=(0, 1), title=title)
+    return _finished(figure, [axes])
+
+
+def draw_families(
+    families: Mapping[str, Sequence[Group]],
     *,
     title: str,
     references: Mapping[str, float] | None = None,
-    panels: bool = False,
 ) -> Figure:
-    """Draws groups of seeds: every seed's curve, their mean, and its 95 % band.
+    """Draws a column for each family of groups, as :func:`draw_comparison` draws groups.
 
-    The band is the t interval of the mean over seeds (five or more), round by round. Groups beyond
-    the seventh are dashed.
+    Success in training stands above that in evaluations while training, and the reward of training
+    below, as far as there are groups that have them.
 
     Args:
-        groups: at most fourteen, one for each setting.
+        families: heading of a column -> at most seven groups. A group may be in several.
         title: the heading.
         references: success rates of privileged policies, by name.
-        panels: whether success in evaluation while training, and training reward, stand below
-            training success, as far as there are groups that have them.
     """
-    styles = [(color, line) for line in ("-", "--") for color in COLORS]
-    if not 1 <= len(groups) <= len(styles):
-        raise ValueError(f"between 1 and {len(styles)} groups can be drawn, got {len(groups)}")
-    names = {"success": "training success" if panels else "success rate"}
-    if panels and any(group.evaluation is not None for group in groups):
+    groups = [group for family in families.values() for group in family]
+    names = {"success": "training success"}
+    if any(group.evaluation is not None for group in groups):
         names["evaluation"] = "success in evaluation"
-    if panels and any(group.training_reward is not None for group in groups):
+    if any(group.training_reward is not None for group in groups):
         names["reward"] = "training reward"
-    figure, found = _axes(rows=len(names))
-    drawn = dict(zip(names, np.atleast_1d(found), strict=True))
-    for group, (color, line) in zip(groups, styles, strict=False):
-        _draw_training(drawn["success"], group, color, line, band=True)
-        if "evaluation" in drawn and group.evaluation is not None:
-            _draw_evaluated(drawn["evaluation"], group.evaluation, color, line, band=True)
-        if "reward" in drawn and group.training_reward is not None:
-            reward = moving_average(group.training_reward)
-            _draw_seeds(drawn["reward"], np.arange(len(reward)), reward, color, line, band=True)
-    for name, axes in drawn.items():
-        axes.set(
-            ylabel=names[name], xlim=(0, None), **({} if name == "reward" else {"ylim": (0, 1)})
-        )
-    _draw_references(drawn["success"], references or {})
-    drawn["success"].set(title=title)
-    axes.set(xlabel="round")
-    return _finished(figure, list(drawn.values()))
+    figure, axes = _axes(rows=len(names), columns=len(families), shared=True)
+    grid = np.reshape(axes, (len(names), len(families)))
+    for (heading, family), column in zip(families.items(), grid.T, strict=True):
+        _check_count(family)
+        drawn = dict(zip(names, column, strict=True))
+        for group, color in zip(family, COLORS, strict=False):
+            _draw_training(drawn["success"], group, color, band=True)
+            if "evaluation" in drawn and group.evaluation is not None:
+                _draw_evaluated(drawn["evaluation"], group.evaluation, color, "-", band=True)
+            if "reward" in drawn and group.training_reward is not None:
+                reward = moving_average(group.training_reward)
+                _draw_seeds(drawn["reward"], np.arange(len(reward)), reward, color, "-", band=True)
+        for name, axes in drawn.items():
+            if name != "reward":
+                _draw_references(axes, references or {})
+                axes.set(ylim=(0, 1))
+            axes.margins(x=0)
+        drawn["success"].set(title=heading)
+        axes.set(xlabel="round")
+        handles, labels = drawn["success"].get_legend_handles_labels()
+        style = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)}
+        axes.legend(handles, labels, fontsize=7, frameon=False, **style)
+    for name, axes in zip(names, grid[:, 0], strict=True):
+        axes.set(ylabel=names[name])
+    figure.suptitle(title)
+    return _finished(figure, list(grid.flat), legend=False)
 
 
 def draw_panels(
@@ -175,6 +207,11 @@ def draw_panels(
     return _finished(figure, axes[: len(panels)])
 
 
+def _check_count(groups: Sequence[Group]) -> None:
+    if not 1 <= len(groups) <= len(COLORS):
+        raise ValueError(f"between 1 and {len(COLORS)} groups can be drawn, got {len(groups)}")
+
+
 def _colors(count: int) -> Sequence[Any]:
     """Colors of groups; of many, ones that follow their order."""
     if count <= len(COLORS):
@@ -184,28 +221,26 @@ def _colors(count: int) -> Sequence[Any]:
     return [colormaps["viridis"](place) for place in np.linspace(0, 0.95, count)]
 
 
-def _axes(rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
+def _axes(rows: int = 1, columns: int = 1, *, shared: bool = False) -> tuple[Figure, Any]:
     # The object interface: no window system, and no global state beside other figures.
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 4.5 if rows == 1 else 3.3 * rows), layout="constrained")
-    return figure, figure.subplots(rows, columns, sharex=columns == 1)
+    size = (max(8, 4 * columns), 4.5 if rows == 1 else 3.3 * rows)
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, sharex=shared, sharey="row" if shared else False)
 
 
 def _seeds(group: Group) -> str:
     return "1 seed" if len(group.final) == 1 else f"{len(group.final)} seeds"
 
 
-def _draw_training(
-    axes: Any, group: Group, color: str, line: str = "-", *, band: bool = False
-) -> None:
+def _draw_training(axes: Any, group: Group, color: str, *, band: bool = False) -> None:
     success, smooth = group.success, moving_average(group.success)
     # A single run shows its raw rounds; several seeds would hide each other that way.
     thin = success if success.shape[1] == 1 else smooth
     label = f"{group.label} ({_seeds(group)}, mean of {WINDOW} rounds)"
-    _draw_seeds(
-        axes, np.arange(len(success)), smooth, color, line, band=band, thin=thin, label=label
-    )
+    rounds = np.arange(len(success))
+    _draw_seeds(axes, rounds, smooth, color, "-", band=band, thin=thin, label=label)
 
 
 def _draw_evaluated(
@@ -242,12 +277,13 @@ def _draw_references(axes: Any, references: Mapping[str, float]) -> None:
         axes.axhline(rate, color="0.35", lw=1, ls=":", label=label)
 
 
-def _finished(figure: Figure, panels: Sequence[Any]) -> Figure:
+def _finished(figure: Figure, panels: Sequence[Any], *, legend: bool = True) -> Figure:
     for axes in panels:
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
     # Below the axes: inside, some curve would always be behind it.
-    figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    if legend:
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return figure
 
 

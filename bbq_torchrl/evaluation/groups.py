@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -158,6 +159,24 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
         Group(label(name, setting, settings), tuple(runs))
         for (name, setting), (_, runs) in zip(settings, together, strict=True)
     ]
+
+
+def references(groups: Sequence[Group]) -> dict[str, float]:
+    """Returns the success of the privileged policies, by name, mean over the runs.
+
+    Empty unless the runs all know it and have the same users.
+    """
+    runs = [run for group in groups for run in group.runs]
+    users = [
+        {key: value for key, value in run.setting.items() if key.startswith(("env.", "domain."))}
+        for run in runs
+    ]
+    known = [run.result.references for run in runs]
+    if any(other != users[0] for other in users) or any(
+        one.keys() != known[0].keys() for one in known
+    ):
+        return {}
+    return {name: math.fsum(one[name] for one in known) / len(known) for name in known[0]}
 
 
 def label(

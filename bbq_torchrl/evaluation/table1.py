@@ -12,7 +12,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bbq_torchrl.evaluation.figures import draw_comparison
+from bbq_torchrl.evaluation.figures import draw_families
+from bbq_torchrl.evaluation.groups import references
 from bbq_torchrl.evaluation.learning import reach
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
@@ -70,6 +71,13 @@ PAPER = {
 OURS = "BBQN-MAP"
 """What each other agent is compared with."""
 
+FAMILIES = {
+    "BBQN": ("BBQN-MC", "BBQN-VIME-MAP", "BBQN-VIME-MC"),
+    "DQN": ("DQN", "DQN-Boltzmann", "DQN-Bootstrap"),
+    "DQN with VIME": ("DQN-VIME-MAP", "DQN-VIME-MC"),
+}
+"""Column of the figure -> the agents that are drawn in it, beside BBQN-MAP."""
+
 LEVELS = (0.5, 0.6, 0.7)
 
 TABLE1_NOTE = """\
@@ -123,8 +131,16 @@ def table1_report(groups: Sequence[Group]) -> Report:
 
 
 def draw_table1(cells: Mapping[str, Group], env: str) -> Figure:
-    """Draws the agents of Table 1 in an environment, by the paper's names."""
-    return draw_comparison([*cells.values()], title=f"Table 1, env={env}", panels=True)
+    """Draws the agents of Table 1 in an environment: families, each beside BBQN-MAP."""
+    families = {
+        heading: [cells[name] for name in (OURS, *others) if name in cells]
+        for heading, others in FAMILIES.items()
+        if any(name in cells for name in others)
+    }
+    ceiling = references([*cells.values()])
+    return draw_families(
+        families or {"BBQN": [*cells.values()]}, title=f"Table 1, env={env}", references=ceiling
+    )
 
 
 def comparisons(cells: Mapping[str, Group], env: str, quantity: str) -> list[Comparison]:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from result_folders import run_result
 
 from bbq_torchrl.evaluation import Metrics
-from bbq_torchrl.evaluation.figures import draw_comparison, draw_run, moving_average
+from bbq_torchrl.evaluation.figures import draw_comparison, draw_families, draw_run, moving_average
 from bbq_torchrl.evaluation.groups import Group
 from bbq_torchrl.evaluation.runs import Run
 
@@ -134,7 +134,37 @@ def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():
     ]
 
 
-@pytest.mark.parametrize("count", [0, 15])
+@pytest.mark.parametrize("count", [0, 8])
 def test_more_groups_than_colors_are_refused(count):
-    with pytest.raises(ValueError, match=f"between 1 and 14 groups can be drawn, got {count}"):
+    with pytest.raises(ValueError, match=f"between 1 and 7 groups can be drawn, got {count}"):
         draw_comparison([group(1)] * count, title="too many")
+
+
+def test_families_stand_side_by_side_with_what_each_learned_and_the_ceiling():
+    evaluated = np.full((30, 2), np.nan)
+    evaluated[4::5] = 0.5
+    common = group(5, label="BBQN-MAP")
+    other = group(2, label="DQN", eval_success_rate=evaluated, reward=np.full((30, 2), -3.0))
+    families = {"BBQN": [common], "DQN": [common, other]}
+    figure = draw_families(families, title="both", references={"clairvoyant": 0.8})
+
+    names = ["training success", "success in evaluation", "training reward"]
+    grid = np.array(figure.axes).reshape(3, 2)
+    assert [axes.get_ylabel() for axes in grid[:, 0]] == names
+    assert [axes.get_title() for axes in grid[0]] == ["BBQN", "DQN"]
+    # Five seeds and their mean; beside two others and theirs; the ceiling where there is a rate.
+    assert [len(axes.get_lines()) for axes in grid[0]] == [6 + 1, 6 + 3 + 1]
+    assert [len(axes.get_lines()) for axes in grid[1]] == [1, 3 + 1]
+    assert [len(axes.get_lines()) for axes in grid[2]] == [0, 3]
+    colors = [axes.get_lines()[5].get_color() for axes in grid[0]]
+    assert colors[0] == colors[1] != grid[0, 1].get_lines()[8].get_color()
+    ceiling = "clairvoyant (privileged: it reads what no agent is shown): 0.800"
+    shown = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in grid[2]]
+    seeds = ["BBQN-MAP (5 seeds, mean of 10 rounds)", "DQN (2 seeds, mean of 10 rounds)"]
+    assert shown == [[seeds[0], ceiling], [*seeds, ceiling]]
+
+
+@pytest.mark.parametrize("count", [0, 8])
+def test_more_groups_of_a_family_than_colors_are_refused(count):
+    with pytest.raises(ValueError, match=f"between 1 and 7 groups can be drawn, got {count}"):
+        draw_families({"one": [group(1)] * count}, title="too many")
