@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 from bbq_torchrl.statistics import holm
 from bbq_torchrl.study.power import power
@@ -40,6 +40,16 @@ def test_people_who_always_do_the_same_count_as_one_session_each():
     found, single = proportion(sessions), proportion([[row[0]] for row in sessions])
     assert found.value == single.value
     assert found.high - found.low == pytest.approx(single.high - single.low, rel=0.05)
+
+
+def test_the_interval_of_a_proportion_holds_the_truth_also_where_people_differ():
+    rng = np.random.default_rng(0)
+    held, studies = 0, 600
+    for _ in range(studies):
+        rates = special.expit(rng.normal(0, 1.5, 30))
+        found = proportion((rng.random((30, 4)) < rates[:, None]).tolist())
+        held += found.low <= 0.5 <= found.high
+    assert held / studies > 0.95 - 4.5 * math.sqrt(0.95 * 0.05 / studies)
 
 
 def test_nothing_has_no_estimate():
