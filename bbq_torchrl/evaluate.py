@@ -84,7 +84,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     from bbq_torchrl.cli.loading import trained_policy
     from bbq_torchrl.cli.training import make_domain
     from bbq_torchrl.envs.policies import RANDOM_POLICY
-    from bbq_torchrl.evaluation.play import evaluate
+    from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
     from bbq_torchrl.trainers import keep_freed_memory
 

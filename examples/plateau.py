@@ -24,7 +24,7 @@ import torch
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.envs import scripted_policy
-from bbq_torchrl.trainers import play_dialogues
+from bbq_torchrl.trainers import rollouts
 from bbq_torchrl.trainers.collect import rows_per_replica
 from bbq_torchrl.trainers.learn import Update
 
@@ -61,7 +61,7 @@ def spiked_trainer(mean_init: str, std_init: float, seeds: int, folder: Path) ->
     trainer, _ = build_trainer(config, folder)
     trainer.begin()
     randomly = scripted_policy("random", trainer.env)
-    for rollout in play_dialogues(trainer.env, randomly, DIALOGUES):
+    for rollout in rollouts(trainer.env, randomly, DIALOGUES):
         trainer.replay.extend(rows_per_replica(rollout, trainer.replay.keys))
     return trainer
 

@@ -16,7 +16,7 @@ from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
     derive_seed,
-    play_dialogues,
+    rollouts,
 )
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def _check_spike(config: Config, domain: Domain | None) -> None:
         torch.manual_seed(derive_seed(seed, "torch", "spike", 0))
         env.set_seed(derive_seed(seed, "env", "spike", 0))
         policy, steps = config.env.make_policy(spike.policy, env), config.env.steps()
-        played = play_dialogues(env, policy, spike.dialogues, max_steps=steps)
+        played = rollouts(env, policy, spike.dialogues, max_steps=steps)
         count = sum(int(rollout["valid"].sum((-2, -1)).max()) for rollout in played)
     if count >= capacity:
         raise ConfigError(

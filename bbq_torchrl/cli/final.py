@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import bbq_torchrl
 from bbq_torchrl.envs.policies import RANDOM_POLICY
 from bbq_torchrl.evaluation.metrics import read_metrics
-from bbq_torchrl.evaluation.play import evaluate
 from bbq_torchrl.evaluation.results import (
     RunResult,
     TrainingEvaluation,
     replica_result,
     training_evaluation,
 )
+from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.trainers.hooks import enter_round
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from torch import nn
 
-from bbq_torchrl.evaluation.play import evaluation_rollouts
+from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
 from bbq_torchrl.simulator import Transcript
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ __all__ = ["transcripts"]
 def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int = 0) -> list[str]:
     """Plays dialogues and returns them as texts, a line a turn.
 
-    They are the dialogues that :func:`~bbq_torchrl.evaluation.play.evaluate` counts first with the
-    same environment and seed; of a run of several replicas, the first one's.
+    They are the dialogues that :func:`~bbq_torchrl.evaluation.rollouts.evaluate` counts first with
+    the same environment and seed; of a run of several replicas, the first one's.
 
     Args:
         env: batch size [replicas, places].

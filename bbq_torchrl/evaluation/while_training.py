@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.play import evaluate
+from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.trainers import BestWeights, derive_seed
 from bbq_torchrl.trainers.hooks import enter_round
 
@@ -64,15 +64,15 @@ class RoundEvaluator:
         self.best = BestWeights(policy(), env.batch_size[0])
 
     def __call__(self, round_number: int) -> dict[str, float | Tensor]:
-        """Returns mean outcomes, [replicas] each; NaN in a round without an evaluation."""
+        """Returns mean statistics, [replicas] each; NaN in a round without an evaluation."""
         if (round_number + 1) % self.every:
             return dict.fromkeys(_COLUMNS, math.nan)
         enter_round(self.env, round_number)
         seed = derive_seed(self.seed, "evaluate while training", round_number)
-        played = evaluate(
+        stats = evaluate(
             self.env, self.policy(), self.dialogues, seed=seed, max_steps=self.max_steps
         )
-        means = [outcome.double().mean(-1) for outcome in played]
+        means = [entry.double().mean(-1) for entry in stats]
         since = max((change for change in self.changes if change <= round_number), default=0)
         self.best.update(round_number, means[0], since=since)
         return dict(zip(_COLUMNS, means, strict=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bbq_torchrl.trainers.best_weights import BestWeights
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
-from bbq_torchrl.trainers.collect import EpisodeStats, Policy, outcomes, play, play_dialogues
+from bbq_torchrl.trainers.collect import EpisodeStats, Policy, episode_stats, rollout, rollouts
 from bbq_torchrl.trainers.errors import (
     CheckpointDamagedError,
     CheckpointMismatchError,
@@ -12,7 +12,7 @@ from bbq_torchrl.trainers.errors import (
     SpikeError,
     TrainingError,
 )
-from bbq_torchrl.trainers.hooks import Evaluator, RoundCallback, RoundEnv
+from bbq_torchrl.trainers.hooks import EvaluationHook, RoundCallback, RoundEnv
 from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimizer import ReplicaAdam, ReplicaOptimizer
@@ -27,7 +27,7 @@ __all__ = [
     "CheckpointFolder",
     "CheckpointMismatchError",
     "EpisodeStats",
-    "Evaluator",
+    "EvaluationHook",
     "MetricRow",
     "MetricsFile",
     "NonFiniteLossError",
@@ -43,8 +43,8 @@ __all__ = [
     "SpikeSettings",
     "TrainingError",
     "derive_seed",
+    "episode_stats",
     "keep_freed_memory",
-    "outcomes",
-    "play",
-    "play_dialogues",
+    "rollout",
+    "rollouts",
 ]

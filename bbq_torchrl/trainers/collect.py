@@ -19,9 +19,9 @@ __all__ = [
     "EpisodeStats",
     "Policy",
     "collect_dialogues",
-    "outcomes",
-    "play",
-    "play_dialogues",
+    "episode_stats",
+    "rollout",
+    "rollouts",
     "rows_per_replica",
 ]
 
@@ -43,7 +43,7 @@ class EpisodeStats(NamedTuple):
 
 
 @torch.no_grad()
-def play(
+def rollout(
     env: EnvBase,
     policy: Policy,
     *,
@@ -73,7 +73,7 @@ def play(
         policy.eval()
     try:
         with set_exploration_type(exploration):
-            rollout = env.rollout(
+            played = env.rollout(
                 max_steps,
                 _marking_the_first_turn(policy),
                 break_when_any_done=False,
@@ -83,10 +83,10 @@ def play(
     finally:
         if isinstance(policy, nn.Module):
             policy.train(was_training)
-    done = rollout["next", "done"].squeeze(-1)
+    done = played["next", "done"].squeeze(-1)
     if not bool(done[..., -1].all()):
         raise RuntimeError(f"every dialogue must be over after max_steps = {max_steps} turns")
-    return rollout.set("valid", (done.cumsum(-1) - done.long()) == 0)
+    return played.set("valid", (done.cumsum(-1) - done.long()) == 0)
 
 
 def _marking_the_first_turn(policy: Policy) -> Policy:
@@ -103,7 +103,7 @@ def _marking_the_first_turn(policy: Policy) -> Policy:
     return act
 
 
-def play_dialogues(
+def rollouts(
     env: EnvBase,
     policy: Policy,
     dialogues: int,
@@ -111,10 +111,10 @@ def play_dialogues(
     max_steps: int = 1000,
     exploration: ExplorationType = ExplorationType.RANDOM,
 ) -> Iterator[TensorDictBase]:
-    """Yields rollouts as :func:`play` does until every replica has played its dialogues.
+    """Yields rollouts as :func:`rollout` does until every replica has played its dialogues.
 
     Args:
-        env (EnvBase): batch size [*replicas, places]; each play fills all places.
+        env (EnvBase): batch size [*replicas, places]; each rollout fills all places.
         policy (callable): writes an action.
         dialogues (int): how many dialogues each replica plays. Of the last rollout, only as many
             dialogues are kept as are missing: the first places, whatever their lengths.
@@ -123,12 +123,12 @@ def play_dialogues(
     """
     places = env.batch_size[-1]
     for begun in range(0, dialogues, places):
-        rollout = play(env, policy, max_steps=max_steps, exploration=exploration)
-        yield rollout[..., : min(places, dialogues - begun), :]
+        played = rollout(env, policy, max_steps=max_steps, exploration=exploration)
+        yield played[..., : min(places, dialogues - begun), :]
 
 
-def outcomes(rollout: TensorDictBase) -> EpisodeStats:
-    """Returns how the dialogues of a rollout of :func:`play` went, each entry of shape [*batch].
+def episode_stats(rollout: TensorDictBase) -> EpisodeStats:
+    """Returns how the dialogues of a rollout of :func:`rollout` went, each entry of shape [*batch].
 
     Args:
         rollout (TensorDictBase): batch size [*batch, turns], with ``valid``, and whether the
@@ -161,7 +161,7 @@ def collect_dialogues(
     *,
     max_steps: int,
 ) -> dict[str, Tensor]:
-    """Plays dialogues and stores them. Returns their mean outcomes by metric, [replicas] each.
+    """Plays dialogues and stores them. Returns their mean statistics by metric, [replicas] each.
 
     With them are the metrics that the replay's transform noted of these transitions.
 
@@ -173,11 +173,11 @@ def collect_dialogues(
         max_steps (int): the most turns of a dialogue.
     """
     totals: Tensor | None = None
-    for rollout in play_dialogues(env, policy, dialogues, max_steps=max_steps):
-        result = outcomes(rollout)
+    for played in rollouts(env, policy, dialogues, max_steps=max_steps):
+        result = episode_stats(played)
         sums = torch.stack([entry.double().sum(-1) for entry in result])
         totals = sums if totals is None else totals + sums
-        replay.extend(rows_per_replica(rollout, replay.keys))
+        replay.extend(rows_per_replica(played, replay.keys))
     assert totals is not None
     means = dict(zip(("success_rate", "reward", "turns"), totals / dialogues, strict=True))
     return {**means, **replay.pop_metrics()}

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.metrics import MetricRow
     from bbq_torchrl.trainers.round_trainer import RoundTrainer
 
-__all__ = ["Evaluator", "RoundCallback", "RoundEnv", "enter_round"]
+__all__ = ["EvaluationHook", "RoundCallback", "RoundEnv", "enter_round"]
 
 
 class RoundEnv(Protocol):
@@ -37,7 +37,7 @@ RoundCallback = Callable[["RoundTrainer", "Sequence[MetricRow]"], None]
 """What is called after every round with the trainer and the round's rows, one for each replica."""
 
 
-class Evaluator(Protocol):
+class EvaluationHook(Protocol):
     """Plays the policy that is to be reported, after every round."""
 
     @property

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.data import ReplicaReplay
-    from bbq_torchrl.trainers.hooks import Evaluator, RoundCallback
+    from bbq_torchrl.trainers.hooks import EvaluationHook, RoundCallback
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
 
 __all__ = ["RoundTrainer"]
@@ -71,7 +71,7 @@ class RoundTrainer:
         spike (SpikeSettings): how much, and whether it is protected.
         loggers (sequence of Logger): TorchRL loggers, fed from the rows of ``metrics.csv``.
         callbacks (sequence of callable): called after every round.
-        evaluator (Evaluator, optional): evaluates the policy at the end of a round, without a
+        evaluator (EvaluationHook, optional): evaluates the policy at the end of a round, without a
             trace in the training: metrics and weights are bitwise those of one without it.
         round_metrics (mapping): metrics read at the start of each round, such as an exploration
             rate: each returns one number, or a tensor [replicas].
@@ -98,7 +98,7 @@ class RoundTrainer:
         spike: SpikeSettings | None = None,
         loggers: Sequence[Logger] = (),
         callbacks: Sequence[RoundCallback] = (),
-        evaluator: Evaluator | None = None,
+        evaluator: EvaluationHook | None = None,
         round_metrics: Mapping[str, Callable[[], float | Tensor]] | None = None,
         described: Mapping[str, Any] | None = None,
         progress: bool | None = None,
@@ -260,7 +260,7 @@ class RoundTrainer:
         }
 
     def _collect(self, round_number: int) -> dict[str, Tensor]:
-        """Plays the round's dialogues and stores them. Returns mean outcomes, [replicas] each."""
+        """Plays the round's dialogues and stores them. Returns mean statistics, [replicas] each."""
         self._begin_phase("collect", round_number)
         for module in modules_with(self.policy, Resampled):
             module.resample()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.envs import scripted_policy
-from bbq_torchrl.trainers import play
+from bbq_torchrl.trainers import rollout
 from bbq_torchrl.trainers.collect import rows_per_replica
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def full_trainer(
     trainer.progress = False
     random = scripted_policy("random", trainer.env)
     while min(trainer.replay.lengths) < capacity:
-        trainer.replay.extend(rows_per_replica(play(trainer.env, random), trainer.replay.keys))
+        trainer.replay.extend(rows_per_replica(rollout(trainer.env, random), trainer.replay.keys))
     trainer.begin()
     return trainer
 
@@ -78,8 +78,8 @@ def learning_block(
     """
     chosen = [*overrides, f"protocol.freezes={freezes}"]
     trainer = full_trainer(chosen, folder, replicas=replicas, capacity=capacity)
-    rollout = play(trainer.env, scripted_policy("random", trainer.env))
-    new_rows = rows_per_replica(rollout, trainer.replay.keys)
+    played = rollout(trainer.env, scripted_policy("random", trainer.env))
+    new_rows = rows_per_replica(played, trainer.replay.keys)
     numbers = itertools.count(1)
 
     def block() -> float:

@@ -7,7 +7,7 @@ import torch
 
 from bbq_torchrl.domains import DONT_CARE, tensorize
 from bbq_torchrl.envs import ClairvoyantPolicy, DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.evaluation.play import evaluate
+from bbq_torchrl.evaluation.rollouts import evaluate
 
 
 def can_be_met(domain):

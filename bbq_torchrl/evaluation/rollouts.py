@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torchrl.envs.utils import ExplorationType
 
-from bbq_torchrl.trainers import EpisodeStats, Policy, derive_seed, outcomes, play_dialogues
+from bbq_torchrl.trainers import EpisodeStats, Policy, derive_seed, episode_stats, rollouts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,9 +35,9 @@ def evaluate(
     Returns:
         success (bool), reward (float64) and turns (int64), each of shape [*replicas, dialogues].
     """
-    rollouts = evaluation_rollouts(env, policy, dialogues, seed=seed, max_steps=max_steps)
-    played = [outcomes(rollout) for rollout in rollouts]
-    return EpisodeStats(*(torch.cat(parts, -1) for parts in zip(*played, strict=True)))
+    batches = evaluation_rollouts(env, policy, dialogues, seed=seed, max_steps=max_steps)
+    stats = [episode_stats(batch) for batch in batches]
+    return EpisodeStats(*(torch.cat(parts, -1) for parts in zip(*stats, strict=True)))
 
 
 def evaluation_rollouts(
@@ -46,9 +46,9 @@ def evaluation_rollouts(
     """Yields the dialogues that :func:`evaluate` counts, a batch at a time.
 
     Args are those of :func:`evaluate`; the rollouts are those of
-    :func:`~bbq_torchrl.trainers.play_dialogues`.
+    :func:`~bbq_torchrl.trainers.rollouts`.
     """
     torch.manual_seed(derive_seed(seed, "torch", "evaluate"))
     env.set_seed(derive_seed(seed, "env", "evaluate"))
     greedy = ExplorationType.DETERMINISTIC
-    yield from play_dialogues(env, policy, dialogues, max_steps=max_steps, exploration=greedy)
+    yield from rollouts(env, policy, dialogues, max_steps=max_steps, exploration=greedy)
