@@ -201,6 +201,7 @@ def draw_panels(
         names = [name.replace("_", "\n") for name in names]  # so that long ones do not touch
         panel.set(xlabel=key, xticks=range(len(names)), xticklabels=names, ylim=(0, 1))
         panel.set_xlim(-0.5, len(names) - 0.5)
+        panel.tick_params(axis="x", labelsize="small")
     for panel in axes[len(panels) :]:
         panel.remove()
     figure.suptitle(title)

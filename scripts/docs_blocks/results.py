@@ -72,9 +72,10 @@ def draw_figures() -> None:
             save(draw(), common.FIGURES / f"{name.replace('table1', folder)}.png")
         if folder == "table1":
             write_replicas(found.groups, common.RESULTS / "table1.csv")
-    if ablated := groups("ablations"):
-        _, draw = ablations_report(ablated).figures["ablations"]
-        save(draw(), common.FIGURES / "ablations.png")
+    for folder, report in (("ablations", ablations_report), ("explorers", grid_report)):
+        if kept := groups(folder):
+            for name, (_, draw) in report(kept).figures.items():
+                save(draw(), common.FIGURES / f"{name}.png")
     for name, (title, *played_in) in EXPERIMENTS.items():
         ceiling = {"clairvoyant": measured()[(*played_in, "clairvoyant")]["success_rate"]}
         figure = draw_comparison(groups(name), title=title, references=ceiling)
