@@ -37,9 +37,12 @@ _PLACES = 512  # drawn at a time: one random number alone costs as much as hundr
 def is_transformed() -> bool:
     """Returns whether torch.compile traces the caller, or a transform of torch.func runs it.
 
-    What fills memory by hand, or has a gradient written by hand that knows no ``vmap``, has to
-    leave the work to torch's own operations there.
+    What fills memory by hand, or has a gradient written by hand, has to leave the work to torch's
+    own operations there.
     """
+    # A custom Function with a setup_context could run under torch.func itself. Outside of it each
+    # apply then binds its arguments by inspect.signature, and what is saved has to be an output:
+    # for draw, network and loss together that makes an update of BBQN-MAP 8 % slower.
     return torch.compiler.is_compiling() or bool(torch._C._are_functorch_transforms_active())
 
 

@@ -7,6 +7,8 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor
 
+from bbq_torchrl.bayes.noise import is_transformed
+
 __all__ = ["Distance", "td_loss"]
 
 Distance = Literal["l2", "l1", "smooth_l1"]
@@ -26,34 +28,14 @@ class _TDLoss(torch.autograd.Function):
         distance: Distance,
         scale: float | Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        whole = scale
-        chosen = values.gather(-1, index)
-        error = chosen - target
-        if weight is None:
-            scale = scale / max(1, error.shape[-2])
-        else:
-            # Select, then multiply: a row that does not count may hold anything.
-            ignored = weight == 0
-            chosen, error = chosen.masked_fill_(ignored, 0), error.masked_fill_(ignored, 0)
-        square, size = error.square(), error.abs()
-        if distance == "l2":
-            rows, slope = square, error * _factor(2 * scale, error, 2)
-        elif distance == "l1":
-            rows, slope = size, error.sign() * _factor(scale, error, 2)
-        else:
-            clamped = error.clamp(-1, 1)
-            rows, slope = clamped * (error - 0.5 * clamped), clamped * _factor(scale, error, 2)
-        sums = torch.cat([rows, size, chosen], -1)
-        if weight is None:
-            loss, td_error, q_value = sums.mean(-2).unbind(-1)
-        else:
-            slope = slope.mul_(weight)
-            loss, td_error, q_value = sums.mul_(weight).sum(-2).unbind(-1)
+        loss, td_error, q_value, square, slope = _run(
+            values, index, target, weight, distance, scale
+        )
         ctx.save_for_backward(index, slope)
         ctx.shape = values.shape
         ctx.mark_non_differentiable(td_error, q_value, square)
         ctx.set_materialize_grads(False)
-        return loss * _factor(whole, loss, 0), td_error, q_value, square
+        return loss, td_error, q_value, square
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -64,6 +46,41 @@ class _TDLoss(torch.autograd.Function):
         slope = slope * grad[..., None, None]
         out = slope.new_zeros(ctx.shape).scatter_(-1, index, slope)
         return out, None, None, None, None, None
+
+
+def _run(
+    values: Tensor,
+    index: Tensor,
+    target: Tensor,
+    weight: Tensor | None,
+    distance: Distance,
+    scale: float | Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Returns the outputs of :func:`td_loss`, and the loss's slope in each chosen value."""
+    whole = scale
+    chosen = values.gather(-1, index)
+    error = chosen - target
+    if weight is None:
+        scale = scale / max(1, error.shape[-2])
+    else:
+        # Select, then multiply: a row that does not count may hold anything.
+        ignored = weight == 0
+        chosen, error = chosen.masked_fill(ignored, 0), error.masked_fill(ignored, 0)
+    square, size = error.square(), error.abs()
+    if distance == "l2":
+        rows, slope = square, error * _factor(2 * scale, error, 2)
+    elif distance == "l1":
+        rows, slope = size, error.sign() * _factor(scale, error, 2)
+    else:
+        clamped = error.clamp(-1, 1)
+        rows, slope = clamped * (error - 0.5 * clamped), clamped * _factor(scale, error, 2)
+    sums = torch.cat([rows, size, chosen], -1)
+    if weight is None:
+        loss, td_error, q_value = sums.mean(-2).unbind(-1)
+    else:
+        slope = slope * weight
+        loss, td_error, q_value = (sums * weight).sum(-2).unbind(-1)
+    return loss * _factor(whole, loss, 0), td_error, q_value, square, slope
 
 
 def _factor(scale: float | Tensor, like: Tensor, dims: int) -> float | Tensor:
@@ -103,6 +120,10 @@ def td_loss(
         >>> td_loss(values, torch.tensor([[1], [0]]), torch.zeros(2, 1))
         (tensor(6.5000), tensor(2.5000), tensor(2.5000), tensor([[4.], [9.]]))
     """
+    if is_transformed():
+        loss, *others, _ = _run(values, index, target.detach(), weight, distance, scale)
+        td_error, q_value, square = (other.detach() for other in others)
+        return loss, td_error, q_value, square
     out: tuple[Tensor, Tensor, Tensor, Tensor] = _TDLoss.apply(
         values, index, target, weight, distance, scale
     )

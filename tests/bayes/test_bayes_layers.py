@@ -226,6 +226,24 @@ def test_vmap_over_parameters_is_a_loop(name, mode):
         assert not torch.equal(out, again)
 
 
+@pytest.mark.parametrize("name", LAYERS)
+def test_vmap_over_noise_is_a_loop(name):
+    net, features = made(name)
+    (posterior,) = posteriors(net)
+    x, noises = torch.randn(6, *features).double(), torch.randn(4, *posterior.mu.shape).double()
+
+    def call(noise):
+        class Fixed:
+            def normal(self, posterior, shape):
+                return noise
+
+        with weight_scope("draw", noise=Fixed(), kl="sampled") as scope:
+            return net(x), scope.kl.total()
+
+    expected = [torch.stack(outs) for outs in zip(*map(call, noises), strict=True)]
+    torch.testing.assert_close(list(vmap(call)(noises)), expected)
+
+
 @pytest.mark.parametrize("kind", ["closed", "sampled"])
 def test_gradients_under_a_transform_are_the_hand_written_ones(kind):
     net, _ = made("mlp", prior_std=0.3)
