@@ -1,9 +1,10 @@
 """Which hooks an object has: a protocol names them, beside the room of what has them.
 
 The loss's are in :mod:`bbq_torchrl.objectives.hooks`, those of a policy's modules in
-:mod:`bbq_torchrl.exploration.hooks`, those of a replay's transform in :mod:`bbq_torchrl.data.hooks`
-and the environment's is :class:`bbq_torchrl.trainers.RoundEnv`. An object need not inherit from
-a protocol; each says what happens where an object does not follow it.
+:mod:`bbq_torchrl.exploration.hooks`, those of a replay's transform in
+:mod:`bbq_torchrl.data.hooks`; a network's is :class:`bbq_torchrl.networks.growth.Growing` and the
+environment's :class:`bbq_torchrl.trainers.RoundEnv`. An object need not inherit from a protocol;
+each says what happens where an object does not follow it.
 """
 
 from __future__ import annotations

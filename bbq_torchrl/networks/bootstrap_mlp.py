@@ -152,13 +152,20 @@ class BootstrapMLP(nn.Module):
         if heads is not None:
             init_linear_(heads, self.head_layout)
 
-    def input_matrices(self) -> list[Tensor]:
-        """Returns the matrices that the input meets, [*lead, in, width]: views, the prior's too."""
+    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+        """Sets the weights of inactive inputs to 0, the priors' too.
+
+        See :class:`bbq_torchrl.networks.growth.Growing`.
+        """
+        if inputs is None:
+            return
         layout = self.trunk_layout or self.head_layout
         flats: tuple[Tensor | None, ...] = (self.heads, self.prior_heads)
         if self.trunk_layout is not None:
             flats = (self.trunk, self.prior_trunk)
-        return [layout.unflatten(flat)[0][0] for flat in flats if flat is not None]
+        for flat in flats:
+            if flat is not None:
+                layout.unflatten(flat)[0][0][..., inputs, :] = 0
 
     def forward(self, x: Tensor) -> Tensor:
         """Returns the outputs of all heads, shape [*replicas, *batch, K, out].

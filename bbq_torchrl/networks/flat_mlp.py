@@ -79,9 +79,13 @@ class FlatMLP(nn.Module):
         """Draws the weights like ``nn.Linear``: uniform in ±1/√inputs."""
         init_linear_(self.weight, self.layout)
 
-    def input_matrices(self) -> list[Tensor]:
-        """Returns the matrices that the input meets, [*replicas, in, width]: views."""
-        return [self.layout.unflatten(self.weight)[0][0]]
+    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+        """Sets the weights of inactive inputs to 0.
+
+        See :class:`bbq_torchrl.networks.growth.Growing`.
+        """
+        if inputs is not None:
+            self.layout.unflatten(self.weight)[0][0][..., inputs, :] = 0
 
     def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
         """Returns the outputs, shape [*replicas, *batch, out].

@@ -8,28 +8,47 @@ gradient of the closed KL at the prior. (A sampled KL moves it.)
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import torch
 
-from bbq_torchrl.bayes.bayes_mlp import BayesMLP
+from bbq_torchrl.hooks import provides
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
-    from bbq_torchrl.networks.flat_mlp import FlatMLP
-    from bbq_torchrl.networks.noisy_mlp import NoisyMLP
+__all__ = ["Growing", "reset_inactive_"]
 
-__all__ = ["reset_inactive_"]
+
+class Growing(Protocol):
+    """A network that can start with inputs and outputs that come into use later.
+
+    ``BayesMLP``, ``BootstrapMLP``, ``FlatMLP`` and ``NoisyMLP`` are such networks; a network of
+    your own is one if it has these three. Others are refused.
+    """
+
+    @property
+    def in_features(self) -> int:
+        """Size of the input."""
+
+    @property
+    def out_features(self) -> int:
+        """Size of the output."""
+
+    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+        """Starts the weights of inactive inputs and outputs; see :func:`reset_inactive_`.
+
+        Called without gradients, and with masks of the right shape.
+
+        Args:
+            inputs: bool [in_features], True for the inactive ones; None: there are none.
+            outputs: bool [out_features], the same.
+        """
 
 
 @torch.no_grad()
 def reset_inactive_(
-    network: BayesMLP | BootstrapMLP | FlatMLP | NoisyMLP,
-    *,
-    inputs: Tensor | None = None,
-    outputs: Tensor | None = None,
+    network: Growing, *, inputs: Tensor | None = None, outputs: Tensor | None = None
 ) -> None:
     """Starts the weights of inactive inputs and outputs as if they were added only later.
 
@@ -38,9 +57,8 @@ def reset_inactive_(
     weights away from the prior.
 
     Args:
-        network: a BayesMLP, BootstrapMLP, FlatMLP or NoisyMLP; changed in place. To be called
-            before a loss copies the network, as a target updater leaves the copy of a prior
-            function alone.
+        network: changed in place. To be called before a loss copies the network, as a target
+            updater leaves the copy of a prior function alone.
 
     Keyword Args:
         inputs: bool [in_features], True for the inactive ones: their weights become 0, in a
@@ -52,6 +70,7 @@ def reset_inactive_(
             action by the σ that it starts with).
 
     Raises:
+        TypeError: if the network lacks what :class:`Growing` names.
         ValueError: if a mask has another shape.
 
     Example:
@@ -63,6 +82,12 @@ def reset_inactive_(
         >>> net(torch.tensor([[0.0, 1.0, 0.0]])) - net(torch.zeros(1, 3))
         tensor([[0., 0.]], grad_fn=...)
     """
+    if not provides(network, Growing):
+        raise TypeError(
+            f"{type(network).__name__} cannot start with inactive inputs or outputs: it needs "
+            "in_features, out_features and reset_inactive_(inputs, outputs), as "
+            "bbq_torchrl.networks.growth.Growing has them"
+        )
     sizes = {"inputs": network.in_features, "outputs": network.out_features}
     for name, mask in (("inputs", inputs), ("outputs", outputs)):
         if mask is not None and (mask.dtype != torch.bool or mask.shape != (sizes[name],)):
@@ -70,18 +95,4 @@ def reset_inactive_(
                 f"{name} must be a bool mask of shape [{sizes[name]}], got {mask.dtype} "
                 f"{list(mask.shape)}"
             )
-    if isinstance(network, BayesMLP):
-        posterior, layout = network.posterior, network.layout
-        is_inactive = torch.zeros(layout.numel, dtype=torch.bool, device=posterior.mu.device)
-        layers = layout.unflatten(is_inactive)
-        if inputs is not None:
-            layers[0][0][inputs] = True
-        if outputs is not None:
-            layers[-1][0][:, outputs] = True
-            layers[-1][1][outputs] = True
-        posterior.mu.masked_fill_(is_inactive, 0)
-        rho = posterior.per_weight(posterior.prior_rho)
-        posterior.rho.copy_(torch.where(is_inactive, rho, posterior.rho))
-    elif inputs is not None:
-        for matrix in network.input_matrices():
-            matrix.masked_fill_(inputs.to(matrix.device).unsqueeze(-1), 0)
+    network.reset_inactive_(inputs, outputs)

@@ -182,10 +182,15 @@ class NoisyMLP(nn.Module):
             for inputs, outputs in FlatLayout((in_features, *hidden, out_features)).shapes
         )
 
-    def input_matrices(self) -> list[Tensor]:
-        """Returns the matrices that the input meets, μ and σ, [*replicas, in, width]: views."""
-        first = noisy_layers(self)[0]
-        return [first.weight_mu.mT, first.weight_sigma.mT]
+    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+        """Sets μ and σ of the weights of inactive inputs to 0.
+
+        See :class:`bbq_torchrl.networks.growth.Growing`.
+        """
+        if inputs is not None:
+            first = noisy_layers(self)[0]
+            first.weight_mu[..., inputs] = 0
+            first.weight_sigma[..., inputs] = 0
 
     def reset_parameters(self) -> None:
         """Starts again: μ uniform in ±1/√inputs, σ as ``std_init`` says."""

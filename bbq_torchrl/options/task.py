@@ -47,8 +47,8 @@ class Task:
     def reset_inactive_(self, network: Any) -> None:
         """Starts weights of what is not active yet as if it were added only later.
 
-        See :func:`~bbq_torchrl.networks.growth.reset_inactive_`. A network of your own needs
-        ``in_features``, ``out_features`` and ``input_matrices()``, the weights of its inputs.
+        See :func:`~bbq_torchrl.networks.growth.reset_inactive_`, and what a network of your own
+        needs for it at :class:`~bbq_torchrl.networks.growth.Growing`.
         """
         from bbq_torchrl.networks.growth import reset_inactive_
 

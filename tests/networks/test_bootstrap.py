@@ -126,11 +126,11 @@ def test_a_feature_that_appears_late_changes_nothing_when_it_does(
         optimizer.step()
     assert torch.equal(net(x), net(early))
     net(x).square().sum().backward()
-    (matrix,) = net.input_matrices()[:1]
-    assert not matrix[..., inactive, :].any()
-    assert matrix[..., ~inactive, :].all()
     first = net.heads if trunk_layers == 0 else net.trunk
     layout = net.head_layout if trunk_layers == 0 else net.trunk_layout
+    matrix, _ = layout.unflatten(first)[0]
+    assert not matrix[..., inactive, :].any()
+    assert matrix[..., ~inactive, :].all()
     assert layout.unflatten(first.grad)[0][0][..., inactive, :].any()  # from now on it learns
 
 

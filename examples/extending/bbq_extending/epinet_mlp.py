@@ -96,7 +96,7 @@ class EpinetMLP(nn.Module):
         """Returns what each prior makes of the input, [*replicas, *batch, index_size, out]."""
         return torch.stack([prior(x) for prior in self.priors], -2)
 
-    def input_matrices(self) -> list[Tensor]:
-        """Returns the weights of the inputs, the priors' too, each [*replicas, in, out]."""
-        networks = (self.trunk, *self.priors)
-        return [matrix for network in networks for matrix in network.input_matrices()]
+    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+        """Sets the weights of inputs that come into use later to 0, the priors' too."""
+        for network in (self.trunk, *self.priors):
+            network.reset_inactive_(inputs, None)
