@@ -9,6 +9,9 @@ from tensordict.nn import dispatch
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
+from bbq_torchrl.hooks import provides
+from bbq_torchrl.objectives.hooks import BeginsEpochs, UsesNumData
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -93,8 +96,8 @@ class VIMELoss(LossModule):
             num_data: a number, or one for each replica, [*replicas].
         """
         self.dynamics_loss.set_num_data(num_data)
-        if hasattr(self.q_loss, "set_num_data"):
-            self.q_loss.set_num_data(num_data)
+        if provides(self.q_loss, UsesNumData):
+            self.q_loss.set_num_data(torch.as_tensor(num_data))
 
     def begin_epoch(self) -> None:
         """Lets the dynamics learn on the next batch, and from there on every so manieth.
@@ -104,7 +107,7 @@ class VIMELoss(LossModule):
         decides which batches of the next the others' dynamics learn on.
         """
         self.batches = 0
-        if hasattr(self.q_loss, "begin_epoch"):
+        if provides(self.q_loss, BeginsEpochs):
             self.q_loss.begin_epoch()
 
     def get_extra_state(self) -> Tensor:
