@@ -91,7 +91,7 @@ def curve(trainer: RoundTrainer, epochs: int) -> Iterator[tuple[int, list[float]
             trainer.target_updater.step()
             trainer.replay.compute(("next", "next_state_value"), trainer.loss.next_state_values)
         trainer.loss.begin_epoch()
-        for batch in trainer.replay.epoch(trainer.settings.batch_size):
+        for batch in trainer.replay.epoch(trainer.learner.batch_size):
             update(batch)
     yield update.sums.updates[0], values_of_successes(trainer)
 

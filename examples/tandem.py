@@ -90,11 +90,14 @@ def tandem(leader: RoundTrainer, follower: RoundTrainer) -> Iterator[list[Row]]:
         leader.replay,
         follower.optimizer,
         follower.target_updater,
-        leader.settings,
         leader.learner.seed_phase,
+        batch_size=leader.learner.batch_size,
+        freezes=leader.learner.freezes,
+        epochs=leader.learner.epochs,
+        lr_share=leader.learner.lr_share,
     )
     leader.begin()
-    while leader.rounds_done < leader.settings.rounds:
+    while leader.rounds_done < leader.rounds:
         rows = leader.train_round()
         number = leader.rounds_done - 1
         learner.learn(number)

@@ -16,7 +16,7 @@ from bbq_torchrl.evaluation.while_training import RoundEvaluator
 from bbq_torchrl.options import Task
 from bbq_torchrl.options.task import action_mask_key
 from bbq_torchrl.options.values import replica_values
-from bbq_torchrl.trainers import RoundSettings, RoundTrainer, SpikeSettings, derive_seed
+from bbq_torchrl.trainers import RoundTrainer, derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -131,27 +131,18 @@ def build_trainer(
         ),
         agent.optimizer,
         HardUpdate(agent.loss, value_network_update_interval=0),
-        RoundSettings(
-            rounds=protocol.rounds,
-            dialogues=protocol.dialogues,
-            batch_size=protocol.batch_size,
-            freezes=protocol.freezes,
-            epochs=protocol.epochs,
-            lr_final=protocol.lr_final,
-            lr_decay_from=protocol.lr_decay_from,
-            checkpoint_every=protocol.checkpoint_every,
-            keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
-            seed=config.seed,
-            max_steps=config.env.steps(),
-        ),
         run_folder,
-        spike_policy=config.env.make_policy(spike.policy, env) if spike.dialogues else None,
-        spike=SpikeSettings(
-            dialogues=spike.dialogues,
-            protect=spike.protect,
-            drop_above=spike.drop_above,
-            drop_window=spike.drop_window,
-        ),
+        rounds=protocol.rounds,
+        dialogues=protocol.dialogues,
+        batch_size=protocol.batch_size,
+        freezes=protocol.freezes,
+        epochs=protocol.epochs,
+        checkpoint_every=protocol.checkpoint_every,
+        keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
+        lr_share=None if protocol.lr_final == 1 else protocol.lr_share,
+        max_steps=config.env.steps(),
+        seed=config.seed,
+        spike=spike.make(config.env.make_policy(spike.policy, env)) if spike.dialogues else None,
         loggers=config.logger.make(run_folder, resume=config.resume is not None),
         callbacks=callbacks,
         evaluator=_evaluator(config, domain, agent),

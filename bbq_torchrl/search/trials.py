@@ -141,7 +141,7 @@ class _Reports:
         so_far = [math.fsum(success[replica::replicas]) / done for replica in range(replicas)]
         if done - 1 not in self._reported:
             self._trial.report(_sum_up(so_far, self._settings), step=done - 1)
-        if done < trainer.settings.rounds and self._trial.should_prune():
+        if done < trainer.rounds and self._trial.should_prune():
             raise optuna.TrialPruned
 
 

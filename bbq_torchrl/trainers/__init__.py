@@ -19,7 +19,7 @@ from bbq_torchrl.trainers.optimizer import ReplicaAdam, ReplicaOptimizer
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.round_trainer import RoundTrainer
 from bbq_torchrl.trainers.seeding import derive_seed
-from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
+from bbq_torchrl.trainers.spiking import Spike
 
 __all__ = [
     "BestWeights",
@@ -37,10 +37,9 @@ __all__ = [
     "RoundCallback",
     "RoundEnv",
     "RoundProgress",
-    "RoundSettings",
     "RoundTrainer",
+    "Spike",
     "SpikeError",
-    "SpikeSettings",
     "TrainingError",
     "derive_seed",
     "episode_stats",

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.data import Batch, ReplicaReplay
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
-    from bbq_torchrl.trainers.settings import RoundSettings
 
 __all__ = ["Learner", "LossSums", "Update"]
 
@@ -144,10 +143,15 @@ class Learner:
         replay (ReplicaReplay): the buffers.
         optimizer (ReplicaOptimizer): of the loss's parameters.
         target_updater (HardUpdate): ``.step()`` freezes the target.
-        settings (RoundSettings): how many freezes and epochs, of which batches, and whether the
-            learning rate falls.
         seed_phase (callable): seeds all that is random for a phase, which it is given as a name and
             numbers; called before each epoch.
+
+    Keyword Args:
+        batch_size (int): transitions of a mini-batch, for each replica.
+        freezes (int): how often in a round the target is frozen and learned against.
+        epochs (int): how many epochs over the buffer follow each freeze.
+        lr_share (callable, optional): returns the share of the learning rate that a round, counted
+            from 0, learns with. Default: all of it, always.
     """
 
     def __init__(
@@ -156,14 +160,21 @@ class Learner:
         replay: ReplicaReplay,
         optimizer: ReplicaOptimizer,
         target_updater: TargetNetUpdater,
-        settings: RoundSettings,
         seed_phase: Callable[..., None],
+        *,
+        batch_size: int,
+        freezes: int,
+        epochs: int,
+        lr_share: Callable[[int], float] | None = None,
     ) -> None:
         self.loss = loss
         self.replay = replay
         self.target_updater = target_updater
-        self.settings = settings
         self.seed_phase = seed_phase
+        self.batch_size = batch_size
+        self.freezes = freezes
+        self.epochs = epochs
+        self.lr_share = lr_share
         self._update = Update(loss, optimizer)
 
     @property
@@ -174,8 +185,8 @@ class Learner:
     def learn(self, round_number: int) -> dict[str, list[float]]:
         """Learns for a round. Returns the mean of what the loss reports, for each replica."""
         self._update.sums.reset()
-        if self.settings.lr_final != 1.0:
-            self._update.optimizer.scale_lr(self.settings.lr_share(round_number))
+        if self.lr_share is not None:
+            self._update.optimizer.scale_lr(self.lr_share(round_number))
         if provides(self.loss, UsesNumData):
             self.loss.set_num_data(self.replay.num_data())
         self.update_all(round_number)
@@ -186,17 +197,16 @@ class Learner:
 
     def update_all(self, round_number: int) -> None:
         """Freezes and learns, without waiting for the device."""
-        settings = self.settings
-        for freeze in range(settings.freezes):
+        for freeze in range(self.freezes):
             self.target_updater.step()
             self.compute_targets()
-            for epoch in range(settings.epochs):
+            for epoch in range(self.epochs):
                 # A seed for every epoch: its length is that of the longest replica's, and the
                 # draws of the next epoch must not depend on it.
                 self.seed_phase("learn", round_number, freeze, epoch)
                 if provides(self.loss, BeginsEpochs):
                     self.loss.begin_epoch()
-                for batch in self.replay.epoch(settings.batch_size):
+                for batch in self.replay.epoch(self.batch_size):
                     self._update(batch)
 
     def compute_targets(self) -> None:

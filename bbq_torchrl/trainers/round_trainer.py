@@ -15,15 +15,13 @@ from bbq_torchrl.exploration.hooks import Annealed, Resampled
 from bbq_torchrl.hooks import modules_with
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
-from bbq_torchrl.trainers.collect import Policy, collect_dialogues
+from bbq_torchrl.trainers.collect import collect_dialogues
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, NonFiniteLossError
 from bbq_torchrl.trainers.hooks import enter_round
 from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.seeding import derive_seed
-from bbq_torchrl.trainers.settings import RoundSettings, SpikeSettings
-from bbq_torchrl.trainers.spiking import drop_outgrown_spikes, spike_replay
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -35,6 +33,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.trainers.hooks import EvaluationHook, RoundCallback
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
+    from bbq_torchrl.trainers.spiking import Spike
 
 __all__ = ["RoundTrainer"]
 
@@ -65,10 +64,24 @@ class RoundTrainer:
         replay (ReplicaReplay): the buffers, empty.
         optimizer (ReplicaOptimizer): of the loss's parameters.
         target_updater (HardUpdate): ``.step()`` freezes the target.
-        settings (RoundSettings): the protocol.
         run_folder (Path): takes ``metrics.csv`` and ``checkpoint/``.
-        spike_policy (callable, optional): fills the buffer before the first round.
-        spike (SpikeSettings): how much, and whether it is protected.
+
+    Keyword Args:
+        rounds (int): how many rounds are trained.
+        dialogues (int): how many dialogues each replica plays in a round. More than the environment
+            has places are played in turns; a policy that keeps something for a dialogue then needs
+            TorchRL's ``InitTracker`` in the environment, to know where the next one begins.
+        batch_size (int): transitions of a mini-batch, for each replica.
+        freezes (int): how often in a round the target is frozen and learned against.
+        epochs (int): how many epochs over the buffer follow each freeze.
+        checkpoint_every (int): rounds between two checkpoints.
+        keep_checkpoints (int, optional): how many of the newest are kept; ``None``: all.
+        lr_share (callable, optional): returns the share of the learning rate that a round, counted
+            from 0, learns with. Default: all of it, always.
+        max_steps (int): the most agent turns of a dialogue; one that is longer is an error.
+            Default: 1000.
+        seed (int): what every random number of the training derives from. Default: 0.
+        spike (Spike, optional): fills the buffer before the first round.
         loggers (sequence of Logger): TorchRL loggers, fed from the rows of ``metrics.csv``.
         callbacks (sequence of callable): called after every round.
         evaluator (EvaluationHook, optional): evaluates the policy at the end of a round, without a
@@ -80,7 +93,7 @@ class RoundTrainer:
         progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
 
     Raises:
-        ValueError: if the parts do not fit one another.
+        ValueError: if the parts do not fit one another, or a number is too small.
     """
 
     def __init__(
@@ -91,11 +104,19 @@ class RoundTrainer:
         replay: ReplicaReplay,
         optimizer: ReplicaOptimizer,
         target_updater: TargetNetUpdater,
-        settings: RoundSettings,
         run_folder: Path | str,
         *,
-        spike_policy: Policy | None = None,
-        spike: SpikeSettings | None = None,
+        rounds: int,
+        dialogues: int,
+        batch_size: int,
+        freezes: int,
+        epochs: int,
+        checkpoint_every: int,
+        keep_checkpoints: int | None,
+        lr_share: Callable[[int], float] | None = None,
+        max_steps: int = 1000,
+        seed: int = 0,
+        spike: Spike | None = None,
         loggers: Sequence[Logger] = (),
         callbacks: Sequence[RoundCallback] = (),
         evaluator: EvaluationHook | None = None,
@@ -109,31 +130,55 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(env.batch_size)}"
             )
-        self.spike = spike if spike is not None else SpikeSettings(dialogues=0)
-        if self.spike.dialogues and spike_policy is None:
-            raise ValueError(f"spiking with {self.spike.dialogues} dialogues needs a spike_policy")
+        counts = {
+            "rounds": rounds,
+            "dialogues": dialogues,
+            "batch_size": batch_size,
+            "freezes": freezes,
+            "epochs": epochs,
+            "checkpoint_every": checkpoint_every,
+            "keep_checkpoints": keep_checkpoints,
+            "max_steps": max_steps,
+        }
+        for name, count in counts.items():
+            if count is not None and count < 1:
+                raise ValueError(f"{name} must be at least 1, got {count}")
         self.env = env
         self.policy = policy
         self.loss = loss
         self.replay = replay
         self.optimizer = optimizer
         self.target_updater = target_updater
-        self.settings = settings
         self.run_folder = Path(run_folder)
-        self.spike_policy = spike_policy
+        self.rounds = rounds
+        self.dialogues = dialogues
+        self.checkpoint_every = checkpoint_every
+        self.max_steps = max_steps
+        self.seed = seed
+        self.spike = spike
         self.callbacks = tuple(callbacks)
         self.evaluator = evaluator
         self.round_metrics = dict(round_metrics or {})
         self.progress = progress
-        self.described = {"seed": settings.seed, "replicas": replicas, **(described or {})}
+        self.described = {"seed": seed, "replicas": replicas, **(described or {})}
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
-        self.learner = Learner(loss, replay, optimizer, target_updater, settings, self._seed_phase)
+        self.learner = Learner(
+            loss,
+            replay,
+            optimizer,
+            target_updater,
+            self._seed_phase,
+            batch_size=batch_size,
+            freezes=freezes,
+            epochs=epochs,
+            lr_share=lr_share,
+        )
         self.metrics = MetricsFile(self.run_folder / METRICS, replicas, loggers)
         best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
         self.checkpoints = CheckpointFolder(
             self.run_folder / CHECKPOINTS,
-            keep=settings.keep_checkpoints,
+            keep=keep_checkpoints,
             loss=loss,
             policy=policy,
             optimizer=optimizer,
@@ -163,13 +208,13 @@ class RoundTrainer:
         """
         self.begin(resume=resume)
         bar = RoundProgress(
-            self.settings.rounds,
+            self.rounds,
             done=self.rounds_done,
             visible=self.progress,
             name=self.run_folder.name,
         )
         with closing(bar):
-            while self.rounds_done < self.settings.rounds and not self._stops:
+            while self.rounds_done < self.rounds and not self._stops:
                 bar.update(self.train_round())
         if self.rounds_saved < self.rounds_done:
             self._save()
@@ -198,15 +243,9 @@ class RoundTrainer:
                 f"the run folder must be a new one, or be resumed; {self.run_folder} holds a "
                 "training already"
             )
-        if self.spike_policy is not None and self.spike.dialogues:
+        if self.spike is not None:
             self._begin_phase("spike", 0)
-            spike_replay(
-                self.replay,
-                self.env,
-                self.spike_policy,
-                self.spike,
-                max_steps=self.settings.max_steps,
-            )
+            self.spike.fill(self.replay, self.env, max_steps=self.max_steps)
         self._save()
 
     def train_round(self) -> list[MetricRow]:
@@ -219,8 +258,7 @@ class RoundTrainer:
         self.rounds_done += 1
         for callback in self.callbacks:
             callback(self, rows)
-        every, last = self.settings.checkpoint_every, self.settings.rounds
-        if self.rounds_done % every == 0 or self.rounds_done == last:
+        if self.rounds_done % self.checkpoint_every == 0 or self.rounds_done == self.rounds:
             self._save()
         return rows
 
@@ -235,9 +273,10 @@ class RoundTrainer:
             for name, read in self.round_metrics.items()
         }
         collected = self._collect(round_number)
-        drop_outgrown_spikes(
-            self.replay, self.metrics.rows, collected["success_rate"].tolist(), self.spike
-        )
+        if self.spike is not None:
+            self.spike.drop_outgrown(
+                self.replay, self.metrics.rows, collected["success_rate"].tolist()
+            )
         collected_at = time.perf_counter()
         learned = self._learn(round_number)
         for module in modules_with(self.policy, Annealed):
@@ -246,7 +285,7 @@ class RoundTrainer:
         evaluated = {} if self.evaluator is None else self.evaluator(round_number)
         ended = time.perf_counter()
         return {
-            "dialogues": self.settings.dialogues,
+            "dialogues": self.dialogues,
             **collected,
             **evaluated,
             **learned,
@@ -265,11 +304,7 @@ class RoundTrainer:
         for module in modules_with(self.policy, Resampled):
             module.resample()
         return collect_dialogues(
-            self.replay,
-            self.env,
-            self.policy,
-            self.settings.dialogues,
-            max_steps=self.settings.max_steps,
+            self.replay, self.env, self.policy, self.dialogues, max_steps=self.max_steps
         )
 
     def _learn(self, round_number: int) -> dict[str, list[float]]:
@@ -292,7 +327,7 @@ class RoundTrainer:
 
     def _seed_phase(self, *path: str | int) -> None:
         """Seeds every source of random numbers for a phase."""
-        seed = self.settings.seed
+        seed = self.seed
         torch.manual_seed(derive_seed(seed, "torch", *path))
         self.env.set_seed(derive_seed(seed, "env", *path))
         self.replay.seed([derive_seed(seed, "replay", r, *path) for r in range(self.replicas)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-import math
+from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
@@ -16,69 +16,96 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.data import ReplicaReplay
-    from bbq_torchrl.trainers.settings import SpikeSettings
 
-__all__ = ["drop_outgrown_spikes", "spike_replay"]
+__all__ = ["Spike"]
 
 _LOG = logging.getLogger(__name__)
 
 
-def spike_replay(
-    replay: ReplicaReplay,
-    env: EnvBase,
-    policy: Policy,
-    spike: SpikeSettings,
-    *,
-    max_steps: int,
-) -> None:
-    """Stores dialogues of a policy, each replica's buffer its own, protected if so set.
-
-    A replica without a success among them is named in a warning.
+@dataclass(frozen=True)
+class Spike:
+    """Fills the buffers before the first round with dialogues of another policy.
 
     Args:
-        replay (ReplicaReplay): the buffers.
-        env (EnvBase): batch size [replicas, places].
         policy (callable): writes an action.
-        spike (SpikeSettings): how many dialogues, and whether they are protected.
-        max_steps (int): the most turns of a dialogue.
+        dialogues (int): how many of its dialogues each replica's buffer starts with.
+        protect (bool): whether their transitions are never evicted. Default: ``True``.
+        drop_above (float, optional): a success rate. Once the mean over the last ``drop_window``
+            rounds of a replica is above it, its protected transitions are dropped for good. (The
+            paper leaves this heuristic to future work and gives no number.) Default: never.
+        drop_window (int): the number of rounds that the mean is taken over. One round of 50
+            dialogues has a standard error of up to .07: five rounds have .03. Default: 5.
 
     Raises:
-        SpikeError: a ``ValueError``, if the transitions would fill a replica's capacity.
+        ValueError: for an argument outside of what is listed.
     """
-    played = collect_dialogues(replay, env, policy, spike.dialogues, max_steps=max_steps)
-    if max(replay.lengths) >= replay.capacity:
-        raise SpikeError(
-            f"the transitions of {spike.dialogues} spiked dialogues must be fewer than the "
-            f"capacity {replay.capacity}: raise the capacity or spike with fewer dialogues"
-        )
-    if spike.protect:
-        replay.protect()
-    rates = played["success_rate"].tolist()
-    without = [str(replica) for replica, rate in enumerate(rates) if not rate]
-    if without:
-        _LOG.warning(
-            "none of the %d spiked dialogues of replica %s is a success",
-            spike.dialogues,
-            ", ".join(without),
-        )
 
+    policy: Policy
+    dialogues: int
+    protect: bool = True
+    drop_above: float | None = None
+    drop_window: int = 5
 
-def drop_outgrown_spikes(
-    replay: ReplicaReplay,
-    rows: Sequence[Mapping[str, Any]],
-    success_rates: Sequence[float],
-    spike: SpikeSettings,
-) -> None:
-    """Drops a replica's spiked transitions once it does well without them.
+    def __post_init__(self) -> None:
+        for name in ("dialogues", "drop_window"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.drop_above is not None:
+            if not 0.0 <= self.drop_above < 1.0:
+                raise ValueError(f"drop_above must be in [0, 1) or None, got {self.drop_above}")
+            if not self.protect:
+                raise ValueError(
+                    "drop_above needs protect=True: unprotected spiked transitions leave by "
+                    f"themselves, got protect={self.protect} and drop_above={self.drop_above}"
+                )
 
-    Args:
-        replay (ReplicaReplay): the buffers.
-        rows (sequence of mapping): the metrics of all rounds before, replica after replica.
-        success_rates (sequence of float): each replica's in this round.
-        spike (SpikeSettings): when they are outgrown.
-    """
-    threshold = math.inf if spike.drop_above is None else spike.drop_above
-    for replica, rate in enumerate(success_rates):
-        rates = [*(past["success_rate"] for past in rows[replica :: replay.replicas]), rate]
-        if len(rates) >= spike.drop_window and fmean(rates[-spike.drop_window :]) > threshold:
-            replay.drop_protected(replica)
+    def fill(self, replay: ReplicaReplay, env: EnvBase, *, max_steps: int) -> None:
+        """Stores the dialogues, each replica's buffer its own, protected if so set.
+
+        A replica without a success among them is named in a warning.
+
+        Args:
+            replay (ReplicaReplay): the buffers.
+            env (EnvBase): batch size [replicas, places].
+            max_steps (int): the most turns of a dialogue.
+
+        Raises:
+            SpikeError: a ``ValueError``, if the transitions would fill a replica's capacity.
+        """
+        played = collect_dialogues(replay, env, self.policy, self.dialogues, max_steps=max_steps)
+        if max(replay.lengths) >= replay.capacity:
+            raise SpikeError(
+                f"the transitions of {self.dialogues} spiked dialogues must be fewer than the "
+                f"capacity {replay.capacity}: raise the capacity or spike with fewer dialogues"
+            )
+        if self.protect:
+            replay.protect()
+        rates = played["success_rate"].tolist()
+        without = [str(replica) for replica, rate in enumerate(rates) if not rate]
+        if without:
+            _LOG.warning(
+                "none of the %d spiked dialogues of replica %s is a success",
+                self.dialogues,
+                ", ".join(without),
+            )
+
+    def drop_outgrown(
+        self,
+        replay: ReplicaReplay,
+        rows: Sequence[Mapping[str, Any]],
+        success_rates: Sequence[float],
+    ) -> None:
+        """Drops a replica's spiked transitions once it does well without them.
+
+        Args:
+            replay (ReplicaReplay): the buffers.
+            rows (sequence of mapping): the metrics of all rounds before, replica after replica.
+            success_rates (sequence of float): each replica's in this round.
+        """
+        if self.drop_above is None:
+            return
+        for replica, rate in enumerate(success_rates):
+            rates = [*(past["success_rate"] for past in rows[replica :: replay.replicas]), rate]
+            last = rates[-self.drop_window :]
+            if len(last) == self.drop_window and fmean(last) > self.drop_above:
+                replay.drop_protected(replica)

@@ -54,7 +54,7 @@ def rounds(sizes: Sizes, timer: Timer) -> list[Row]:
         start = timer.now() - started
         found = [watched_round(trainer, timer) for _ in range(sizes.rounds)]
         save = timer.time(lambda: trainer.checkpoints.save(0, {}, name="timed"))
-    share = save / trainer.settings.checkpoint_every
+    share = save / trainer.checkpoint_every
     whole, outside = (median(seconds) + share for seconds in zip(*found, strict=True))
     # The start is what a process does before its first round, and the first round's compilation.
     start += processes.python("-c", "import bbq_torchrl.run").wall - whole

@@ -70,7 +70,7 @@ class Training:
             trainer = SimpleNamespace(
                 rounds_done=done,
                 metrics=SimpleNamespace(rows=rows),
-                settings=SimpleNamespace(rounds=ROUNDS),
+                rounds=ROUNDS,
             )
             for callback in callbacks:
                 callback(trainer, rows[-3:])

@@ -13,10 +13,10 @@ import forked
 import pytest
 import torch
 from torchrl.checkpoint import StateDictCheckpointAdapter
-from trainer_parts import make_trainer
+from trainer_parts import make_trainer, random_policy
 
 from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.trainers import MetricsFile, ReplicaAdam, RoundTrainer, SpikeSettings, checkpoint
+from bbq_torchrl.trainers import MetricsFile, ReplicaAdam, RoundTrainer, Spike, checkpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,7 +73,7 @@ def build(folder: Path, rounds: int = ROUNDS) -> RoundTrainer:
         folder,
         rounds=rounds,
         replicas=2,
-        spike=SpikeSettings(dialogues=5, drop_above=0.7, drop_window=2),
+        spike=Spike(random_policy, 5, drop_above=0.7, drop_window=2),
     )
 
 

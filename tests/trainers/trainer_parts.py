@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -18,9 +18,8 @@ from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.trainers import (
     BestWeights,
     ReplicaAdam,
-    RoundSettings,
     RoundTrainer,
-    SpikeSettings,
+    Spike,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from torchrl.record.loggers import Logger
 
-    from bbq_torchrl.trainers import Policy, RoundCallback
+    from bbq_torchrl.trainers import RoundCallback
 
 FEATURES, ACTIONS = 6, 4
 
@@ -163,6 +162,9 @@ def never_guess(tensordict: TensorDictBase) -> TensorDictBase:
     return tensordict.set("action", torch.ones(tensordict.batch_size, dtype=torch.long))
 
 
+SPIKE = Spike(random_policy, 5)
+
+
 def make_trainer(
     folder: Path,
     *,
@@ -170,12 +172,11 @@ def make_trainer(
     places: int = 8,
     capacity: int = 120,
     env: EnvBase | None = None,
-    spike: SpikeSettings | None = None,
-    spike_policy: Policy | None = random_policy,
+    spike: Spike | None = SPIKE,
     rates: Sequence[Sequence[float]] | None = None,
     loggers: Sequence[Logger] = (),
     callbacks: Sequence[RoundCallback] = (),
-    **settings: float,
+    **protocol: Any,
 ) -> RoundTrainer:
     """Returns a trainer of tiny parts that learns for a few rounds."""
     env = GuessEnv(replicas, places) if env is None else env
@@ -183,7 +184,8 @@ def make_trainer(
     explore = GreedyWithEpsilon()
     acts = TensorDictModule(explore, ["action_value", "action_mask"], ["action"])
     loss = CountingLoss(actor)
-    own = {"rounds": 6, "dialogues": places, "batch_size": 16, "checkpoint_every": 2}
+    own = {"rounds": 6, "dialogues": places, "batch_size": 16, "freezes": 2, "epochs": 2}
+    kept = {"checkpoint_every": 2, "keep_checkpoints": 2}
     return RoundTrainer(
         env,
         TensorDictSequential(actor, acts),
@@ -191,10 +193,9 @@ def make_trainer(
         ReplicaReplay(capacity, replicas=replicas),
         ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
         HardUpdate(loss, value_network_update_interval=0),
-        RoundSettings(**{**own, **settings}),
         folder,
-        spike_policy=spike_policy,
-        spike=spike if spike is not None else SpikeSettings(dialogues=5),
+        spike=spike,
+        **{**own, **kept, **protocol},
         round_metrics={"epsilon": lambda: float(explore.epsilon)},
         progress=False,
         evaluator=None if rates is None else GivenRates(actor, rates),

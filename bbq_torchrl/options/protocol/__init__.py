@@ -69,6 +69,18 @@ class ProtocolOption(Option):
         "every checkpoint, the last two, or after the end nothing but the weights",
     )
 
+    def lr_share(self, round_number: int) -> float:
+        """Returns the share of every step size that a round, counted from 0, learns with.
+
+        Example:
+            >>> protocol = ProtocolOption(rounds=8, lr_final=0.2, lr_decay_from=0.5)
+            >>> [round(protocol.lr_share(number), 2) for number in range(8)]
+            [1.0, 1.0, 1.0, 1.0, 0.8, 0.6, 0.4, 0.2]
+        """
+        start = self.lr_decay_from * self.rounds
+        since = round_number + 1 - start
+        return 1.0 if since <= 0 else 1.0 - (1.0 - self.lr_final) * since / (self.rounds - start)
+
     def places(self, dialogues: int, replicas: int) -> int:
         """Returns how many of a replica's evaluation dialogues are played side by side.
 

@@ -19,6 +19,7 @@ from bbq_torchrl.options.settings import (
 
 if TYPE_CHECKING:
     from bbq_torchrl.options.root import Config
+    from bbq_torchrl.trainers import Policy, Spike
 
 __all__ = ["SpikeOption"]
 
@@ -46,3 +47,15 @@ class SpikeOption(Option):
                 "spike.drop_above cannot be combined with spike.protect=false: transitions that "
                 "are not protected leave by themselves, so spike.drop_above must be null"
             )
+
+    def make(self, policy: Policy) -> Spike:
+        """Makes what fills the buffer with dialogues of the policy."""
+        from bbq_torchrl.trainers import Spike
+
+        return Spike(
+            policy,
+            self.dialogues,
+            protect=self.protect,
+            drop_above=self.drop_above,
+            drop_window=self.drop_window,
+        )
