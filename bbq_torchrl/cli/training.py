@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torchrl.envs import Compose
@@ -37,8 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["Agent", "build_trainer", "make_agent", "make_domain"]
 
 
-@dataclass
-class Agent:
+class Agent(NamedTuple):
     """What learns and acts.
 
     Attributes:
@@ -55,8 +53,8 @@ class Agent:
     loss: LossModule
     optimizer: ReplicaOptimizer
     policy: TensorDictModuleBase
-    metrics: dict[str, Callable[[], float | Tensor]] = field(default_factory=dict)
-    transform: Transform | None = None
+    metrics: dict[str, Callable[[], float | Tensor]]
+    transform: Transform | None
 
 
 def make_domain(config: Config | EvaluateConfig) -> Domain | None:

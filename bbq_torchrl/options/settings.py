@@ -10,7 +10,6 @@ names the key, what is allowed and what was given.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import Field, dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -197,7 +196,7 @@ def setting(default: Any, allowed: Allowed, meaning: str) -> Any:
     """
     metadata = {"allowed": allowed, "meaning": meaning}
     if isinstance(default, list):
-        return field(default_factory=lambda: copy.copy(default), metadata=metadata)
+        return field(default_factory=default.copy, metadata=metadata)
     return field(default=default, metadata=metadata)
 
 
@@ -222,8 +221,12 @@ def walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any], Any]]
             yield key, item, value
 
 
-def check_settings(config: Any) -> None:
+def check_settings(config: Any, prefix: str = "") -> None:
     """Checks every value of a configuration dataclass against what its field allows.
+
+    Args:
+        config: the dataclass.
+        prefix: what stands before a key where errors name it.
 
     Raises:
         ConfigError: naming the first key whose value is not allowed.
@@ -238,7 +241,7 @@ def check_settings(config: Any) -> None:
         ...
         bbq_torchrl.options.settings.ConfigError: lr must be a number from 1e-30 to 1e30, got -1.0
     """
-    for key, item, value in walk(config):
+    for key, item, value in walk(config, prefix):
         allowed: Allowed = item.metadata["allowed"]
         if value == REQUIRED:
             raise ConfigError(f"{key} must be given: it must be {allowed.text}")
@@ -262,8 +265,5 @@ def filled(schema: type[Schema], given: Mapping[str, Any], prefix: str) -> Schem
         if key not in known:
             raise ConfigError(f"{prefix}{key} is not a key; there are {', '.join(known)}")
     config = schema(**given)
-    try:
-        check_settings(config)
-    except ConfigError as error:
-        raise ConfigError(f"{prefix}{error}") from error
+    check_settings(config, prefix)
     return config
