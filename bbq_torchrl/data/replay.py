@@ -11,13 +11,13 @@ from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDic
 from torchrl.envs import Compose
 
 from bbq_torchrl.data.hooks import Measured, Seeded
-from bbq_torchrl.data.rows import Batch, EpochMemory, map_stored_rows
+from bbq_torchrl.data.rows import Batch, gather_epoch, map_stored_rows
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.hooks import modules_with
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from tensordict import NestedKey, TensorDictBase
     from torchrl.envs import Transform
@@ -115,8 +115,6 @@ class ReplicaReplay:
         )
         self.seed(range(replicas))
         self._computed: dict[NestedKey, Tensor] = {}
-        self._memory = EpochMemory(self.buffers, self.stored_keys, capacity)
-        self._epochs_begun = 0
 
     @property
     def lengths(self) -> tuple[int, ...]:
@@ -221,11 +219,8 @@ class ReplicaReplay:
         self._check_not_empty()
         self._computed[key] = map_stored_rows(self.buffers, function)
 
-    def epoch(self, batch_size: int) -> Iterator[Batch]:
-        """Yields each replica's transitions once, in an order of its own, in shared batches.
-
-        The batches are views of memory that the next epoch overwrites: use up one epoch before the
-        next is begun. Extending while an epoch is running does not change it.
+    def epoch(self, batch_size: int) -> list[Batch]:
+        """Returns each replica's transitions once, in an order of its own, in shared batches.
 
         Args:
             batch_size (int): the number of rows of a batch for each replica.
@@ -236,24 +231,21 @@ class ReplicaReplay:
         if batch_size < 1:
             raise ValueError(f"batch_size must be at least 1, got {batch_size}")
         self._check_not_empty()
-        self._epochs_begun += 1
-        return self._batches(self.lengths, batch_size, self._epochs_begun)
+        lengths = self.lengths
+        rows: TensorDictBase = gather_epoch(
+            self.buffers, self.stored_keys, batch_size, self._computed
+        )
+        if self.transform is not None:
+            rows = self.transform(rows)
+        batches = rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
+        return [
+            Batch(batch, tuple(number * batch_size < length for length in lengths))
+            for number, batch in enumerate(batches)
+        ]
 
     def _check_not_empty(self) -> None:
         if min(self.lengths) == 0:
             raise ValueError(f"every replica needs a transition to learn from, got {self.lengths}")
-
-    def _batches(
-        self, lengths: tuple[int, ...], batch_size: int, epoch_number: int
-    ) -> Iterator[Batch]:
-        rows: TensorDictBase = self._memory.gather(lengths, batch_size, self._computed)
-        if self.transform is not None:
-            rows = self.transform(rows)
-        batches = rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
-        for number, batch in enumerate(batches):
-            if epoch_number != self._epochs_begun:
-                raise RuntimeError("a new epoch has begun: the batches of the one before are gone")
-            yield Batch(batch, tuple(number * batch_size < length for length in lengths))
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the transitions, the writers' positions and the transform's state.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.data import TensorDictReplayBuffer
 
-__all__ = ["Batch", "EpochMemory", "map_stored_rows"]
+__all__ = ["Batch", "gather_epoch", "map_stored_rows"]
 
 _ROWS_AT_ONCE = 512
 
@@ -32,69 +32,43 @@ class Batch(NamedTuple):
     active: tuple[bool, ...]
 
 
-class EpochMemory:
-    """The memory that epochs are gathered into.
-
-    It is kept: allocating 22 MB a replica (10,000 transitions of two observations of 268 floats)
-    anew for every epoch costs as much as filling it.
+def gather_epoch(
+    buffers: Sequence[TensorDictReplayBuffer],
+    keys: Sequence[NestedKey],
+    batch_size: int,
+    computed: Mapping[NestedKey, Tensor],
+) -> TensorDict:
+    """Returns an epoch's rows, shuffled and padded: [replicas, batches * batch_size].
 
     Args:
         buffers: of each replica; their samplers say in which order.
         keys: the entries that are stored.
-        capacity: the most transitions of a buffer.
+        batch_size: rows of a batch for each replica.
+        computed: values [replicas, rows, *] of every stored row, in the place of stored ones.
     """
-
-    def __init__(
-        self,
-        buffers: Sequence[TensorDictReplayBuffer],
-        keys: Sequence[NestedKey],
-        capacity: int,
-    ) -> None:
-        self._buffers = buffers
-        self._keys = keys
-        self._capacity = capacity
-        self._memory: dict[NestedKey, Tensor] = {}
-
-    def gather(
-        self, lengths: Sequence[int], batch_size: int, computed: Mapping[NestedKey, Tensor]
-    ) -> TensorDict:
-        """Returns an epoch's rows, shuffled and padded: [replicas, batches * batch_size].
-
-        Args:
-            lengths: of the buffers.
-            batch_size: rows of a batch for each replica.
-            computed: values [replicas, rows, *] of every stored row, in the place of stored ones.
-        """
-        padded = -(-max(lengths) // batch_size) * batch_size
-        shape = (len(lengths), -(-self._capacity // batch_size) * batch_size)
-        indices, stored = [], []
-        for buffer, length in zip(self._buffers, lengths, strict=True):
-            index, _ = buffer.sampler.sample(buffer.storage, length)
-            indices.append(torch.cat([index, index[:1].expand(padded - length)]))
-            stored.append(buffer.storage.get(slice(0, length)))
-        # Filled in, not compared with the lengths: a tensor of them would have to be copied to the
-        # device, and the host would wait for it.
-        valid = torch.ones(len(lengths), padded, dtype=torch.bool, device=indices[0].device)
-        for replica, length in enumerate(lengths):
-            valid[replica, length:].fill_(False)
-        rows = TensorDict({"valid": valid}, valid.shape)
-        sources: dict[NestedKey, Sequence[Tensor] | Tensor] = {
-            **{key: [own.get(key) for own in stored] for key in self._keys},
-            **computed,
-        }
-        for key, values in sources.items():
-            memory = self._allocated(key, (*shape, *values[0].shape[1:]), values[0])
-            for replica, index in enumerate(indices):
-                torch.index_select(values[replica], 0, index, out=memory[replica, :padded])
-            rows.set(key, memory[:, :padded])
-        return rows
-
-    def _allocated(self, key: NestedKey, shape: tuple[int, ...], like: Tensor) -> Tensor:
-        """Returns the memory of an entry."""
-        memory = self._memory.get(key)
-        if memory is None or memory.shape != shape:
-            memory = self._memory[key] = like.new_empty(shape)
-        return memory
+    lengths = [len(buffer) for buffer in buffers]
+    padded = -(-max(lengths) // batch_size) * batch_size
+    indices, stored = [], []
+    for buffer, length in zip(buffers, lengths, strict=True):
+        index, _ = buffer.sampler.sample(buffer.storage, length)
+        indices.append(torch.cat([index, index[:1].expand(padded - length)]))
+        stored.append(buffer.storage.get(slice(0, length)))
+    # Filled in, not compared with the lengths: a tensor of them would have to be copied to the
+    # device, and the host would wait for it.
+    valid = torch.ones(len(lengths), padded, dtype=torch.bool, device=indices[0].device)
+    for replica, length in enumerate(lengths):
+        valid[replica, length:].fill_(False)
+    rows = TensorDict({"valid": valid}, valid.shape)
+    sources: dict[NestedKey, Sequence[Tensor] | Tensor] = {
+        **{key: [own.get(key) for own in stored] for key in keys},
+        **computed,
+    }
+    for key, values in sources.items():
+        entry = values[0].new_empty((*valid.shape, *values[0].shape[1:]))
+        for replica, index in enumerate(indices):
+            torch.index_select(values[replica], 0, index, out=entry[replica])
+        rows.set(key, entry)
+    return rows
 
 
 @torch.no_grad()

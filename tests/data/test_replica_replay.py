@@ -108,16 +108,6 @@ def test_the_state_restores_rows_places_and_protection():
     assert other.lengths == (0, 0)
 
 
-def test_an_epoch_that_was_overtaken_by_the_next_says_so():
-    replay = filled(20)
-    first = replay.epoch(4)
-    next(first)
-    next(replay.epoch(4))
-
-    with pytest.raises(RuntimeError, match="a new epoch has begun"):
-        next(first)
-
-
 EMPTY = r"every replica needs a transition to learn from, got \(0,\)"
 
 

@@ -75,7 +75,7 @@ def test_a_rounds_updates_never_wait_and_find_all_on_their_device(
         trainer.learner.update_all(1)
 
     trainer.learner.compute_targets()
-    batch = next(trainer.replay.epoch(8)).transitions.to("meta")
+    batch = trainer.replay.epoch(8)[0].transitions.to("meta")
     # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
     # tensors of the CPU, fails.
     env = trainer.env
