@@ -41,7 +41,8 @@ def test_one_hot_actions_are_understood():
         ("observation", 1, torch.nan, r"observation of replica 1 must be finite, but row 1 .*1 of"),
         (("next", "reward"), 2, torch.inf, "next/reward of replica 1 must be finite, but row 2"),
         ("action", 1, 2, "action of replica 1 must be allowed by action_mask, but row 1"),  # masked
-        ("action", 0, 3, "action of replica 1 must be allowed by action_mask, but row 0"),
+        ("action", 0, -1, "action of replica 1 must be allowed by action_mask, but row 0"),
+        ("action", 2, 3, "action of replica 1 must be allowed by action_mask, but row 2"),
         (("next", "action_mask"), 0, False, "some action where the row is not terminated, but row"),
         # Truncated, not terminated: the value of the next state counts.
         (("next", "terminated"), 2, False, "must allow some action .*, but row 2"),

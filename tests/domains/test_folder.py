@@ -113,6 +113,11 @@ DAMAGE = {
         '{\n "area": [\n  "north",\n  " "\n ]\n}\n',
         "values.json, line 4: area must have one line of text",
     ),
+    "no value, of a slot that is also a value": (
+        VALUES,
+        '{"cuisine": ["area"],\n "area": []}\n',
+        "values.json, line 2: area must list at least one value",
+    ),
     "escaped value": (
         VALUES,
         '{"area": [\n "\\u2028caf\\u00e9"]}',

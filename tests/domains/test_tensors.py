@@ -49,13 +49,13 @@ def test_spellings_that_differ_in_case_are_one_value_shown_as_first_met(restaura
         restaurant,
         error_values={"area": ("North",)},
         records=({"area": "NORTH"}, {"area": "south"}),
-        goals=(Goal({"area": "north"}), Goal({"area": "i DO not care"})),
+        goals=(Goal({"area": "SOUTH"}), Goal({"area": "i DO not care"})),
     )
     tensors = tensorize(domain)
     area = tensors.slot["area"]
     assert tensors.vocabulary[area][FIRST_VALUE:] == ("North", "south")
     assert tensors.records[:, area].tolist() == [FIRST_VALUE, FIRST_VALUE + 1]
-    assert tensors.goal_constraints[:, area].tolist() == [FIRST_VALUE, DONT_CARE]
+    assert tensors.goal_constraints[:, area].tolist() == [FIRST_VALUE + 1, DONT_CARE]
 
 
 def test_a_value_listed_twice_is_drawn_twice_as_often(restaurant: Domain):

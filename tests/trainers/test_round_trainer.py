@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
-from trainer_parts import GuessEnv, make_trainer, never_guess, random_policy
+from trainer_parts import GuessEnv, make_trainer, random_policy
 
 from bbq_torchrl.options import ProtocolOption
 from bbq_torchrl.trainers import NonFiniteLossError, Spike
@@ -110,11 +110,16 @@ def test_the_spike_fills_every_replica_with_dialogues_of_its_own(tmp_path, dialo
 
 
 def test_a_spike_without_a_success_is_told(tmp_path, caplog):
-    for name, policy in {"guesses": random_policy, "never guesses": never_guess}.items():
+    def second_guesses(tensordict: TensorDictBase) -> TensorDictBase:
+        action = random_policy(tensordict)["action"]
+        action[[0, 2]] = 1
+        return tensordict
+
+    for name, policy in {"guess": random_policy, "second guesses": second_guesses}.items():
         make_trainer(tmp_path / name, capacity=400, spike=Spike(policy, 20)).begin()
     # TorchRL tells of every storage if another test let it.
     told = [r.getMessage() for r in caplog.records if r.name.startswith("bbq_torchrl")]
-    assert told == ["none of the 20 spiked dialogues of replica 0, 1, 2 is a success"]
+    assert told == ["none of the 20 spiked dialogues of replica 0, 2 is a success"]
 
 
 def test_the_spike_is_protected_by_default_and_evicted_otherwise(tmp_path):
@@ -133,8 +138,9 @@ def test_the_spike_is_protected_by_default_and_evicted_otherwise(tmp_path):
             assert protect or left.isdisjoint(map(tuple, rows.tolist()))
 
 
-def test_the_spike_is_dropped_where_the_mean_success_passes_the_threshold(tmp_path):
-    spike = Spike(random_policy, 5, drop_above=0.6, drop_window=3)
+@pytest.mark.parametrize("threshold", [0.1, 0.6])  # .1: passed as soon as there are three rounds
+def test_the_spike_is_dropped_where_the_mean_success_passes_the_threshold(tmp_path, threshold):
+    spike = Spike(random_policy, 5, drop_above=threshold, drop_window=3)
     trainer = make_trainer(tmp_path, rounds=12, capacity=400, spike=spike)
     protected: list[tuple[int, ...]] = []
     trainer.callbacks = (lambda t, rows: protected.append(t.replay.protected),)
@@ -144,7 +150,7 @@ def test_the_spike_is_dropped_where_the_mean_success_passes_the_threshold(tmp_pa
     dropped = 0
     for replica in range(3):
         rates = [row["success_rate"] for row in rows[replica::3]]
-        passed = [r >= 2 and sum(rates[r - 2 : r + 1]) / 3 > 0.6 for r in range(12)]
+        passed = [r >= 2 and sum(rates[r - 2 : r + 1]) / 3 > threshold for r in range(12)]
         expected = [not any(passed[: r + 1]) for r in range(12)]
         assert [p[replica] > 0 for p in protected] == expected
         dropped += not all(expected)
