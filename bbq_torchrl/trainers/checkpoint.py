@@ -95,7 +95,7 @@ class CheckpointFolder:
         self._checkpoint.save(path, metadata={"round": rounds, **metadata})
         _force_to_disk(path)
         _force_to_disk(self.folder)
-        if name is None and self.keep is not None:
+        if self.keep is not None:
             for old in self._files()[self.keep :]:
                 old.unlink()
         return path

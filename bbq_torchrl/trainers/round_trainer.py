@@ -258,7 +258,7 @@ class RoundTrainer:
         self.rounds_done += 1
         for callback in self.callbacks:
             callback(self, rows)
-        if self.rounds_done % self.checkpoint_every == 0 or self.rounds_done == self.rounds:
+        if self.rounds_done % self.checkpoint_every == 0:
             self._save()
         return rows
 
