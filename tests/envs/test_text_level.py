@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.envs import DialogueEnv, SequencePolicy, measured
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.language import Frame, Understood
@@ -22,12 +22,13 @@ PLACES = 40
 class Letters:
     """Says frames as transcripts write them, understands them, and forgets what it is told to.
 
-    ``unsure`` says of some words how often it mishears them, and knows that it does.
+    ``hears`` makes another frame of what is left. ``unsure`` says of some words how often it
+    mishears them, and knows that it does.
     """
 
-    def __init__(self, domain, forgets=(), unsure=lambda words: 0):
+    def __init__(self, domain, forgets=(), unsure=lambda words: 0, hears=lambda frame: frame):
         self.lexicon = SimpleNamespace(key=lambda slot, value: value.replace(" ", ""))
-        self.forgets, self.unsure = forgets, unsure
+        self.forgets, self.unsure, self.hears = forgets, unsure, hears
         self.domain = domain
         self.said = []
 
@@ -46,7 +47,7 @@ class Letters:
         requests = tuple(s for s in self.frame.requests if s not in self.forgets)
         if self.sure < 1:
             return Understood(Frame("deny", {}, ("zip",)), self.sure)
-        return Understood(Frame(self.frame.act, informs, requests), self.sure)
+        return Understood(self.hears(Frame(self.frame.act, informs, requests)), self.sure)
 
 
 def channel_of(domain, ask_below=None, **settings):
@@ -205,6 +206,38 @@ def test_errors_are_counted_and_drawn_again(movie, monkeypatch):
     assert not state["user_informs"][:, date].any()
     others = torch.arange(len(movie.slots)) != date
     assert torch.equal(state["user_informs"][:, others], said[:, others])
+
+
+@pytest.mark.parametrize(
+    ("heard", "manner", "city", "new"),
+    [
+        (Frame("inform", {"state": "wa"}, ("date",)), "asking", "state=wa", ()),  # moved
+        (
+            Frame("inform", {"city": "reno", "genre": "comedy"}),
+            "silent",
+            "city=reno",
+            ("genre=comedy",),
+        ),
+        (Frame("deny", {"genre": "comedy", "state": "wa"}), "silent", "", ("genre=comedy",)),
+    ],
+)
+def test_what_is_misheard_is_counted_by_what_was_said(movie, monkeypatch, heard, manner, city, new):
+    goal = Goal({"city": "seattle"}, ("theater",))  # all dialogues open by request(city; theater)
+    counts, _ = counted(
+        replace(movie, goals=(goal,)),
+        monkeypatch,
+        hears=lambda frame: heard if "theater" in frame.requests else frame,
+    )
+    openings = counts["inserted"]["opening"]["turns"]
+    assert openings % 60 == 0
+    assert counts["inserted"]["opening"] == {"turns": openings, **dict.fromkeys(new, openings)}
+    assert counts["acts"][f"opening request {manner}"] == {heard.act: openings}
+    assert counts["values"]["opening"] == {"city": {"seattle": {city: openings}}}
+    assert counts["requests"]["1 said opening"] == {"theater": [0, openings]}
+    assert counts["requests"]["1 unsaid opening"] == {
+        slot: [openings * (slot in heard.requests), openings]
+        for slot in movie.slots if slot != "theater"
+    }  # fmt: skip
 
 
 def test_who_is_always_understood_is_counted_so(restaurant, monkeypatch):
