@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -130,6 +131,16 @@ def test_a_second_window_is_told_that_the_conversation_went_on(site):
     assert len(site.store.exchanges(site.session(link).id)) == 1
 
 
+def test_a_text_of_an_earlier_conversation_is_not_put_into_the_next(site):
+    link = site.enrol()
+    stale = hidden(site.client.get(link).text)
+    site.say(link, "bye")
+    site.rate(link)
+    page = site.client.post(f"{link}/say", data={**stale, "text": "too late"})
+    assert "Conversation 2 of 2" in page.text
+    assert "too late" not in page.text
+
+
 @pytest.mark.parametrize(("text", "status"), [("crash", 500), ("city=philly", 503)])
 def test_an_agent_out_of_order_and_a_full_disk_lose_no_text(site, monkeypatch, text, status):
     link = site.enrol()
@@ -215,9 +226,19 @@ def test_who_consents_is_enrolled_once(site):
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
     link = site.enrol()
     site.say(link, "city=philly")
-    page = site.client.get(site.researcher).text
-    assert "secret-bbqn" in page
-    number = site.session(link).id
+    number, agent = site.session(link).id, site.session(link).agent
+
+    def begun_ended_rated():
+        page = site.client.get(site.researcher).text
+        rows = re.findall(r'row">(secret-\w+)</th><td>(\d)</td><td>(\d)</td><td>(\d)</td>', page)
+        assert len(rows) == 2
+        return {name: "".join(counts) for name, *counts in rows if counts != ["0", "0", "0"]}
+
+    assert begun_ended_rated() == {agent: "100"}
+    site.say(link, "bye")
+    assert begun_ended_rated() == {agent: "110"}
+    site.rate(link)
+    assert begun_ended_rated() == {agent: "111"}
     turn = site.client.get(f"{site.researcher}/{number}").text
     for shown in ("inform(city=philly)", "request(city)", "0.562", "1.00 to 1.50", "0.750"):
         assert shown in turn

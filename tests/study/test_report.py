@@ -128,7 +128,7 @@ def test_a_report_in_which_all_are_equal_has_no_difference(fill, rating):
 
 
 def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
-    write_report(tmp_path, fill([(5, 1), (4, 2)], text="=cmd() my name is Ann"))
+    write_report(tmp_path, fill([(5, 1), (4, 3)], text="=cmd() my name is Ann"))
     for figure in ("success.png", "ratings.png"):
         assert (tmp_path / figure).read_bytes().startswith(b"\x89PNG")
     with (tmp_path / "exchanges.csv").open(newline="") as file:
@@ -142,7 +142,13 @@ def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
     assert lines[0]["exchanges"][0]["beliefs"]["entropy"] == 0.5625
     assert "state" not in lines[0]["exchanges"][0]
     with (tmp_path / "sessions.csv").open(newline="") as file:
-        assert {row["overall"] for row in csv.DictReader(file)} == {"5", "1", "4", "2"}
+        rows = list(csv.DictReader(file))
+    assert {(row["overall"], row["success"], row["own_verdict"]) for row in rows} == {
+        *(("5", "1", "1"), ("1", "0", "0"), ("4", "1", "1"), ("3", "0", "1"))
+    }
+    assert {(row["exchanges"], row["entropy"], row["simulated"]) for row in rows} == {
+        ("3", "0.5625", "0")
+    }
 
 
 def test_what_a_spreadsheet_would_run_is_defused_and_nothing_else():

@@ -122,6 +122,15 @@ def test_who_has_finished_keeps_their_place(open_store, study, clock):
     assert store.enrol(NONCES[2]) is None
 
 
+def test_who_reads_sees_one_moment_of_the_study(open_store, study):
+    store = open_store()
+    store.enrol(NONCES[0])
+    with reading(study.data) as connection:
+        for nonce in NONCES[1:3]:
+            assert connection.execute("SELECT COUNT(*) FROM person").fetchone() == (1,)
+            store.enrol(nonce)
+
+
 def test_a_newer_file_is_refused(open_store, study):
     open_store().close()
     with closing(sqlite3.connect(study.data)) as connection:
