@@ -54,6 +54,9 @@ def test_simulated_users_take_part_in_a_study_of_trained_agents(study):
         assert told.items() <= goal.constraints.items()
         assert (session.exchanges[0].beliefs is not None) == (session.agent == "bbqn")
         assert session.verdict is not None
+        # Agents have learned with four turns; how many there are is the study's.
+        farewell = session.exchanges[-1].said.act in ("thanks", "closing")
+        assert (session.ended_by == "agent") == farewell
 
 
 def test_a_shipped_agent_talks_in_a_study(study):

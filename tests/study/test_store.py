@@ -113,13 +113,17 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
 
 
 def test_who_has_finished_keeps_their_place(open_store, study, clock):
-    store = open_store(replace(study.terms, participants=1))
-    token = store.enrol(NONCES[0])
+    store = open_store(replace(study.terms, participants=2))
+    token, _ = (store.enrol(nonce) for nonce in NONCES[:2])
     for session in store.sessions(token):
         store.end(session, "person", Verdict(("wishes",)))
-        store.rate(session, NONCES[1], dict.fromkeys(SCALES, 3), True)
+        store.rate(session, NONCES[2], dict.fromkeys(SCALES, 3), True)
+    people = {"wanted": 2, "enrolled": 2, "finished": 1}
+    assert store.progress()[0] == {**people, "active": 1, "left": 0}
     clock.now += 1e9
-    assert store.enrol(NONCES[2]) is None
+    assert store.progress()[0] == {**people, "active": 0, "left": 1}
+    assert store.enrol(NONCES[3]) is not None
+    assert store.enrol(NONCES[4]) is None
 
 
 def test_who_reads_sees_one_moment_of_the_study(open_store, study):
