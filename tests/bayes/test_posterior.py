@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.distributions import Normal, kl_divergence
 
-from bbq_torchrl.bayes import GaussianPosterior
+from bbq_torchrl.bayes import GaussianPosterior, weight_scope
 from bbq_torchrl.bayes.posterior import inverse_softplus
 
 REPLICAS = [(), (3,), (2, 2)]
@@ -141,6 +141,15 @@ def test_draws_have_the_posterior_mean_and_spread():
     assert error.max() < 5.5
     # the relative error of a standard deviation is (2n)^-.5 = .005
     assert ((draws.std(1) / sigma) - 1).abs().max() < 0.03
+
+
+def test_a_draw_from_a_held_spread_has_a_gradient_in_the_mean_alone():
+    posterior, held = posterior_with(()), {}
+    with weight_scope(sigma=held):
+        posterior.sample().sum().backward()
+    assert bool((posterior.mu.grad == 1).all())
+    assert posterior.rho.grad is None
+    assert torch.equal(held[posterior], posterior.sigma)
 
 
 @pytest.mark.parametrize("std", [1e-6, 0.1, 1.0, 50.0, 500.0])

@@ -139,16 +139,17 @@ def test_another_spelling_of_a_value_is_the_value_that_was_said(movie):
     assert heard[2 + slot] != texts.ids({"starttime": other})[slot]
 
 
-def test_who_is_asked_again_is_understood_and_takes_turns(movie):
+@pytest.mark.parametrize("action", ["greeting", "request(city)"])
+def test_who_is_asked_again_is_understood_and_takes_turns(movie, action):
     channel, letters = channel_of(movie, unsure=lambda words: words % 3)
     env = DialogueEnv(movie, batch_size=(PLACES,), channel=channel, seed=1)
-    state, greeting = env.reset(), movie.action_index("greeting")
+    state, same = env.reset(), movie.action_index(action)
     rewards = torch.zeros(PLACES)
     for _ in range(env.max_agent_turns):
         before = env.dialogues
         assert torch.equal(before["user_informs"], before["meant_informs"])
         assert torch.equal(before["heard_act"], before["user_act"])
-        state["action"] = torch.full((PLACES,), greeting)
+        state["action"] = torch.full((PLACES,), same)
         after = env.step(state)["next"]
         # A dialogue that nobody ends has an act of each side more than max_turn allows.
         spent = before["turn"] + 2 * before["repeats"]
