@@ -251,6 +251,8 @@ class RoundTrainer:
     def train_round(self) -> list[MetricRow]:
         """Plays, learns and records one round; returns its rows. :meth:`train` is a loop over it.
 
+        Every ``checkpoint_every`` rounds it saves a checkpoint; :meth:`train` saves the last.
+
         Raises:
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
         """
