@@ -17,6 +17,7 @@ from q_transitions import (
 )
 
 from bbq_torchrl.bayes.weight_draw import draw_with_kl
+from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss
 
 FIXED = {"dqn": plain_loss, "bbqn": bayes_loss, "bootstrap": heads_loss}
@@ -84,6 +85,13 @@ def test_targets_that_change_from_batch_to_batch_are_not_frozen(loss):
     assert not loss[0].has_fixed_targets
     with pytest.raises(RuntimeError, match="the same for every batch"):
         loss[0].next_state_values(transitions())
+
+
+def test_targets_of_the_network_that_learns_are_not_frozen():
+    loss, _ = plain_loss()
+    online = DropoutDQNLoss(loss.value_network, delay_value=False, action_space="categorical")
+    assert loss.has_fixed_targets
+    assert not online.has_fixed_targets
 
 
 def test_a_loss_with_vime_has_the_q_losss_next_state_values():
