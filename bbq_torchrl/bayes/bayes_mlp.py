@@ -79,7 +79,7 @@ class BayesMLP(BayesLayer):
         """Draws the means like ``nn.Linear``'s weights: uniform in ±1/√inputs."""
         init_linear_(self.posterior.mu, self.layout)
 
-    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+    def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inactive inputs and outputs to the prior.
 
         See :class:`bbq_torchrl.networks.growth.Growing`.
@@ -87,11 +87,9 @@ class BayesMLP(BayesLayer):
         posterior = self.posterior
         is_inactive = torch.zeros(self.layout.numel, dtype=torch.bool, device=posterior.mu.device)
         layers = self.layout.unflatten(is_inactive)
-        if inputs is not None:
-            layers[0][0][inputs] = True
-        if outputs is not None:
-            layers[-1][0][:, outputs] = True
-            layers[-1][1][outputs] = True
+        layers[0][0][inputs] = True
+        layers[-1][0][:, outputs] = True
+        layers[-1][1][outputs] = True
         posterior.mu.masked_fill_(is_inactive, 0)
         rho = posterior.per_weight(posterior.prior_rho)
         posterior.rho.copy_(torch.where(is_inactive, rho, posterior.rho))

@@ -152,13 +152,11 @@ class BootstrapMLP(nn.Module):
         if heads is not None:
             init_linear_(heads, self.head_layout)
 
-    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+    def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inactive inputs to 0, the priors' too.
 
         See :class:`bbq_torchrl.networks.growth.Growing`.
         """
-        if inputs is None:
-            return
         layout = self.trunk_layout or self.head_layout
         flats: tuple[Tensor | None, ...] = (self.heads, self.prior_heads)
         if self.trunk_layout is not None:

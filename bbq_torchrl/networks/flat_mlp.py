@@ -79,13 +79,12 @@ class FlatMLP(nn.Module):
         """Draws the weights like ``nn.Linear``: uniform in ±1/√inputs."""
         init_linear_(self.weight, self.layout)
 
-    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+    def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inactive inputs to 0.
 
         See :class:`bbq_torchrl.networks.growth.Growing`.
         """
-        if inputs is not None:
-            self.layout.unflatten(self.weight)[0][0][..., inputs, :] = 0
+        self.layout.unflatten(self.weight)[0][0][..., inputs, :] = 0
 
     def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
         """Returns the outputs, shape [*replicas, *batch, out].

@@ -35,13 +35,13 @@ class Growing(Protocol):
     def out_features(self) -> int:
         """Size of the output."""
 
-    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+    def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Starts the weights of inactive inputs and outputs; see :func:`reset_inactive_`.
 
         Called without gradients, and with masks of the right shape.
 
         Args:
-            inputs: bool [in_features], True for the inactive ones; None: there are none.
+            inputs: bool [in_features], True for the inactive ones.
             outputs: bool [out_features], the same.
         """
 
@@ -88,11 +88,18 @@ def reset_inactive_(
             "in_features, out_features and reset_inactive_(inputs, outputs), as "
             "bbq_torchrl.networks.growth.Growing has them"
         )
-    sizes = {"inputs": network.in_features, "outputs": network.out_features}
-    for name, mask in (("inputs", inputs), ("outputs", outputs)):
-        if mask is not None and (mask.dtype != torch.bool or mask.shape != (sizes[name],)):
-            raise ValueError(
-                f"{name} must be a bool mask of shape [{sizes[name]}], got {mask.dtype} "
-                f"{list(mask.shape)}"
-            )
-    network.reset_inactive_(inputs, outputs)
+    network.reset_inactive_(
+        _mask("inputs", inputs, network.in_features),
+        _mask("outputs", outputs, network.out_features),
+    )
+
+
+def _mask(name: str, mask: Tensor | None, size: int) -> Tensor:
+    """Returns the mask, checked; all False if there is none."""
+    if mask is None:
+        return torch.zeros(size, dtype=torch.bool)
+    if mask.dtype != torch.bool or mask.shape != (size,):
+        raise ValueError(
+            f"{name} must be a bool mask of shape [{size}], got {mask.dtype} {list(mask.shape)}"
+        )
+    return mask

@@ -182,15 +182,14 @@ class NoisyMLP(nn.Module):
             for inputs, outputs in FlatLayout((in_features, *hidden, out_features)).shapes
         )
 
-    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+    def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets μ and σ of the weights of inactive inputs to 0.
 
         See :class:`bbq_torchrl.networks.growth.Growing`.
         """
-        if inputs is not None:
-            first = noisy_layers(self)[0]
-            first.weight_mu[..., inputs] = 0
-            first.weight_sigma[..., inputs] = 0
+        first = noisy_layers(self)[0]
+        first.weight_mu[..., inputs] = 0
+        first.weight_sigma[..., inputs] = 0
 
     def reset_parameters(self) -> None:
         """Starts again: μ uniform in ±1/√inputs, σ as ``std_init`` says."""

@@ -20,17 +20,9 @@ class _TDLoss(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any,
-        values: Tensor,
-        index: Tensor,
-        target: Tensor,
-        weight: Tensor | None,
-        distance: Distance,
-        scale: float | Tensor,
+        ctx: Any, values: Tensor, index: Tensor, *others: Any
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        loss, td_error, q_value, square, slope = _run(
-            values, index, target, weight, distance, scale
-        )
+        loss, td_error, q_value, square, slope = _run(values, index, *others)
         ctx.save_for_backward(index, slope)
         ctx.shape = values.shape
         ctx.mark_non_differentiable(td_error, q_value, square)

@@ -11,6 +11,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 import yaml
+from PIL import Image
 
 from bbq_torchrl.evaluation import comparison, pairs, table1
 from bbq_torchrl.evaluation.ablations import ablations_report
@@ -26,6 +27,8 @@ from scripts.docs_blocks.tables import measured
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from matplotlib.figure import Figure
 
 DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
 """Environment -> what it is called."""
@@ -64,22 +67,29 @@ def _commands_of(folder: str, fence: str) -> str:
     return _commands(groups(folder), fence)
 
 
+def _save(figure: Figure, name: str) -> None:
+    """Writes a picture of the documentation in 256 colors: a third of the size."""
+    file = common.FIGURES / f"{name}.png"
+    save(figure, file)
+    Image.open(file).convert("RGB").quantize(dither=Image.Dither.NONE).save(file, optimize=True)
+
+
 def draw_figures() -> None:
     """Draws the learning curves of every experiment, and writes table1.csv."""
     for folder in ("table1", "paper_batches"):
         found = table1.table1_report(groups(folder))
         for name, (_, draw) in found.figures.items():
-            save(draw(), common.FIGURES / f"{name.replace('table1', folder)}.png")
+            _save(draw(), name.replace("table1", folder))
         if folder == "table1":
             write_replicas(found.groups, common.RESULTS / "table1.csv")
     for folder, report in (("ablations", ablations_report), ("explorers", grid_report)):
         if kept := groups(folder):
             for name, (_, draw) in report(kept).figures.items():
-                save(draw(), common.FIGURES / f"{name}.png")
+                _save(draw(), name)
     for name, (title, *played_in) in EXPERIMENTS.items():
         ceiling = {"clairvoyant": measured()[(*played_in, "clairvoyant")]["success_rate"]}
         figure = draw_comparison(groups(name), title=title, references=ceiling)
-        save(figure, common.FIGURES / f"{name}.png")
+        _save(figure, name)
 
 
 @block("results.table1", "table1")

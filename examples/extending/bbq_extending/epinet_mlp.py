@@ -96,7 +96,7 @@ class EpinetMLP(nn.Module):
         """Returns what each prior makes of the input, [*replicas, *batch, index_size, out]."""
         return torch.stack([prior(x) for prior in self.priors], -2)
 
-    def reset_inactive_(self, inputs: Tensor | None, outputs: Tensor | None) -> None:
+    def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inputs that come into use later to 0, the priors' too."""
         for network in (self.trunk, *self.priors):
-            network.reset_inactive_(inputs, None)
+            network.reset_inactive_(inputs, outputs)
