@@ -17,7 +17,7 @@ from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import CalibrateConfig, ConfigError
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -60,6 +60,7 @@ class Calibration(NamedTuple):
     success_error: float
 
 
+@output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
@@ -67,15 +68,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not arguments or {"-h", "--help"} & set(arguments):
         output.write(USAGE)
         return 0
-    try:
-        if arguments[0] != "calibrate":
-            raise ConfigError(f"the command must be calibrate, got {shown(arguments[0])}")
-        arguments = take_config_dir(arguments)
-        config = compose(arguments[1:], CalibrateConfig)
-        found = calibrate(config, output.complain)
-    except (ValueError, OSError) as error:
-        output.complain(f"error: {sentence(error)}")
-        return 2
+    if arguments[0] != "calibrate":
+        raise ConfigError(f"the command must be calibrate, got {shown(arguments[0])}")
+    arguments = take_config_dir(arguments)
+    config = compose(arguments[1:], CalibrateConfig)
+    found = calibrate(config, output.complain)
     output.write(
         f"reference_slot_error_prob: {found.slot_error_prob:g}"
         f"  # ± {found.error:.4f}; {config.policy} succeeds in {found.success_rate:.4f} ± "

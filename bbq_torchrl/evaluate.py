@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import sys
 import time
@@ -12,10 +13,10 @@ from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.resume import run_config
 from bbq_torchrl.cli.store import compose
-from bbq_torchrl.options import ConfigError, EvaluateConfig
+from bbq_torchrl.options import Config, ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.shipped import run_folder
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +38,7 @@ dialogues, turns_per_second.
                agent that comes with the package
   dialogues=   how many; for each replica of a run folder
   batch=       how many run side by side
-  env=, domain=  as in train.py; a run folder's own unless given
+  env=, domain=  as in train.py; a run folder's own unless given, where env.<key>= changes a key
   env.level=   text: users speak in sentences, which are understood (docs/language.md)
   mode=        mean, average, draw or thompson, for a Bayesian agent
   weights=     last, or best: each replica's at its best evaluation while training
@@ -49,6 +50,7 @@ Meaning and allowed values of a key: docs/configuration.md
 """
 
 
+@output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
@@ -56,13 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not arguments or {"-h", "--help"} & set(arguments):
         output.write(USAGE)
         return 0
-    try:
-        arguments = take_config_dir(arguments)
-        config = compose(arguments, EvaluateConfig)
-        line = evaluation(config, arguments)
-    except (ValueError, OSError) as error:
-        output.complain(f"error: {sentence(error)}")
-        return 2
+    arguments = take_config_dir(arguments)
+    line = evaluation(compose(arguments, EvaluateConfig), arguments)
     output.write(json.dumps(line) + "\n")
     return 0
 
@@ -73,7 +70,7 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     Args:
         config: what to play.
         overrides: the command line; a run folder's own environment and domain are taken where it
-            gives none.
+            gives none, with the keys of them that it gives.
 
     Raises:
         ValueError or OSError: a policy, corpus or device that is not there.
@@ -95,9 +92,8 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     run = run_config(folder) if folder.is_dir() else None
     if run is not None:
         keys = [override.lstrip("+~").partition("=")[0] for override in overrides]
-        given = {key.partition(".")[0] for key in keys}
-        config.env = config.env if "env" in given else run.env
-        config.domain = config.domain if "domain" in given else run.domain
+        config.env = _of_run("env", run, config, keys)
+        config.domain = _of_run("domain", run, config, keys)
     domain = make_domain(config)
     if run is None:
         names = (*config.env.policies(domain), RANDOM_POLICY, *config.env.references(domain))
@@ -156,6 +152,21 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         **({"values_per_replica": values} if any(values) else {}),
         **({"skipped": domain.skipped} if domain is not None and domain.skipped else {}),
     }
+
+
+def _of_run(group: str, run: Config, config: EvaluateConfig, keys: Sequence[str]) -> Any:
+    """Returns a run's own option with what is given of its keys, or the one that is chosen."""
+    chosen = getattr(config, group)
+    if group in keys:
+        return chosen
+    own = copy.copy(getattr(run, group))
+    for key in keys:
+        within, _, name = key.partition(".")
+        if within == group:
+            if not hasattr(own, name):
+                raise ConfigError(f"{key} is not a key of the run's {group}={own.name}")
+            setattr(own, name, getattr(chosen, name))
+    return own
 
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:

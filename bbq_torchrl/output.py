@@ -11,8 +11,9 @@ import errno
 import os
 import sys
 from contextlib import contextmanager, redirect_stdout, suppress
+from functools import wraps
 from io import StringIO, TextIOWrapper
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 from bbq_torchrl.text import sentence, shown
 
@@ -27,9 +28,12 @@ __all__ = [
     "between",
     "collected",
     "complain",
+    "refusing",
     "settle",
     "write",
 ]
+
+Given = ParamSpec("Given")
 
 NOT_WRITTEN = 1
 """Exit code of a command whose standard output cannot be written."""
@@ -69,6 +73,23 @@ def complain(line: str) -> None:
             sys.stderr.flush()
         except OSError:
             _discard(sys.stderr)
+
+
+def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
+    """Has a command line end with exit code 2, after a sentence, where what is given is wrong.
+
+    That is a ValueError, an OSError, or a library of an extra that is not installed.
+    """
+
+    @wraps(main)
+    def refused(*args: Given.args, **kwargs: Given.kwargs) -> int:
+        try:
+            return main(*args, **kwargs)
+        except (ValueError, OSError, ModuleNotFoundError) as error:
+            complain(f"error: {sentence(error)}")
+            return 2
+
+    return refused
 
 
 @contextmanager

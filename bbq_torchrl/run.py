@@ -12,13 +12,13 @@ import torch
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.final import final_result
 from bbq_torchrl.cli.folders import run_lock
-from bbq_torchrl.cli.resume import save_config
+from bbq_torchrl.cli.resume import result_of, save_config
 from bbq_torchrl.cli.training import build_trainer, make_domain
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import group_runs
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.names import agent_name
-from bbq_torchrl.evaluation.results import RunResult, read_result, write_json
+from bbq_torchrl.evaluation.results import RunResult, write_json
 from bbq_torchrl.evaluation.runs import Run
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 from bbq_torchrl.trainers import keep_freed_memory
@@ -74,7 +74,8 @@ def _run(
     save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
     domain = make_domain(config) if domain is None else domain
     trainer, agent = build_trainer(config, folder, callbacks, domain=domain)
-    result = None if config.resume is None else _result_of(folder, rounds)
+    # There is one where the run was killed before its last file, the curve.
+    result = None if config.resume is None else result_of(folder, rounds)
     if result is None:
         interruption.tell(
             lambda: f"after {trainer.rounds_done} of {rounds} rounds, {trainer.rounds_saved} saved"
@@ -146,15 +147,6 @@ def _result_line(config: Config, result: RunResult) -> str:
 def _short(rate: float) -> str:
     """Returns a rate with two decimals and no leading zero, such as ``.64``; ``0`` for none."""
     return f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}"
-
-
-def _result_of(folder: Path, rounds: int) -> RunResult | None:
-    """Returns the result of a run that was killed before its last file, the curve."""
-    try:
-        result = read_result(folder)
-    except ValueError:
-        return None
-    return result if result.rounds == rounds else None
 
 
 def _quieten_torchrl() -> None:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from bbq_torchrl import output
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.output import between
-from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     import argparse
@@ -24,14 +23,10 @@ __all__ = ["main"]
 _KEY = "BBQ_ENDPOINT_KEY"
 
 
+@output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code: 2 if refused."""
-    given = _parser().parse_args(arguments)
-    try:
-        _chat(given)
-    except (ValueError, OSError, ModuleNotFoundError) as error:
-        output.complain(f"error: {sentence(error)}")
-        return 2
+    _chat(_parser().parse_args(arguments))
     return 0
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.cli.resume import description, has_result
+from bbq_torchrl.cli.resume import description, result_of
 from bbq_torchrl.cli.training import make_domain
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
@@ -59,7 +59,7 @@ def check(config: Config) -> Domain | None:
 
 def _check_resumable(folder: Path, config: Config) -> None:
     """Raises CheckpointDamagedError if a run has begun and has no checkpoint to go on from."""
-    if has_result(folder, config.protocol.rounds):
+    if result_of(folder, config.protocol.rounds) is not None:
         return  # what is missing is drawn, not trained
     found = CheckpointFolder(folder / CHECKPOINTS).check(description(config), "replay")
     if not found and any((folder / name).exists() for name in (METRICS, RESULT)):

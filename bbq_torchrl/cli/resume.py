@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,15 +19,15 @@ from bbq_torchrl.text import sentence
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.options import Config
-
 
 __all__ = [
     "description",
-    "has_result",
     "is_finished",
     "load_config",
     "restarted_config",
+    "result_of",
     "resumed_config",
     "run_config",
     "save_config",
@@ -68,18 +67,23 @@ def description(config: Config) -> dict[str, Any]:
     }
 
 
-def has_result(folder: Path, rounds: int) -> bool:
-    """Whether the folder has the final evaluation of a training of so many rounds."""
+def result_of(folder: Path, rounds: int) -> RunResult | None:
+    """The final evaluation of a training of so many rounds; None if there is none to be read."""
+    if not (folder / RESULT).is_file():
+        return None
+    # Imported here: it takes a second, and most folders have none.
+    from bbq_torchrl.evaluation.results import read_result
+
     try:
-        result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
-        return bool(result["rounds"] == rounds)
-    except (OSError, ValueError, TypeError, KeyError):
-        return False
+        result = read_result(folder)
+    except (OSError, ValueError):
+        return None
+    return result if result.rounds == rounds else None
 
 
 def is_finished(folder: Path, rounds: int) -> bool:
     """Whether nothing is left to do in a run folder whose configuration asks for so many rounds."""
-    return has_result(folder, rounds) and (folder / CURVE).is_file()
+    return result_of(folder, rounds) is not None and (folder / CURVE).is_file()
 
 
 def run_config(folder: Path) -> Config:
@@ -150,7 +154,11 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
             setattr(config.protocol, name, getattr(given.protocol, name))
         elif (name := key.partition(".")[0]) in ("logger", "device"):
             setattr(config, name, getattr(given, name))
-        elif key in (EXPERIMENT, "hydra.run.dir") or _value(given, key) != _value(saved, key):
+        elif (
+            key.partition("/")[0] == EXPERIMENT
+            or key == "hydra.run.dir"
+            or _value(given, key) != _value(saved, key)
+        ):
             raise ConfigError(
                 f"{override} contradicts the run in {folder}: beside resume only "
                 f"{', '.join(CHANGEABLE)} can be given"

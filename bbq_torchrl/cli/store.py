@@ -17,8 +17,12 @@ from hydra import initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
-from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
-from omegaconf.errors import OmegaConfBaseException, ValidationError
+from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import (
+    InterpolationResolutionError,
+    OmegaConfBaseException,
+    ValidationError,
+)
 
 from bbq_torchrl.cli.messages import explain, not_an_option, too_large, unknown_key
 from bbq_torchrl.options import (
@@ -165,8 +169,14 @@ def to_config(typed: DictConfig, root: type[Root]) -> Root:
     for key in sorted(item.name for item in fields(root)):
         if key not in typed or OmegaConf.is_missing(typed, key):
             raise _not_given(key)
-    _check_interpolations(typed)
-    for key in sorted(OmegaConf.missing_keys(typed)):
+    try:
+        missing = sorted(OmegaConf.missing_keys(typed))
+    except InterpolationResolutionError as error:
+        given = error.child_node._value() if error.child_node is not None else None
+        raise ConfigError(
+            f"{error.full_key}={given} cannot be resolved: {str(error).splitlines()[0]}"
+        ) from error
+    for key in missing:
         raise _not_given(key)
     config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
     chosen = {group: getattr(config, group) for group in schemas() if hasattr(config, group)}
@@ -202,22 +212,6 @@ def read_config(plain: DictConfig) -> Config:
 
 def _not_given(key: str) -> ConfigError:
     return ConfigError(f"{key} must be given, as {key}=<value>")
-
-
-def _check_interpolations(node: DictConfig | ListConfig, prefix: str = "") -> None:
-    """Refuses a ``${...}`` that stands for nothing, by the key that has it."""
-    for key in range(len(node)) if isinstance(node, ListConfig) else list(node):
-        name = f"{prefix}[{key}]" if isinstance(node, ListConfig) else f"{prefix}.{key}".strip(".")
-        child: Any = node._get_node(key)
-        if OmegaConf.is_interpolation(node, key):
-            try:
-                node[key]
-            except OmegaConfBaseException as error:
-                raise ConfigError(
-                    f"{name}={child._value()} cannot be resolved: {str(error).splitlines()[0]}"
-                ) from error
-        elif isinstance(child, (DictConfig, ListConfig)):
-            _check_interpolations(child, name)
 
 
 def _typed_group(group: str, plain: DictConfig) -> DictConfig:

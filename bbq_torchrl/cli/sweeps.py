@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import re
@@ -233,9 +232,12 @@ def _success_and_state(folder: Path) -> tuple[str, str]:
     unfinished = "–", "not finished: train.log in it says why"
     if not file.is_file():
         return unfinished
+    # Imported here: it takes a second.
+    from bbq_torchrl.evaluation.results import read_result
+
     try:
-        rate = float(json.loads(file.read_text(encoding="utf-8"))["success_rate"])
-    except (ValueError, TypeError, KeyError):
+        rate = read_result(folder).success_rate
+    except (OSError, ValueError):
         return "–", f"{RESULT} is damaged"
     try:
         finished = is_finished(folder, run_config(folder).protocol.rounds)

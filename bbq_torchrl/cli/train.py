@@ -12,12 +12,13 @@ import os
 import re
 import shlex
 import sys
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import env_override
 from hydra.errors import CompactHydraException, HydraException
 
 from bbq_torchrl import interruption, output
@@ -34,7 +35,7 @@ from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from omegaconf import DictConfig
 
@@ -73,7 +74,8 @@ def main() -> None:
             if run is not None:
                 run.start(_single)
                 return
-            with sweep.interruptible() if sweep else _handing_on_errors():
+            # Hydra is to raise its errors, not to print them with a traceback.
+            with sweep.interruptible() if sweep else env_override({FULL_ERROR: "1"}):
                 hydra.main(
                     version_base="1.3", config_path=str(conf_folder()), config_name="config"
                 )(_job_of_a_sweep)()
@@ -145,20 +147,6 @@ def _how_to_go_on(folder: Path) -> str:
     plain = re.fullmatch(r"[\w./~@%+:-]+", os.fspath(folder)) is not None
     override = f"resume={folder if plain else quoted(folder)}"
     return f"{shlex.join([*train_command(), override])} goes on"
-
-
-@contextmanager
-def _handing_on_errors() -> Iterator[None]:
-    """Within it, Hydra raises its errors instead of printing them with a traceback."""
-    before = os.environ.get(FULL_ERROR)
-    os.environ[FULL_ERROR] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[FULL_ERROR]
-        else:
-            os.environ[FULL_ERROR] = before
 
 
 def _wants_traceback() -> bool:

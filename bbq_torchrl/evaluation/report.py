@@ -17,7 +17,6 @@ from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.runs import find_results, find_unfinished
 from bbq_torchrl.evaluation.table1 import table1_report
-from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,6 +37,7 @@ FORMS = {
 """Option -> what makes the report of groups, and its help."""
 
 
+@output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     interruption.tell(lambda: "in a report", lambda: "the same command begins again")
@@ -59,16 +59,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         forms.add_argument(f"--{name}", dest="make", action="store_const", const=make, help=meaning)
     parser.set_defaults(make=comparison_report)
     given = parser.parse_args(arguments)
-    try:
-        report = given.make(read_groups(find_results(given.folders)))
-        if left_out := find_unfinished(given.folders):
-            named = f"Left out, since not finished: {', '.join(map(str, left_out))}."
-            report = replace(report, parts=[named, *report.parts])
-        if given.out is not None:
-            report.write(given.out)
-    except (ValueError, OSError) as error:
-        output.complain(f"error: {sentence(error)}")
-        return 2
+    report = given.make(read_groups(find_results(given.folders)))
+    if left_out := find_unfinished(given.folders):
+        named = f"Left out, since not finished: {', '.join(map(str, left_out))}."
+        report = replace(report, parts=[named, *report.parts])
+    if given.out is not None:
+        report.write(given.out)
     output.write(str(report))
     return 0
 

@@ -18,7 +18,6 @@ from bbq_torchrl.language.labeled import read_lines
 from bbq_torchrl.language.measure import measure_lines, measure_round_trip
 from bbq_torchrl.language.simulated import play
 from bbq_torchrl.language.understand import SENTENCES, Understander
-from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     import argparse
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
 _ROUND_TRIPS = 3_000  # turns
 
 
+@output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns 0, or 2 after a line that says what is wrong."""
     parser = output.Parser(prog="python -m bbq_torchrl.language")
@@ -61,36 +61,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--trained", nargs="+", default=[], help="run folders or shipped:<name>, to play half of it"
     )
     given = parser.parse_args(arguments)
-    try:
-        domain = load_domain(given.domain)
-        if given.command == "count":
-            _count(given, domain)
-            return 0
-        labeled = [] if given.labeled is None else read_lines(given.labeled, domain)
-        started = time.process_time()
-        understand = Understander.train(
-            domain, sentences=given.sentences, seed=given.seed, labeled=labeled
-        )
-        seconds = time.process_time() - started
-        file = given.file or Path(f"{domain.name}.language.npz")
-        understand.save(file)
-        if given.command == "measure":
-            figures = {
-                "domain": domain.name,
-                "learned_from": given.sentences,
-                "seed": given.seed,
-                "training_seconds": round(seconds, 1),
-                "megabytes": round(file.stat().st_size / 1e6, 2),
-                **_measured(given, domain, understand),
-            }
-            text = json.dumps(_rounded(figures), indent=1) + "\n"
-            given.out.write_text(text, encoding="utf-8")
-            output.write(text)
-            if given.file is None:
-                file.unlink()
-    except (OSError, ValueError, ModuleNotFoundError) as error:
-        output.complain(f"error: {sentence(error)}")
-        return 2
+    domain = load_domain(given.domain)
+    if given.command == "count":
+        _count(given, domain)
+        return 0
+    labeled = [] if given.labeled is None else read_lines(given.labeled, domain)
+    started = time.process_time()
+    understand = Understander.train(
+        domain, sentences=given.sentences, seed=given.seed, labeled=labeled
+    )
+    seconds = time.process_time() - started
+    file = given.file or Path(f"{domain.name}.language.npz")
+    understand.save(file)
+    if given.command == "measure":
+        figures = {
+            "domain": domain.name,
+            "learned_from": given.sentences,
+            "seed": given.seed,
+            "training_seconds": round(seconds, 1),
+            "megabytes": round(file.stat().st_size / 1e6, 2),
+            **_measured(given, domain, understand),
+        }
+        text = json.dumps(_rounded(figures), indent=1) + "\n"
+        given.out.write_text(text, encoding="utf-8")
+        output.write(text)
+        if given.file is None:
+            file.unlink()
     return 0
 
 

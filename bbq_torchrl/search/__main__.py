@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import logging
 import sys
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
-from bbq_torchrl.extras import install_command
+from bbq_torchrl.extras import needed
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.search.definition import SEARCH, compose_search
@@ -44,18 +43,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         search = compose_search(take_config_dir(arguments))
-        if importlib.util.find_spec("optuna") is None:
-            raise ConfigError(f"a search needs the package optuna: {install_command('search')}")
         # Imported here: torch, torchrl and Optuna take seconds, what is refused above takes none.
-        import optuna
-
+        optuna = needed("optuna", "optuna", "search")
         from bbq_torchrl.cli.checks import check
         from bbq_torchrl.run import run
         from bbq_torchrl.search.study import run_search
 
         for config in search.corners:
             check(config)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ModuleNotFoundError) as error:
         return _refused(error)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     optuna.logging.set_verbosity(optuna.logging.WARNING)

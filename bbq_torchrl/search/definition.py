@@ -10,7 +10,7 @@ all trials have.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -141,15 +141,6 @@ class Search:
         }
 
 
-@dataclass
-class _Given:
-    """A search as it was written down, before it is checked."""
-
-    settings: dict[str, Any] = field(default_factory=dict)
-    space: dict[str, Any] = field(default_factory=dict)
-    fixed: dict[str, str] = field(default_factory=dict)
-
-
 def compose_search(arguments: Sequence[str]) -> Search:
     """The checked search that a command line stands for.
 
@@ -170,29 +161,28 @@ def compose_search(arguments: Sequence[str]) -> Search:
     chosen = [text.partition("=")[2] for text in arguments if text.partition("=")[0] == SEARCH]
     if len(chosen) != 1:
         raise ConfigError(f"{SEARCH} must be given once, as one of {', '.join(options(SEARCH))}")
-    given = _read(chosen[0])
+    settings, given, fixed = _read(chosen[0])
     for argument in arguments:
         key, equals, text = argument.partition("=")
         if not equals or argument.startswith("-"):
             raise ConfigError(unreadable(argument))
         if key.startswith(_SPACE):
-            _change_space(given.space, key.removeprefix(_SPACE), _value(argument, text))
+            _change_space(given, key.removeprefix(_SPACE), _value(argument, text))
         elif key.startswith(f"{SEARCH}."):
-            given.settings[key.removeprefix(f"{SEARCH}.")] = _value(argument, text)
+            settings[key.removeprefix(f"{SEARCH}.")] = _value(argument, text)
         elif key != SEARCH:
-            given.fixed[key.lstrip("+")] = argument
-    for key in given.fixed:
-        _refuse_several(key, given.fixed[key])
+            fixed[key.lstrip("+")] = argument
+    for key, override in fixed.items():
+        _refuse_several(key, override)
         if key.partition(".")[0].partition("/")[0] in _REFUSED:
-            raise ConfigError(f"{sentence(given.fixed[key])} cannot be part of a search")
-        given.space.pop(key, None)
-    space = {name: parse_parameter(f"{_SPACE}{name}", item) for name, item in given.space.items()}
+            raise ConfigError(f"{sentence(override)} cannot be part of a search")
+        given.pop(key, None)
+    space = {name: parse_parameter(f"{_SPACE}{name}", item) for name, item in given.items()}
     if not space:
         raise ConfigError(f"{SEARCH}.space must have a key that varies, but all are given")
     name = Path(chosen[0]).stem
-    search = Search(
-        name, filled(SearchConfig, given.settings, f"{SEARCH}."), space, tuple(given.fixed.values())
-    )
+    checked = filled(SearchConfig, settings, f"{SEARCH}.")
+    search = Search(name, checked, space, tuple(fixed.values()))
     _ = search.corners  # composed now: no trial fails for its values
     return search
 
@@ -210,8 +200,8 @@ def _refuse_several(key: str, override: str) -> None:
         )
 
 
-def _read(chosen: str) -> _Given:
-    """The YAML file of a search: one of ours by its name, or anybody's by its path."""
+def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
+    """Settings, space and what is fixed by the file of a search: ours by name, or a path."""
     own = chosen.endswith((".yaml", ".yml"))
     if not own and chosen not in options(SEARCH):
         raise ConfigError(
@@ -235,7 +225,7 @@ def _read(chosen: str) -> _Given:
         raise ConfigError(f"{file}: fixed must be a list of key=value, got {shown(fixed)}")
     space = {str(name): value for name, value in plain.pop("space").items()}
     by_key = {str(item).partition("=")[0].lstrip("+"): str(item) for item in fixed}
-    return _Given({str(key): value for key, value in plain.items()}, space, by_key)
+    return {str(key): value for key, value in plain.items()}, space, by_key
 
 
 def _value(argument: str, text: str) -> Any:

@@ -20,13 +20,11 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import write_text
-from bbq_torchrl.search.space import Choices
+from bbq_torchrl.search.space import Choices, as_entry
 from bbq_torchrl.search.trials import (
     Outcome,
-    Runner,
     best_trial,
     play_trial,
-    suggest,
     trial_name,
     write_tables,
 )
@@ -34,10 +32,11 @@ from bbq_torchrl.text import sentence, shown
 from bbq_torchrl.trainers import TrainingError, derive_seed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from bbq_torchrl.domains import Domain
+    from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.search.definition import Search
 
@@ -45,11 +44,12 @@ __all__ = ["run_search"]
 
 _LOG = logging.getLogger(__name__)
 _DEFINITION = "search.yaml"
+_DEFINED = "definition"
 
 
 def run_search(
     search: Search,
-    runner: Runner,
+    runner: Callable[..., RunResult],
     check: Callable[[Config], Domain | None] = lambda config: None,
 ) -> dict[str, Any] | None:
     """Runs trials until there are as many as wanted. Returns the best; None if there is none.
@@ -59,7 +59,8 @@ def run_search(
 
     Args:
         search: what to search.
-        runner: trains one trial: ``bbq_torchrl.run.run``. The search goes on after a
+        runner: trains one trial: ``bbq_torchrl.run.run``, called with configuration, folder,
+            callbacks after every round, and ``domain=``. The search goes on after a
             TrainingError of it; any other error ends the search, and the trial is taken up when it
             is started again.
         check: what else is checked of a trial's configuration; returns the domain, which it has
@@ -94,7 +95,9 @@ def run_search(
                 outcome = Outcome(optuna.trial.TrialState.FAIL, reason=sentence(error))
             else:
                 outcome = play_trial(trial, config, run_folder, search.settings, runner, domain)
-            _tell(study, trial, outcome)
+            # Nobody else then takes a trial that is told for one that was interrupted.
+            with FileLock(folder / ".search.lock"):
+                _tell(study, trial, outcome)
         with FileLock(folder / ".tables.lock"):
             write_tables(search, study)
     return best_trial(search, study)
@@ -104,18 +107,22 @@ def _check_definition(search: Search, file: Path) -> None:
     """Compares what is searched with what a folder has begun with, if it has."""
     if not file.exists():
         return
-    definition = search.definition()
     try:
         begun = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file} is damaged: {sentence(error)}") from error
     if not isinstance(begun, dict):
         raise ConfigError(f"{file} is damaged: it must be a mapping, got {shown(begun)}")
+    _refuse_another(search, begun, f"{file.parent}", "search.folder")
+
+
+def _refuse_another(search: Search, begun: Mapping[str, Any], place: str, choice: str) -> None:
+    definition = search.definition()
     for key in {**begun, **definition}:
         if begun.get(key) != definition.get(key):
             raise ConfigError(
-                f"{file.parent} holds a search with {key}={begun.get(key)}, got "
-                f"{definition.get(key)}: choose another search.folder"
+                f"{place} holds a search with {key}={begun.get(key)}, got "
+                f"{definition.get(key)}: choose another {choice}"
             )
 
 
@@ -137,7 +144,7 @@ def _study(search: Search, folder: Path) -> optuna.Study:
     # Several processes write to the file: each waits up to a minute for the others.
     options = {"connect_args": {"timeout": 60}} if url.startswith("sqlite") else {}
     try:
-        return optuna.create_study(
+        study = optuna.create_study(
             storage=optuna.storages.RDBStorage(url, engine_kwargs=options),
             study_name=search.name,
             direction="maximize",
@@ -148,6 +155,12 @@ def _study(search: Search, folder: Path) -> optuna.Study:
     except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, RuntimeError) as error:
         given = f"search.storage={settings.storage}" if settings.storage else url
         raise ConfigError(f"{given} cannot be used: {sentence(error)}") from error
+    # A database may be that of a search in another folder.
+    definition = search.definition()
+    begun = study.user_attrs.get(_DEFINED, definition)
+    _refuse_another(search, begun, "search.storage", "search.storage")
+    study.set_user_attr(_DEFINED, definition)
+    return study
 
 
 @contextmanager
@@ -159,11 +172,14 @@ def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optu
         for known in trials:
             if known.state is optuna.trial.TrialState.RUNNING:
                 lock = _trial_lock(folder, known.number)
-                if _is_free(lock):
-                    # The way that Optuna itself makes the object of a trial in its database.
-                    trial, own = optuna.Trial(study, known._trial_id), lock
-                    _LOG.info("trial %d was interrupted and goes on", known.number)
-                    break
+                try:
+                    lock.acquire(timeout=0)
+                except Timeout:
+                    continue
+                # The way that Optuna itself makes the object of a trial in its database.
+                trial, own = optuna.Trial(study, known._trial_id), lock
+                _LOG.info("trial %d was interrupted and goes on", known.number)
+                break
         if trial is None and len(trials) < _most_trials(search):
             trial = study.ask()
             own = _trial_lock(folder, trial.number)
@@ -181,22 +197,15 @@ def _trial_lock(folder: Path, number: int) -> FileLock:
     return FileLock(locks / trial_name(number))
 
 
-def _is_free(lock: FileLock) -> bool:
-    """Whether nobody held the lock; we do then."""
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        return False
-    return True
-
-
 def _values(search: Search, study: optuna.Study, trial: optuna.Trial) -> dict[str, Any]:
     """The trial's values: drawn from seeds of its own, so that an interruption changes none."""
     values = {}
     for name, parameter in search.space.items():
         seed = derive_seed(search.settings.seed, "search", trial.number, name)
         study.sampler = _sampler(search, seed % 2**32)
-        values[name] = suggest(trial, name, parameter)
+        bounds = as_entry(parameter)
+        # A trial that goes on gets the value it has.
+        values[name] = getattr(trial, f"suggest_{bounds.pop('type')}")(name, **bounds)
     return values
 
 

@@ -8,7 +8,7 @@ import shlex
 from collections import Counter
 from dataclasses import dataclass, replace
 from io import StringIO
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import optuna
 
@@ -17,42 +17,24 @@ from bbq_torchrl.cli.resume import is_finished
 from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.evaluation.statistics import interquartile_mean
 from bbq_torchrl.run_folder import CONFIG, write_text
-from bbq_torchrl.search.space import as_entry
 from bbq_torchrl.text import sentence
 from bbq_torchrl.trainers import TrainingError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.search.definition import Search, SearchConfig
-    from bbq_torchrl.search.space import Parameter
     from bbq_torchrl.trainers import RoundTrainer
-    from bbq_torchrl.trainers.hooks import RoundCallback
     from bbq_torchrl.trainers.metrics import MetricRow
 
-__all__ = ["Outcome", "best_trial", "play_trial", "suggest", "trial_name", "write_tables"]
+__all__ = ["Outcome", "best_trial", "play_trial", "trial_name", "write_tables"]
 
 TRIALS = "trials.csv"
 BEST = "best.json"
-
-
-class Runner(Protocol):
-    """What trains a trial: :func:`bbq_torchrl.run.run`."""
-
-    def __call__(
-        self,
-        config: Config,
-        folder: Path,
-        callbacks: Sequence[RoundCallback],
-        *,
-        domain: Domain | None,
-    ) -> RunResult:
-        """Trains a configuration in a folder; the callbacks are called after every round."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -70,18 +52,12 @@ class Outcome:
     reason: str | None = None
 
 
-def suggest(trial: optuna.Trial, name: str, parameter: Parameter) -> Any:
-    """Returns the trial's value for a key; a trial that goes on gets the value it has."""
-    bounds = as_entry(parameter)
-    return getattr(trial, f"suggest_{bounds.pop('type')}")(name, **bounds)
-
-
 def play_trial(
     trial: optuna.Trial,
     config: Config,
     folder: Path,
     settings: SearchConfig,
-    runner: Runner,
+    runner: Callable[..., RunResult],
     domain: Domain | None,
 ) -> Outcome:
     """Runs a trial from where it is: new, from its last checkpoint, or finished already.

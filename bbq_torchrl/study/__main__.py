@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import sys
 from contextlib import closing
 from dataclasses import replace
@@ -11,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.extras import install_command
+from bbq_torchrl.extras import needed
 from bbq_torchrl.output import between
 from bbq_torchrl.study.plan import StudyError, data_of, load_study
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     import argparse
@@ -29,15 +28,11 @@ USERS = "bbq_torchrl.chat.simulated_user:make_users"
 MAX_CONNECTIONS = 1_000
 
 
+@output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code: 2 if refused."""
-    parser = _parser()
-    given = parser.parse_args(arguments)
-    try:
-        given.command(given)
-    except (ValueError, OSError) as error:
-        output.complain(f"error: {sentence(error)}")
-        return 2
+    given = _parser().parse_args(arguments)
+    given.command(given)
     return 0
 
 
@@ -48,7 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="serve | simulate | report | power")
 
     serve = commands.add_parser("serve", help="serve a study to browsers")
-    serve.add_argument("study", type=Path, help="the study file; its data is beside it")
+    serve.add_argument("study", type=_path, help="the study file; its data is beside it")
     serve.add_argument(
         "--talker",
         default=TALKER,
@@ -80,12 +75,12 @@ def _parser() -> argparse.ArgumentParser:
         default=0,
         help="of plan, users and ratings",
     )
-    simulate.add_argument("--out", type=Path, help="folder; without it, <study>-simulated-report")
+    simulate.add_argument("--out", type=_path, help="folder; without it, <study>-simulated-report")
     simulate.set_defaults(command=_simulate)
 
     report = commands.add_parser("report", help="write report, figures and data")
-    report.add_argument("study", type=Path, help="the study file")
-    report.add_argument("--out", type=Path, help="folder; without it, <study>-report")
+    report.add_argument("study", type=_path, help="the study file")
+    report.add_argument("--out", type=_path, help="folder; without it, <study>-report")
     report.set_defaults(command=_report)
 
     power = commands.add_parser("power", help="how likely a study finds a difference")
@@ -108,8 +103,14 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _path(text: str) -> Path:
+    """Reads a path; in ``--out=~/report`` the shell leaves the tilde as it is."""
+    return Path(text).expanduser()
+
+
 def _serve(given: argparse.Namespace) -> None:
-    _check_installed()
+    for library in ("starlette", "jinja2", "uvicorn"):
+        needed(library, library, "study")
     make = _function("--talker", given.talker)
     study = load_study(given.study)
     import uvicorn
@@ -154,13 +155,6 @@ def _simulate(given: argparse.Namespace) -> None:
     _report(given)
 
 
-def _check_installed() -> None:
-    needed = ("starlette", "jinja2", "uvicorn")
-    if missing := [name for name in needed if importlib.util.find_spec(name) is None]:
-        text = f"it needs the packages {', '.join(missing)}: {install_command('study')}"
-        raise StudyError("serve", [text])
-
-
 def _function(option: str, name: str) -> Callable[..., Any]:
     module, _, function = name.partition(":")
     try:
@@ -174,7 +168,7 @@ def _report(given: argparse.Namespace) -> None:
     from bbq_torchrl.study.report import write_report
     from bbq_torchrl.study.results import read_results
 
-    results = read_results(data_of(given.study.expanduser()))
+    results = read_results(data_of(given.study))
     folder = given.out or given.study.with_name(f"{given.study.stem}-report")
     write_report(folder, results)
     _say(f"{len(results.sessions)} ended sessions: {folder / 'report.md'}")

@@ -105,7 +105,7 @@ def _exchange_rows(results: Results) -> Iterable[Sequence[Any]]:
             yield (
                 *(item.id, said.number, round(said.at - item.exchanges[0].at, 3)),
                 *(without_names(said.text), without_names(said.answer)),
-                *(without_names(str(said.heard)), str(said.said)),
+                *(without_names(str(said.heard)), without_names(str(said.said))),
                 said.beliefs["entropy"] if said.beliefs else "",
                 int(results.simulated),
             )
@@ -118,9 +118,10 @@ def _lines(results: Results) -> Iterable[str]:
             said["seconds"] = round(said.pop("at") - item.exchanges[0].at, 3)
             said["text"] = without_names(stored.text)
             said["answer"] = without_names(stored.answer)
-            said["heard"]["informs"] = {
-                slot: without_names(value) for slot, value in stored.heard.informs.items()
-            }
+            for frame in (said["heard"], said["said"]):
+                frame["informs"] = {
+                    slot: without_names(value) for slot, value in frame["informs"].items()
+                }
             del said["state"], said["nonce"]  # the talker's own may repeat texts
         del content["messages"]
         line = {**content, "simulated": results.simulated}

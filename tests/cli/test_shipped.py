@@ -50,6 +50,13 @@ def test_a_shipped_agent_does_what_its_result_says(name):
     assert line["mode"] == result.policy
 
 
+def test_a_key_of_the_environment_changes_the_runs_own():
+    line = evaluated("policy=shipped:dqn_before", "env.max_turn=2", "dialogues=20", "batch=20")
+    assert (line["env"], line["turns"]) == ("domain_ext", 2)
+    chosen = evaluated("policy=shipped:dqn_before", "env=full", "dialogues=20", "batch=20")
+    assert chosen["env"] == "full"
+
+
 def test_the_six_agents_of_the_papers_human_evaluation_are_shipped():
     rounds = {
         name: (read_result(shipped.SHIPPED / name).rounds, read_result(shipped.SHIPPED / name).env)

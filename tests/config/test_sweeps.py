@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
 import yaml
+from result_folders import run_result
 
 from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.sweeps import table_of_runs
+from bbq_torchrl.evaluation.results import write_json
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,12 +25,14 @@ def five_rounds() -> Config:
     return compose(["protocol.rounds=5"])
 
 
-def make_run(folder: Path, overrides: list[str], result: str | None = None) -> None:
+def make_run(
+    folder: Path, overrides: list[str], rate: float | None = None, rounds: int = 5
+) -> None:
     (folder / ".hydra").mkdir(parents=True)
     (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
     save_config(five_rounds(), folder / "config.yaml")
-    if result is not None:
-        (folder / "result.json").write_text(result)
+    if rate is not None:
+        write_json(run_result([rate], rounds=rounds), folder / "result.json")
         (folder / "curve.png").touch()
 
 
@@ -38,10 +41,10 @@ def cells(line: str) -> list[str]:
 
 
 def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
-    done = json.dumps({"success_rate": 0.71234, "rounds": 5})
-    make_run(tmp_path / "10_dqn", ["agent=dqn", "seed=1", "replicas=2"], done)
+    make_run(tmp_path / "10_dqn", ["agent=dqn", "seed=1", "replicas=2"], 0.7)
     make_run(tmp_path / "2_bbqn", ["agent=bbqn", "seed=1", "replicas=2"])
-    make_run(tmp_path / "0_dqn", ["agent=dqn", "seed=0", "replicas=2"], "{}")
+    make_run(tmp_path / "0_dqn", ["agent=dqn", "seed=0", "replicas=2"])
+    (tmp_path / "0_dqn" / "result.json").write_text("[" * 100_000)
 
     title, head, *rows = table_of_runs(tmp_path, jobs=5).splitlines()
 
@@ -50,7 +53,7 @@ def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
     assert [[cell.strip() for cell in cells(row)] for row in rows] == [
         ["0_dqn", "agent=dqn seed=0", "–", "result.json is damaged"],
         ["2_bbqn", "agent=bbqn seed=1", "–", "not finished: train.log in it says why"],
-        ["10_dqn", "agent=dqn seed=1", "0.712", "finished"],
+        ["10_dqn", "agent=dqn seed=1", "0.700", "finished"],
         ["–", "–", "2 never started"],
     ]
     assert {row.index("agent") for row in rows[:3]} == {head.index("overrides")}
@@ -65,7 +68,7 @@ def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
     ],
 )
 def test_a_single_run_shows_all_its_overrides(tmp_path, overrides, rounds, finished, end):
-    make_run(tmp_path / "0", overrides, json.dumps({"success_rate": 0.5, "rounds": rounds}))
+    make_run(tmp_path / "0", overrides, 0.5, rounds)
     title, _, row = table_of_runs(tmp_path, jobs=0).splitlines()
     assert title.startswith(f"{finished} of 1 runs")
     assert row.endswith(end)

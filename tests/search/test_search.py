@@ -14,6 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from filelock import FileLock, Timeout
 
 from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
@@ -240,6 +241,30 @@ def test_a_folder_is_not_used_for_another_search(tmp_path, changed, key):
     with pytest.raises(ConfigError, match="choose another") as refused:
         run_search(search(tmp_path, changed, trials=2), Training())
     assert f"holds a search with {key}" in str(refused.value)
+
+
+def test_a_database_is_not_used_for_another_search_of_another_folder(tmp_path):
+    shared = f"search.storage=sqlite:///{tmp_path / 'shared.db'}"
+    run_search(search(tmp_path / "a", shared, trials=1), Training())
+    with pytest.raises(ConfigError, match=r"choose another search\.storage") as refused:
+        run_search(search(tmp_path / "b", shared, "env=domain_ext", trials=1), Training())
+    assert "search.storage holds a search with fixed=" in str(refused.value)
+
+
+def test_nobody_looks_for_a_trial_while_another_is_told(tmp_path, monkeypatch):
+    told = []
+
+    def tell(study, trial, value, state):
+        lock = FileLock(tmp_path / ".search.lock")
+        with pytest.raises(Timeout), lock.acquire(timeout=0):
+            pass
+        told.append(trial.number)
+        return original(study, trial, value, state=state)
+
+    original = optuna.Study.tell
+    monkeypatch.setattr(optuna.Study, "tell", tell)
+    run_search(search(tmp_path, trials=2), Training())
+    assert told == [0, 1]
 
 
 def test_values_that_cannot_be_run_fail_their_trial_and_the_search_goes_on(tmp_path):

@@ -19,6 +19,7 @@ from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.report import report_text, write_report
 from bbq_torchrl.study.results import read_results
 from bbq_torchrl.study.store import Store
+from bbq_torchrl.study.talk import Frame
 
 from .fakes import FakeTalker, prints
 
@@ -149,6 +150,17 @@ def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
     assert {(row["exchanges"], row["entropy"], row["simulated"]) for row in rows} == {
         ("3", "0.5625", "0")
     }
+
+
+def test_what_the_agent_repeats_of_a_name_is_replaced_too(fill, tmp_path):
+    results = fill([(5, 1)])
+    first = results.sessions[0]
+    said = replace(first.exchanges[0], said=Frame("inform", {"city": "my name is Ann"}))
+    write_report(tmp_path, replace(results, sessions=[replace(first, exchanges=[said])]))
+    for file in ("exchanges.csv", "sessions.jsonl"):
+        text = (tmp_path / file).read_text()
+        assert "my name is [name]" in text
+        assert "Ann" not in text
 
 
 def test_what_a_spreadsheet_would_run_is_defused_and_nothing_else():
