@@ -61,19 +61,10 @@ class BayesMLP(BayesLayer):
         hidden: Sequence[int] = (256, 256),
         **settings: Unpack[LayerSettings],
     ) -> None:
+        self.in_features, self.out_features = in_features, out_features
         self.layout = FlatLayout((in_features, *hidden, out_features))
         fan_in = [inputs for inputs, _ in self.layout.shapes]
         super().__init__(self.layout.layer_sizes, fan_in, **settings)
-
-    @property
-    def in_features(self) -> int:
-        """Size of the input."""
-        return self.layout.sizes[0]
-
-    @property
-    def out_features(self) -> int:
-        """Size of the output."""
-        return self.layout.sizes[-1]
 
     def init_means_(self) -> None:
         """Draws the means like ``nn.Linear``'s weights: uniform in ±1/√inputs."""

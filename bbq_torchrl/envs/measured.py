@@ -63,7 +63,7 @@ def load_errors(domain: Domain) -> MeasuredErrors:
         )
     try:
         return MeasuredErrors(tensorize(domain), json.loads(file.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except Exception as error:  # JSON nested too deeply, rows too short, counts of nothing
         raise ValueError(
             f"{file} is damaged, or counts the errors of another domain ({error!r}): make it anew "
             f"by `{_COMMAND} --domain {file.parent}`"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, cast, get_args
 
 import torch
 
@@ -36,27 +36,20 @@ class _OnHeads(ActorPolicy):
         self.out_keys = [*states, *choice.out_keys]
 
     @property
-    def _choice(self) -> VoteModule:
-        choice = split_actor(self.actor)[1]
-        assert isinstance(choice, VoteModule)
-        return choice
-
-    @property
     def spec(self) -> Composite:
         """Specs of what it writes."""
-        return self._choice.spec
+        return cast("VoteModule", split_actor(self.actor)[1]).spec
 
-    def _head_values(self, tensordict: TensorDictBase) -> Tensor:
-        """Returns the values of all heads, [*batch, K, N]; dropout is off."""
+    def _head_values(self, tensordict: TensorDictBase) -> tuple[VoteModule, Tensor]:
+        """Returns who votes, and the values of all heads, [*batch, K, N]; dropout is off."""
         network, choice = split_actor(self.actor)
-        assert choice is not None
+        assert isinstance(choice, VoteModule)
         with weight_scope("mean"):
             out = network(tensordict.select(*network.in_keys, strict=False))
         for key in network.out_keys:  # a recurrent state, say
             if key != choice.action_value_key:
                 tensordict.set(key, out.get(key))
-        values: Tensor = out.get(choice.action_value_key)
-        return values
+        return choice, out.get(choice.action_value_key)
 
 
 class MajorityVote(_OnHeads):
@@ -87,7 +80,8 @@ class MajorityVote(_OnHeads):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that wins the vote, and the heads' mean values."""
-        return self._choice.vote(tensordict, self._head_values(tensordict))
+        choice, values = self._head_values(tensordict)
+        return choice.vote(tensordict, values)
 
 
 class BootstrapSampling(_OnHeads):
@@ -157,12 +151,12 @@ class BootstrapSampling(_OnHeads):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that is greedy on the row's head, and that head's values."""
-        values = self._head_values(tensordict)
+        choice, values = self._head_values(tensordict)
         if not explores():
-            return self._choice.vote(tensordict, values)
+            return choice.vote(tensordict, values)
         self._held = self._next_heads(tensordict, values)
         index = self._held[..., None, None].expand(*self._held.shape, 1, values.shape[-1])
-        return self._choice.act_greedily(tensordict, values.gather(-2, index).squeeze(-2))
+        return choice.act_greedily(tensordict, values.gather(-2, index).squeeze(-2))
 
     def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
         rows = values.shape[:-2]

@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -71,22 +72,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         domain, sentences=given.sentences, seed=given.seed, labeled=labeled
     )
     seconds = time.process_time() - started
-    file = given.file or Path(f"{domain.name}.language.npz")
-    understand.save(file)
+    with TemporaryDirectory() as unkept:
+        folder = unkept if given.command == "measure" else ""
+        file = given.file or Path(folder, f"{domain.name}.language.npz")
+        understand.save(file)
+        megabytes = round(file.stat().st_size / 1e6, 2)
     if given.command == "measure":
         figures = {
             "domain": domain.name,
             "learned_from": given.sentences,
             "seed": given.seed,
             "training_seconds": round(seconds, 1),
-            "megabytes": round(file.stat().st_size / 1e6, 2),
+            "megabytes": megabytes,
             **_measured(given, domain, understand),
         }
         text = json.dumps(_rounded(figures), indent=1) + "\n"
         given.out.write_text(text, encoding="utf-8")
         output.write(text)
-        if given.file is None:
-            file.unlink()
     return 0
 
 

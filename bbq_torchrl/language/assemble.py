@@ -51,18 +51,22 @@ def chosen(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> st
     if len(named) == 1:
         return named[0]
     keys = {lexicon.key(slot, value): value for value in choices}
-    if "later" in words or "latest" in words:
-        return keys[max(keys)]
-    if "earlier" in words or "earliest" in words:
-        return keys[min(keys)]
+    if lexicon.kinds.get(slot) == "time":  # the keys of others have no order
+        if "later" in words or "latest" in words:
+            return keys[max(keys)]
+        if "earlier" in words or "earliest" in words:
+            return keys[min(keys)]
     # Words that some choices have and others do not: "the downtown one".
     own = {value: {compact(part) for part in value.split()} for value in choices}
-    hits = {value: len(parts & {compact(word) for word in words}) for value, parts in own.items()}
+    said = {compact(word) for word in words} - {"one", "the"}
+    hits = {value: len(parts & said) for value, parts in own.items()}
     best = [value for value, count in hits.items() if count and count == max(hits.values())]
     if len(best) == 1:
         return best[0]
     for word in words:
         at = _ORDER.get(word)
+        if word == "one" and not {"number", "option"} & set(words) and len(words) > 1:
+            continue  # "not that one"
         if at is not None and at < len(choices) and (len(word) > 3 or len(words) <= 3):
             return choices[at]
     return None

@@ -208,7 +208,7 @@ class Composer:
                 said = self._slot_phrase(slot, "with", turn)
             other = wrong.get(slot, "that")
             other = "that" if other in (ANY, NO_MATCH_TEXT) else other
-            around = {"": said, "wrong": [Piece(other)]}
+            around = {"": said, "<wrong>": [Piece(other)]}
             parts.append(self._fill(self._phrases.user["correct"], turn, slot, around))
         elif turn.left and question is None:
             parts.append(self._open(turn))
@@ -271,7 +271,7 @@ class Composer:
         """Returns one of the phrases; the values that it says are no more left to be said."""
         left = {name: turn.values[name] for name in turn.left} | dict(values or {})
         if slot is not None:
-            left["name"] = [Piece(self._phrases.slots[slot].name)]
+            left["<name>"] = [Piece(self._phrases.slots[slot].name)]
         possible = [option for option in options if is_possible(option, left, self._rules)]
         if turn.left and values is None:
             # Phrases that say a value of their own are few among those that need none.

@@ -122,7 +122,8 @@ class Generator:
                 for slot in frame.requests
             ]
         if not parts:
-            parts.append(self._fill(self._phrases.agent[frame.act], rng))
+            agent = self._phrases.agent
+            parts.append(self._fill(agent.get(frame.act) or agent["inform"], rng))
         return _PREPOSITION.sub("", " ".join(sentence(part) for part in parts))
 
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
@@ -140,13 +141,13 @@ class Generator:
         unclear = understood.unclear[0]
         if unclear.candidates:
             return sentence(self._choose(unclear.slot, unclear.candidates[:_MOST_CHOICES], rng))
-        words = {"words": [Piece(unclear.text)]}
+        words = {"<words>": [Piece(unclear.text)]}
         return sentence(self._fill(self._phrases.agent["unknown"], rng, unclear.slot, words))
 
     def _choose(self, slot: str, choices: Sequence[str], rng: random.Random) -> list[Piece]:
         *most, last = choices
         listed = f"{', '.join(most)} or {last}" if most else last
-        return self._fill(self._phrases.agent["choose"], rng, slot, {"choices": [Piece(listed)]})
+        return self._fill(self._phrases.agent["choose"], rng, slot, {"<choices>": [Piece(listed)]})
 
     def _tell(
         self, slot: str, value: str, wishes: Mapping[str, str], rng: random.Random
@@ -154,8 +155,8 @@ class Generator:
         phrases = self._phrases.slots[slot].phrases
         if value == NO_MATCH_TEXT:
             conflict = self._conflict(wishes, rng)
-            return self._fill(phrases["none"], rng, slot, {"conflict": conflict})
-        said = {"wishes": self._wishes(wishes, rng), slot: [Piece(value)]}
+            return self._fill(phrases["none"], rng, slot, {"<conflict>": conflict})
+        said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(value)]}
         return self._fill(phrases["tell"], rng, slot, said)
 
     def _conflict(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
@@ -163,7 +164,7 @@ class Generator:
         clash = self.conflict(wishes)
         if not clash:
             return self._fill(self._phrases.agent["no_wishes"], rng)
-        said = {"wishes": self._wishes({slot: wishes[slot] for slot in clash}, rng)}
+        said = {"<wishes>": self._wishes({slot: wishes[slot] for slot in clash}, rng)}
         return self._fill(self._phrases.agent["conflict"], rng, None, said)
 
     def conflict(self, wishes: Mapping[str, str]) -> tuple[str, ...]:
@@ -210,7 +211,7 @@ class Generator:
     ) -> list[Piece]:
         known = dict(values or {})
         if slot is not None:
-            known["name"] = [Piece(self._phrases.slots[slot].name)]
+            known["<name>"] = [Piece(self._phrases.slots[slot].name)]
         return choose(options, known, self._phrases.rules, rng)
 
 

@@ -106,7 +106,9 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
         words = words_of(text)
         tags = [OUTSIDE] * len(words)
         for slot, value in frame.informs.items():
-            if value != ANY and (place := _place(words, tags, slot, value, lexicon)) is not None:
+            if value == ANY or slot not in lexicon.names:
+                continue  # of a slot without values, such as "anything of that series"
+            if (place := _place(words, tags, slot, value, lexicon)) is not None:
                 tags[place.start : place.stop] = [slot] * len(place)
         examples.append(Example(words, tags, frame, question))
     return examples

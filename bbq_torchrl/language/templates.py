@@ -130,7 +130,7 @@ def is_possible(
     for part in template.parts:
         if isinstance(part, _Slot) and part.name not in values:
             return False
-        if isinstance(part, _Rule) and part.name not in values:
+        if isinstance(part, _Rule) and f"<{part.name}>" not in values:
             if not any(is_possible(option, values, rules) for option in rules.get(part.name, ())):
                 return False
         elif isinstance(part, _Choice) and not any(
@@ -150,7 +150,7 @@ def expand(
 
     Args:
         template: the phrase; it must be possible.
-        values: what stands for slots, and for rules of the same name.
+        values: what stands for slots by name, and for rules by ``<name>``.
         rules: the phrases of each rule.
         rng: chooses.
     """
@@ -158,8 +158,10 @@ def expand(
     for part in template.parts:
         if isinstance(part, str):
             pieces.append(Piece(part))
-        elif isinstance(part, _Slot) or (isinstance(part, _Rule) and part.name in values):
+        elif isinstance(part, _Slot):
             pieces += values[part.name]
+        elif isinstance(part, _Rule) and (made := values.get(f"<{part.name}>")) is not None:
+            pieces += made
         else:
             options = part.options if isinstance(part, _Choice) else rules[part.name]
             pieces += choose(options, values, rules, rng)

@@ -112,6 +112,7 @@ class BootstrapMLP(nn.Module):
             raise ValueError(
                 f"prior_scale must be a finite number and not negative, got {prior_scale}"
             )
+        self.in_features, self.out_features = in_features, out_features
         sizes = (in_features, *hidden, out_features)
         FlatLayout(sizes)  # refuses sizes that are no network before they are cut in two
         self.trunk_layout = FlatLayout(sizes[: trunk_layers + 1]) if trunk_layers else None
@@ -131,16 +132,6 @@ class BootstrapMLP(nn.Module):
         self.register_buffer("prior_heads", empty(layout, heads) if has_prior else None)
         self._init_linear_(self.prior_trunk, self.prior_heads)
         self.reset_parameters()
-
-    @property
-    def in_features(self) -> int:
-        """Size of the input."""
-        return (self.trunk_layout or self.head_layout).sizes[0]
-
-    @property
-    def out_features(self) -> int:
-        """Size of each head's output."""
-        return self.head_layout.sizes[-1]
 
     def reset_parameters(self) -> None:
         """Draws the weights like ``nn.Linear``: uniform in ±1/√inputs; the priors stay."""

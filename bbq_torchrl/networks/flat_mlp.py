@@ -57,6 +57,7 @@ class FlatMLP(nn.Module):
         super().__init__()
         if not 0 <= dropout < 1:
             raise ValueError(f"dropout must be in [0, 1), got {dropout}")
+        self.in_features, self.out_features = in_features, out_features
         self.layout = FlatLayout((in_features, *hidden, out_features))
         self.replicas = replica_shape(replicas)
         self.dropout = dropout
@@ -64,16 +65,6 @@ class FlatMLP(nn.Module):
             torch.empty((*self.replicas, self.layout.numel), device=device, dtype=dtype)
         )
         self.reset_parameters()
-
-    @property
-    def in_features(self) -> int:
-        """Size of the input."""
-        return self.layout.sizes[0]
-
-    @property
-    def out_features(self) -> int:
-        """Size of the output."""
-        return self.layout.sizes[-1]
 
     def reset_parameters(self) -> None:
         """Draws the weights like ``nn.Linear``: uniform in ±1/√inputs."""

@@ -68,9 +68,8 @@ class Transcript:
 
     def user(self, state: TensorDictBase) -> str:
         """Returns the user's last act: ``"request(theater) inform(moviename=zootopia)"``."""
-        pending = state["pending"]
-        meant = self._act(state["user_act"], pending, state["meant_informs"])
-        heard = self._act(state["heard_act"], pending, state["user_informs"])
+        meant = self._act(state["user_act"], state["pending"], state["meant_informs"])
+        heard = self._act(state["heard_act"], state["heard_requests"], state["user_informs"])
         return meant if meant == heard else f"{meant} [heard: {heard}]"
 
     def goal(self, state: TensorDictBase) -> str:

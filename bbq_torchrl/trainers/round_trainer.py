@@ -69,8 +69,7 @@ class RoundTrainer:
     Keyword Args:
         rounds (int): how many rounds are trained.
         dialogues (int): how many dialogues each replica plays in a round. More than the environment
-            has places are played in turns; a policy that keeps something for a dialogue then needs
-            TorchRL's ``InitTracker`` in the environment, to know where the next one begins.
+            has places are played in turns.
         batch_size (int): transitions of a mini-batch, for each replica.
         freezes (int): how often in a round the target is frozen and learned against.
         epochs (int): how many epochs over the buffer follow each freeze.

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 AGENTS: dict[str, tuple[str, ...]] = {
     "dqn": ("+experiment=agents/dqn",),
-    "dqn without dropout": ("+experiment=agents/dqn", "agent.dropout=0"),
     "double dqn": ("+experiment=baselines/double_dqn",),
     "noisy dqn": ("+experiment=baselines/noisy_dqn",),
     "bootstrap, 10 heads": ("+experiment=agents/dqn_bootstrap",),

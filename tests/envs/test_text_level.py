@@ -263,6 +263,16 @@ def test_trained_agents_play_half_of_what_is_counted(movie, monkeypatch):
 def test_a_domain_without_counts_is_told_how_to_make_them(restaurant, movie, tmp_path):
     with pytest.raises(ValueError, match=r"language count --domain"):
         measured.load_errors(restaurant)
-    (tmp_path / measured.ERRORS_FILE).write_text('{"values": {"opening": 3}}', encoding="utf-8")
-    with pytest.raises(ValueError, match=re.escape(str(tmp_path))):
-        measured.load_errors(replace(movie, folder=tmp_path))
+    for damaged in ('{"values": {"opening": 3}}', "[" * 100_000, "{", "[]"):
+        (tmp_path / measured.ERRORS_FILE).write_text(damaged, encoding="utf-8")
+        with pytest.raises(ValueError, match=re.escape(f"{tmp_path / measured.ERRORS_FILE} is")):
+            measured.load_errors(replace(movie, folder=tmp_path))
+    counts = json.loads((movie.folder / measured.ERRORS_FILE).read_text(encoding="utf-8"))
+    situation, slot = next(
+        (key, name) for key, found in counts["requests"].items() for name in found
+    )
+    for pair in ([0, 0], [1]):
+        counts["requests"][situation][slot] = pair
+        (tmp_path / measured.ERRORS_FILE).write_text(json.dumps(counts), encoding="utf-8")
+        with pytest.raises(ValueError, match="is damaged"):
+            measured.load_errors(replace(movie, folder=tmp_path))

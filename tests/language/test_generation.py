@@ -20,7 +20,7 @@ from bbq_torchrl.language.compose import Composer
 from bbq_torchrl.language.corpus import make_examples
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.simulated import play
-from bbq_torchrl.language.templates import plain
+from bbq_torchrl.language.templates import Piece, expand, is_possible, parse, plain
 
 SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskcomplete|mc_list")
 
@@ -111,6 +111,17 @@ def test_a_domain_without_phrases_speaks_by_generic_ones(restaurant):
         assert all(value.lower() in text.lower() for text in said)
 
 
+def test_a_slot_that_is_called_as_a_rule_is_not_taken_for_it():
+    values = {"name": [Piece("Nando's", "name")], "<name>": [Piece("restaurant")]}
+    said = expand(parse("the <name> is {}", "name"), values, {}, random.Random(0))
+    assert plain(said) == "the restaurant is Nando's"
+    assert not is_possible(parse("the <name>"), {"name": [Piece("Nando's")]}, {})
+
+
+def test_an_act_without_phrases_of_its_own_is_said_by_those_that_inform(speak):
+    assert speak.agent(Frame("apologize")) != ""
+
+
 def test_no_sentence_of_the_grammar_tells_what_it_asks_for(lexicon):
     for example in make_examples(lexicon, 500, seed=0):
         assert set(example.frame.requests).isdisjoint(example.frame.informs), example
@@ -147,6 +158,7 @@ def test_what_was_without_a_match_is_corrected_by_that(speak):
         ("slots: {city: {kind: number}}", "must be one of text, time"),
         ("slots: [a]", "must be a mapping"),
         ("a: [", "must be YAML"),
+        ("slots: {}\nslots: {}", "keys must be given once"),
         ("\x00", "must be YAML"),
     ],
 )

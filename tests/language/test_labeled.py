@@ -35,6 +35,12 @@ def test_own_lines_become_examples_with_the_place_of_each_value(lexicon, tmp_pat
     assert placed["starttime"] == ["half", "past", "seven"]
 
 
+def test_a_value_of_a_slot_without_values_has_no_place(lexicon):
+    line = Line(None, "anything of that series", Frame.parse("inform(movie_series=harry potter)"))
+    (example,) = as_examples([line], lexicon)
+    assert set(example.tags) == {"-"}
+
+
 def test_a_name_in_full_is_placed_as_a_whole(lexicon):
     line = Line(None, "dune part two, late night", Frame.parse("inform(moviename=dune: part two, "
                 "starttime=late night)"))  # fmt: skip

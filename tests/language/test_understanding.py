@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -10,7 +11,8 @@ import torch
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.language import ANY, MAX_CHARACTERS, Frame, TextError, Understander
-from bbq_torchrl.language.assemble import assemble
+from bbq_torchrl.language import __main__ as command
+from bbq_torchrl.language.assemble import assemble, chosen
 from bbq_torchrl.language.model import Reading
 from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
@@ -41,6 +43,22 @@ def test_a_choice_is_taken_by_its_place_or_its_words(understand):
     assert understand("saturday", question).frame.informs == {"date": "saturday"}
     times = Frame("multiple_choice", requests=("starttime",), choices=("7pm", "9:30 pm"))
     assert understand("the later one", times).frame.informs == {"starttime": "9:30 pm"}
+
+
+@pytest.mark.parametrize(
+    ("choices", "text", "taken"),
+    [
+        (("godzilla minus one", "kong"), "the second one", "kong"),
+        (("kong", "godzilla minus one"), "the first one", "kong"),
+        (("kong", "wicked"), "number one", "kong"),
+        (("kong", "wicked"), "one", "kong"),
+        (("kong", "wicked"), "not that one", None),
+        (("kong", "wicked"), "the later one", None),  # of what has no order
+    ],
+)
+def test_one_is_a_place_only_where_it_stands_for_one(lexicon, choices, text, taken):
+    question = Frame("multiple_choice", requests=("moviename",), choices=choices)
+    assert chosen(text.split(), question, lexicon) == taken
 
 
 def test_yes_to_a_value_tells_the_value(understand):
@@ -244,3 +262,14 @@ def test_a_file_of_another_domain_is_refused(understand, restaurant, tmp_path):
     understand.save(tmp_path / "u.npz")
     with pytest.raises(ValueError, match="whose acts and slots differ"):
         Understander.load(tmp_path / "u.npz", restaurant)
+
+
+def test_measuring_leaves_a_trained_file_alone(understand, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "movie.language.npz").write_text("trained")
+    monkeypatch.setattr(Understander, "train", lambda *args, **given: understand)
+    monkeypatch.setattr(command, "measure_lines", lambda *args: {"turns": 3})
+    monkeypatch.setattr(command, "measure_round_trip", lambda *args: {})
+    assert command.main(["measure", "--out", "figures.json", "--dialogues", "9"]) == 0
+    assert (tmp_path / "movie.language.npz").read_text() == "trained"
+    assert json.loads((tmp_path / "figures.json").read_text())["megabytes"] > 0

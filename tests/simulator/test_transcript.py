@@ -71,6 +71,14 @@ def test_what_was_misheard_is_shown_beside_what_was_meant(scene):
     assert user == "user: inform(city=boston) [heard: deny inform(city=seattle)]"
 
 
+def test_a_question_that_was_not_heard_is_not_shown_as_heard(scene):
+    scene.start(constraint="city")
+    scene.state["heard_requests"] = torch.zeros_like(scene.state["heard_requests"])
+    said = "request(theater) inform(city=boston)"
+    heard = "request inform(city=boston)"
+    assert scene.transcript.user(scene.state) == f"{said} [heard: {heard}]"
+
+
 def test_a_transcript_is_of_one_dialogue(scene):
     lines = scene.start()
     several = scene.state.unsqueeze(0).expand(3)

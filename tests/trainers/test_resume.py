@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import logging
 import os
 import signal
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import forked
 import pytest
 import torch
+from tiny import rows
 from torchrl.checkpoint import StateDictCheckpointAdapter
 from trainer_parts import make_trainer, random_policy
 
@@ -87,21 +87,12 @@ def train(folder: Path, moment: str | None = None) -> None:
     trainer.train(resume=True)
 
 
-def table(folder: Path) -> list[dict[str, str]]:
-    """metrics.csv without its seconds."""
-    with (folder / "metrics.csv").open(newline="") as file:
-        return [
-            {name: value for name, value in row.items() if not name.startswith("seconds")}
-            for row in csv.DictReader(file)
-        ]
-
-
 def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
     """Compares a finished training, by its last checkpoint, with one that was not interrupted."""
     ours = build(folder)
     ours.train(resume=True)
     assert ours.rounds_done == reference.rounds_done == ROUNDS
-    assert table(folder) == table(reference.run_folder)
+    assert rows(folder / "metrics.csv") == rows(reference.run_folder / "metrics.csv")
     for part in ("loss", "policy", "optimizer", "replay"):
         states = (getattr(trainer, part).state_dict() for trainer in (ours, reference))
         torch.testing.assert_close(*states, rtol=0, atol=0)

@@ -39,7 +39,8 @@ class DomainExtension(FullDomain):
         return ExtensionSchedule(start=self.start, every=self.every)
 
     def check_domain(self, domain: Domain | None) -> None:
-        """Refuses a slot that the agent has actions for and that no round adds."""
+        """Refuses a slot that the agent has actions for and that no round adds, too."""
+        super().check_domain(domain)
         assert domain is not None
         self.schedule().never_active(domain)
 

@@ -125,13 +125,21 @@ class FullDomain(EnvOption):
                 from bbq_torchrl.envs.text import text_channel
 
                 return text_channel(domain, self.ask_below)
-            if self.errors == "measured":
-                from bbq_torchrl.envs.measured import load_errors
-
-                return load_errors(domain)
         except ModuleNotFoundError as error:
             raise ConfigError(f"env.level=text cannot be played: {error}") from error
-        return None
+        if self.errors == "drawn":
+            return None
+        from bbq_torchrl.envs.measured import load_errors
+
+        try:
+            return load_errors(domain)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+
+    def check_domain(self, domain: Domain | None) -> None:
+        """Refuses errors that were not counted for the domain."""
+        assert domain is not None
+        self._channel(domain)
 
     def steps(self) -> int:
         """The acts of both sides are counted by ``max_turn``; the agent has one act more."""
