@@ -121,7 +121,7 @@ def _compared(one: Group, other: Group) -> dict[str, tuple[Sequence[float], Sequ
         "cumulative": (one.cumulative, other.cumulative),
     }
     first, second = one.evaluation, other.evaluation
-    if first is not None and second is not None:
+    if first is not None and second is not None and len(first) == len(second):
         in_both = np.isfinite(first[:, :1]) & np.isfinite(second[:, :1])
         if in_both.any():
             quantities["area"] = (

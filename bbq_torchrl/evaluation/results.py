@@ -234,7 +234,7 @@ def _made(schema: type[Result], plain: dict[str, Any]) -> Result:
     """Returns what a mapping describes; a newer version's further keys are left out.
 
     Raises:
-        ValueError: what should be a number is none.
+        ValueError: what should be a number, a text or a mapping is none.
     """
     names = {item.name for item in fields(schema)}
     given = {name: value for name, value in plain.items() if name in names}
@@ -247,4 +247,11 @@ def _made(schema: type[Result], plain: dict[str, Any]) -> Result:
             isinstance(value, (int, float)) and math.isfinite(value)
         ):
             raise ValueError(f"{item.name} must be a number, got {shown(value)}")
+        if item.type == "str" and not isinstance(value, str):
+            raise ValueError(f"{item.name} must be a text, got {shown(value)}")
+        if item.type == "dict[str, float]" and not (
+            isinstance(value, dict)
+            and all(isinstance(rate, (int, float)) for rate in value.values())
+        ):
+            raise ValueError(f"{item.name} must be a mapping to numbers, got {shown(value)}")
     return result

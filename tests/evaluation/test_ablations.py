@@ -62,6 +62,13 @@ def test_values_are_compared_with_the_reference_by_pairs(runs, capsys):
     assert cells(text, "| 20 |")[3:5] == [final[3], f"{raw[0]:.3f}"]
 
 
+def test_runs_of_other_lengths_are_compared_but_for_their_curves(tmp_path, capsys):
+    for rounds in (6, 4):
+        make_run(tmp_path / str(rounds), OWN, rounds=rounds, eval_every=2)
+    assert main([str(tmp_path), "--ablations"]) == 0
+    assert cells(capsys.readouterr().out, "| 6 |")[3].startswith("+0.000 [")
+
+
 def test_of_one_key_alone_the_reference_is_the_first_given(runs, capsys):
     assert main([str(runs / name) for name in "102"] + ["--ablations"]) == 0
     assert cells(capsys.readouterr().out, "| 0.1 (reference) |")[1] == "5"

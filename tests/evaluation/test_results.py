@@ -80,8 +80,14 @@ def test_a_folder_without_the_file_is_no_run_folder(tmp_path, read):
         lambda text: text.replace('"per_replica"', '"replicas_of_it"'),
         lambda text: text.replace('"success_rate"', '"rate"'),
         lambda text: text.replace('"turns": 8.0', '"turns": NaN'),
+        lambda text: text.replace('"env": "full"', '"env": null'),
+        lambda text: text.replace('"references": {}', '"references": null'),
+        lambda text: text.replace('"values": {}', '"values": {"agent.lr": [1]}'),
     ],
-    ids=["truncated", "a list", "without replicas", "without rates", "no number"],
+    ids=[
+        *("truncated", "a list", "without replicas", "without rates", "no number"),
+        *("no text", "no mapping", "no mapping to numbers"),
+    ],
 )
 def test_a_damaged_result_is_refused_by_name(tmp_path, damage):
     file = make_run(tmp_path / "run", [0.5]) / "result.json"
