@@ -78,13 +78,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         understand.save(file)
         megabytes = round(file.stat().st_size / 1e6, 2)
     if given.command == "measure":
+        turns = play(domain, given.dialogues, seed=given.seed)[:_ROUND_TRIPS]
         figures = {
             "domain": domain.name,
             "learned_from": given.sentences,
             "seed": given.seed,
             "training_seconds": round(seconds, 1),
             "megabytes": megabytes,
-            **_measured(given, domain, understand),
+            **measure_lines(understand, given.data),
+            **measure_round_trip(understand, Generator(domain), turns),
         }
         text = json.dumps(_rounded(figures), indent=1) + "\n"
         given.out.write_text(text, encoding="utf-8")
@@ -115,16 +117,6 @@ def _agent(name: str, domain: Domain) -> TensorDictModuleBase:
             f"--trained must name runs of one replica in the domain {domain.name}, got {name}"
         )
     return run.policy
-
-
-def _measured(
-    given: argparse.Namespace, domain: Domain, understand: Understander
-) -> dict[str, Any]:
-    turns = play(domain, given.dialogues, seed=given.seed)[:_ROUND_TRIPS]
-    return {
-        **measure_lines(understand, given.data),
-        **measure_round_trip(understand, Generator(domain), turns),
-    }
 
 
 def _rounded(figures: Any) -> Any:
