@@ -7,13 +7,11 @@ import re
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import httpx2
+from forked import ROOT
 
 from .conftest import hidden
-
-ROOT = Path(__file__).parents[2]
 
 
 class Server:

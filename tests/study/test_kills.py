@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import random
-import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
 
@@ -16,7 +13,7 @@ import pytest
 from bbq_torchrl.study.database import reading
 
 from .conftest import STUDY
-from .served import ROOT, Server, Visitor
+from .served import Server, Visitor
 
 
 class Talkative:
@@ -89,68 +86,3 @@ def test_a_served_study_ends_when_it_is_told_to(tmp_path):
     server.process.send_signal(signal.SIGTERM)
     _, errors = server.process.communicate(timeout=60)
     assert errors == "interrupted while serving: the same command goes on with the study\n"
-
-
-@pytest.fixture
-def disk(tmp_path):
-    """Runs a program with a small disk at ``disk``: as root of a namespace of its own."""
-    if shutil.which("unshare") is None:
-        pytest.skip("needs the program unshare")
-    unshare = ["unshare", "--map-root-user", "--mount"]
-    probe = "mount -t tmpfs -o size=1m none /mnt"
-    if subprocess.run([*unshare, "sh", "-c", probe], capture_output=True, check=False).returncode:
-        pytest.skip("needs a kernel in which a user may mount a tmpfs in a namespace")
-
-    def run(mount, program):
-        script = f"mkdir -p disk && mount -t tmpfs -o size=512k none disk && {mount}"
-        code = f"{script} && {sys.executable} -c '{program}'"
-        return subprocess.run(
-            [*unshare, "sh", "-c", code],
-            cwd=tmp_path,
-            env={"PYTHONPATH": str(ROOT), "TERMS": "", "PATH": "/usr/bin:/bin"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-
-    return run
-
-
-FULL = """
-from pathlib import Path
-from bbq_torchrl.study.database import Database, StoreError
-database = Database(Path("disk/study.sqlite"))
-stored = 0
-try:
-    while True:
-        with database.transaction() as connection:
-            values = ("x" * 4000 + str(stored), "y")
-            connection.execute("INSERT INTO agent VALUES (?, ?)", values)
-        stored += 1
-except StoreError as error:
-    print(error)
-assert len(database.rows("SELECT name FROM agent")) == stored > 10
-database.close()
-"""
-READ_ONLY = """
-from pathlib import Path
-from bbq_torchrl.study.database import Database, StoreError
-try:
-    Database(Path("disk/study.sqlite"))
-except StoreError as error:
-    print(error)
-"""
-
-
-@pytest.mark.slow
-def test_a_full_disk_is_a_sentence_and_keeps_what_was_stored(disk):
-    ended = disk("true", FULL.replace("'", '"'))
-    assert ended.returncode == 0, ended.stderr
-    assert "the disk is full" in ended.stdout
-
-
-@pytest.mark.slow
-def test_a_read_only_disk_is_a_sentence(disk):
-    ended = disk("mount -o remount,ro disk", READ_ONLY)
-    assert ended.returncode == 0, ended.stderr
-    assert "cannot be" in ended.stdout or "read-only" in ended.stdout

@@ -129,6 +129,9 @@ def test_a_second_window_is_told_that_the_conversation_went_on(site):
     assert "gone on in another window" in page.text
     assert 'value="from the other window"' in page.text
     assert len(site.store.exchanges(site.session(link).id)) == 1
+    again = {**hidden(page.text), "text": "from the other window"}
+    assert site.client.post(f"{link}/say", data=again).status_code == 200
+    assert len(site.store.exchanges(site.session(link).id)) == 2
 
 
 def test_a_text_of_an_earlier_conversation_is_not_put_into_the_next(site):

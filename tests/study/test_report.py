@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import forked
 import pytest
 
 from bbq_torchrl.study.__main__ import main
@@ -23,7 +21,6 @@ from bbq_torchrl.study.talk import Frame
 
 from .fakes import FakeTalker, prints
 
-ROOT = Path(__file__).parents[2]
 WON, LOST = Verdict(()), Verdict(("wishes", "no ticket"))
 
 
@@ -225,9 +222,9 @@ def test_an_argument_out_of_range_is_told_with_what_is_allowed(arguments, senten
     assert sentence in capsys.readouterr().err
 
 
-def test_report_and_power_need_neither_torch_nor_the_extra():
+def test_report_and_power_need_neither_torch_nor_the_extra(tmp_path):
     program = (
         "import sys, bbq_torchrl.study.report, bbq_torchrl.study.results, bbq_torchrl.study.power; "
         "sys.exit(bool({'torch', 'starlette', 'jinja2', 'uvicorn'} & set(sys.modules)))"
     )
-    assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=False).returncode == 0
+    forked.python("-c", program, cwd=tmp_path)
