@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -20,8 +19,7 @@ from bbq_torchrl.run import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-ROOT = Path(__file__).resolve().parents[2]
+    from pathlib import Path
 
 SHRUNKEN = (*TINY, "protocol.batch_size=16", "protocol.eval_every=0")
 # Keys that one training can have side by side share it: a replica whose values are not its own in
@@ -58,6 +56,7 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, list[float]]]] = {
         ("agent=dqn", "explore.anneal_fraction=1"),
         {
             "agent.lr": [1e-3, 0.03],
+            "agent.gamma": [0.5, 0.95],
             "explore.eps_init": [0.9, 0.3],
             "explore.eps_end": [0.2, 0.3],
         },

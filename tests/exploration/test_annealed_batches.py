@@ -1,4 +1,4 @@
-"""Schedules with values of their own along the batch: as modules that have them alone."""
+"""Schedules with values of their own along the batch; tests/cli/test_values.py has how they act."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.data import Categorical
-from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.modules import EGreedyModule
 
 from bbq_torchrl.exploration import BatchedEGreedy, Boltzmann
 
-ACTIONS, ROWS, STEPS = 5, 400, 4
+ACTIONS, STEPS = 5, 4
 STARTS, ENDS = (0.9, 0.5, 0.3), (0.1, 0.5, 0.2)
 
 
@@ -22,38 +20,11 @@ def column(values):
 def explorer(kind, start, end):
     if kind == "temperature":
         return Boltzmann(start, end, STEPS)
-    make = EGreedyModule if isinstance(start, float) else BatchedEGreedy
-    return make(Categorical(ACTIONS), start, end, STEPS, action_mask_key="action_mask")
+    return BatchedEGreedy(Categorical(ACTIONS), start, end, STEPS, action_mask_key="action_mask")
 
 
 def value(module):
     return module.temperature if isinstance(module, Boltzmann) else module.eps
-
-
-def acted(module, steps):
-    module.step(steps)
-    torch.manual_seed(0)
-    mask = torch.rand(3, ROWS, ACTIONS) < 0.6
-    mask[..., 2] = True
-    td = TensorDict(
-        action_mask=mask, action_value=torch.randn(3, ROWS, ACTIONS), batch_size=(3, ROWS)
-    )
-    td["action"] = torch.full((3, ROWS), 2)
-    with set_exploration_type(ExplorationType.RANDOM):
-        return module(td)["action"]
-
-
-@pytest.mark.parametrize("steps", [0, 2, 9])
-@pytest.mark.parametrize("kind", ["epsilon", "temperature"])
-def test_each_part_acts_bitwise_as_where_all_have_its_schedule(kind, steps):
-    module = explorer(kind, column(STARTS), column(ENDS))
-    together = acted(module, steps)
-    for part, (start, end) in enumerate(zip(STARTS, ENDS, strict=True)):
-        other = explorer(kind, start, end)
-        alone = acted(other, steps)
-        assert torch.equal(together[part], alone[part])
-        assert torch.equal(value(module)[part, 0], value(other))
-    assert value(module).shape == (3, 1)
 
 
 @pytest.mark.parametrize("kind", ["epsilon", "temperature"])

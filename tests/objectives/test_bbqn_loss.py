@@ -124,11 +124,26 @@ def test_num_data_must_be_known_and_fit():
         ({"noise_std": 0.0}, "noise_std must be positive, got 0.0"),
         ({"kl_temperature": -1.0}, "kl_temperature must not be negative, got -1.0"),
         ({"gamma": 1.5}, r"gamma must be in \[0, 1\], got 1.5"),
+        ({"noise_std": torch.zeros(3)}, "noise_std must be positive and finite, got"),
+        ({"kl_temperature": -torch.ones(3)}, "kl_temperature must be at least 0 and finite, got"),
+        ({"gamma": torch.full((3,), 1.5)}, "gamma must be at least 0 and at most 1, got"),
+        (
+            {"gamma": torch.ones(2)},
+            r"gamma must be one number or have the replicas' shape \[3\], got \[2\]",
+        ),
     ],
 )
 def test_settings_outside_of_what_is_listed_are_refused(setting, message):
     with pytest.raises(ValueError, match=message):
-        bayes_loss(**setting)
+        bayes_loss((3,), **setting)
+
+
+def test_the_values_of_replicas_are_no_part_of_the_state_and_follow_the_loss():
+    """How replicas with values of their own learn, tests/cli/test_values.py shows."""
+    loss, _ = bayes_loss((3,), noise_std=torch.ones(3), kl_temperature=torch.zeros(3))
+    assert loss.state_dict().keys() == bayes_loss((3,))[0].state_dict().keys()
+    # What is a buffer moves along with its module.
+    assert {"noise_std", "kl_temperature"} <= dict(loss.named_buffers()).keys()
 
 
 def test_a_network_without_posterior_is_refused():
