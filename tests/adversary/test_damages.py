@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
-import zipfile
 
 import pytest
 import torch
+from planted import rewritten
 
 from bbq_torchrl.cli.resume import description, load_config
 from bbq_torchrl.cli.training import build_trainer
@@ -50,16 +50,6 @@ def replace(content, rng):
 
 BYTES = (cut, flip, zero, insert, append, replace)
 """Damages of a disk: what is restored then is what was saved, or the checkpoint before it."""
-
-
-def rewritten(archive, change):
-    """Changes the members of an archive and gives them the right checksums."""
-    with zipfile.ZipFile(archive) as old:
-        members = {name: old.read(name) for name in old.namelist()}
-    change(members)
-    with zipfile.ZipFile(archive, "w") as new:
-        for name, content in members.items():
-            new.writestr(name, content)
 
 
 def leave_out(members, rng):

@@ -6,9 +6,9 @@ import fcntl
 import json
 import shutil
 import sys
-from pathlib import Path
 
 import pytest
+from planted import plant
 
 import train
 from bbq_torchrl import evaluate
@@ -19,9 +19,6 @@ from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 
 from .trusted import DQN, resumed, state_of
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "trainers"))
-from planted import plant
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 import torch
 from host_waits import NeverWaits, draw_as_on_a_device
+from tiny import TINY
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
@@ -21,14 +22,11 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers import RoundTrainer
 
 SHRUNKEN = (
-    "protocol.rounds=2",
-    "protocol.dialogues=4",
+    *TINY,
     "protocol.batch_size=6",
-    "protocol.capacity=120",
     "protocol.epochs=1",
-    "spike.dialogues=4",
+    "protocol.eval_every=0",
     "spike.policy=random",
-    "agent.hidden=[8,8]",
     "env.max_turn=16",
     "replicas=3",
 )

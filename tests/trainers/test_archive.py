@@ -8,7 +8,7 @@ import zipfile
 
 import pytest
 import torch
-from planted import plant, runs_code
+from planted import plant, rewritten, runs_code
 from torch import nn
 
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointFolder, CheckpointMismatchError
@@ -24,12 +24,11 @@ def saved(tmp_path):
 
 def changed(archive, member, change):
     """Rewrites a member of an archive, and everything else as it was."""
-    with zipfile.ZipFile(archive) as old:
-        contents = {name: old.read(name) for name in old.namelist()}
-    contents[member] = json.dumps(change(json.loads(contents[member]))).encode()
-    with zipfile.ZipFile(archive, "w") as new:
-        for name, content in contents.items():
-            new.writestr(name, content)
+
+    def changes(members):
+        members[member] = json.dumps(change(json.loads(members[member]))).encode()
+
+    rewritten(archive, changes)
 
 
 @pytest.mark.parametrize("file", ["other.pickle", "pickle.pkl"])

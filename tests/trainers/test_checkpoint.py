@@ -6,6 +6,7 @@ import logging
 import zipfile
 
 import pytest
+from planted import rewritten
 from torch import nn
 
 from bbq_torchrl.trainers import (
@@ -126,14 +127,12 @@ def test_what_a_killed_process_left_behind_is_removed_and_nothing_else(tmp_path)
 
 def test_a_checkpoint_of_a_device_that_is_absent_is_restored(tmp_path):
     folder_with(tmp_path, 20)
-    path = tmp_path / "round-000020.torchrl"
-    with zipfile.ZipFile(path) as old, zipfile.ZipFile(tmp_path / "new", "w") as new:
-        for info in old.infolist():
-            content = old.read(info)
-            if info.filename.endswith("state.json"):
-                assert b'"device":"cpu"' in content
-                content = content.replace(b'"device":"cpu"', b'"device":"cuda:7"')
-            new.writestr(info, content)
-    (tmp_path / "new").replace(path)
+
+    def on_another(members):
+        (name,) = (name for name in members if name.endswith("state.json"))
+        assert b'"device":"cpu"' in members[name]
+        members[name] = members[name].replace(b'"device":"cpu"', b'"device":"cuda:7"')
+
+    rewritten(tmp_path / "round-000020.torchrl", on_another)
 
     assert restored(tmp_path) == 20.0

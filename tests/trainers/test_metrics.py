@@ -58,25 +58,6 @@ def test_loggers_get_what_the_file_gets_but_for_what_a_round_has_not(tmp_path):
     ]
 
 
-def test_a_restored_file_is_as_it_was_whatever_lies_there(tmp_path):
-    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
-    metrics.append(0, columns(0))
-    metrics.append(1, columns(1))
-    state, text = metrics.state_dict(), metrics.path.read_text()
-    metrics.append(2, columns(2))
-    metrics.path.write_text(metrics.path.read_text()[:-7])
-
-    other = MetricsFile(tmp_path / "metrics.csv", 2)
-    other.load_state_dict(state)
-
-    assert other.path.read_text() == text
-    assert other.rows == [*rows(0), *rows(1)]
-    assert [type(v) for v in other.rows[0].values()] == [int, int, int, float, float]
-    other.append(2, columns(2))
-    assert other.path.read_text().startswith(text)
-    assert len(other.path.read_text().splitlines()) == 7
-
-
 def test_what_a_round_has_not_is_empty_and_without_rounds_there_is_no_file(tmp_path):
     metrics = MetricsFile(tmp_path / "metrics.csv", 1)
     empty = metrics.state_dict()

@@ -72,19 +72,6 @@ def test_keys_can_have_other_names():
     assert torch.equal(vime(out)["next", "pay"], expected(stored)[REWARD])
 
 
-def test_states_round_trip_through_a_replay_buffer():
-    one, two = (buffer(transform(weights="map", median_window=2)) for _ in range(2))
-    for rows in (30, 20, 10):
-        one.extend(transitions(rows))
-    two.load_state_dict(one.state_dict())
-    td = transitions(15)
-    one.extend(td)
-    two.extend(td)
-    stored = [memory._storage.get(slice(60, 75))[BONUS] for memory in (one, two)]
-    assert torch.equal(*stored)
-    assert stored[0].any()
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

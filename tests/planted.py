@@ -1,13 +1,19 @@
-"""Checkpoints that somebody has put a pickle into; loading it makes a file."""
+"""Checkpoints that somebody has changed, or put a pickle into: loading that makes a file."""
 
 from __future__ import annotations
 
 import json
+import shutil
 import zipfile
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tensordict
 from tensordict import NonTensorData, NonTensorStack, TensorDict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class Payload:
@@ -20,13 +26,25 @@ class Payload:
         return Path.touch, (self.marker,)
 
 
+def rewritten(archive: Path, change: Callable[[dict[str, bytes]], object]) -> None:
+    """Changes the members of an archive and gives them the right checksums."""
+    with zipfile.ZipFile(archive) as old:
+        members = {name: old.read(name) for name in old.namelist()}
+    change(members)
+    with zipfile.ZipFile(archive, "w") as new:
+        for name, content in members.items():
+            new.writestr(name, content)
+
+
 def plant(archive: Path, marker: Path, file: str) -> None:
     """Puts ``other.pickle`` or ``pickle.pkl`` where tensordict's loader finds it.
 
     The archive stays whole: every checksum is right, and the manifest lists every file.
     """
-    with zipfile.ZipFile(archive) as old:
-        contents = {name: old.read(name) for name in old.namelist()}
+    rewritten(archive, partial(_put, marker, file, archive.parent / "planted"))
+
+
+def _put(marker: Path, file: str, folder: Path, contents: dict[str, bytes]) -> None:
     manifest = json.loads(contents["manifest.json"])
     record = manifest["components"][min(manifest["components"])]
     node = (
@@ -34,7 +52,6 @@ def plant(archive: Path, marker: Path, file: str) -> None:
         if file == "other.pickle"
         else NonTensorStack(*(NonTensorData(Payload(marker)) for _ in range(2)))
     )
-    folder = archive.parent / "planted"
     TensorDict({"planted": node}, batch_size=node.batch_size).memmap(folder)
     meta = f"{record['path']}/state/meta.json"
     described = json.loads(contents[meta])
@@ -47,12 +64,7 @@ def plant(archive: Path, marker: Path, file: str) -> None:
             record["files"].append(f"state/{name}")
     assert any(name.endswith(file) for name in contents)
     contents["manifest.json"] = json.dumps(manifest).encode()
-    with zipfile.ZipFile(archive, "w") as new:
-        for name, content in contents.items():
-            new.writestr(name, content)
-    for path in sorted(folder.rglob("*"), reverse=True):
-        path.rmdir() if path.is_dir() else path.unlink()
-    folder.rmdir()
+    shutil.rmtree(folder)
 
 
 def runs_code(archive: Path, folder: Path) -> None:
