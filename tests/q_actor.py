@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDict
 from torchrl.data import Categorical
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.networks import q_actor
@@ -31,6 +32,12 @@ def observations(*batch, same=True):
         },
         batch,
     )
+
+
+def values(policy, td, exploration=ExplorationType.RANDOM):
+    """The value of an action that is always legal, for each row."""
+    with set_exploration_type(exploration):
+        return policy(td.clone())["action_value"][..., 2].detach()
 
 
 def all_legal(td):

@@ -90,6 +90,23 @@ def _away(loss):
     return loss, update
 
 
+class FixedNoise:
+    """A source of the very noise that it is given."""
+
+    def __init__(self, noise):
+        self.noise = noise
+
+    def normal(self, posterior, shape):
+        return self.noise
+
+
+def plain_mlp(x, layers):
+    """One network by its definition, with autograd's gradients."""
+    for k, (matrix, bias) in enumerate(layers):
+        x = (x if k == 0 else x.relu()) @ matrix + bias
+    return x
+
+
 def flat(loss, name, *, target=False):
     """The only tensor of that name (mu, rho, weight, prior_rho) that the loss uses."""
     params = loss.target_value_network_params if target else loss.value_network_params

@@ -7,6 +7,7 @@ from itertools import product
 import pytest
 import torch
 import torch.nn.functional as F
+from q_transitions import FixedNoise
 from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call, stack_module_state, vmap
@@ -233,11 +234,7 @@ def test_vmap_over_noise_is_a_loop(name):
     x, noises = torch.randn(6, *features).double(), torch.randn(4, *posterior.mu.shape).double()
 
     def call(noise):
-        class Fixed:
-            def normal(self, posterior, shape):
-                return noise
-
-        with weight_scope("draw", noise=Fixed(), kl="sampled") as scope:
+        with weight_scope("draw", noise=FixedNoise(noise), kl="sampled") as scope:
             return net(x), scope.kl.total()
 
     expected = [torch.stack(outs) for outs in zip(*map(call, noises), strict=True)]
@@ -251,11 +248,7 @@ def test_gradients_under_a_transform_are_the_hand_written_ones(kind):
     noise = torch.randn_like(net.posterior.mu)
 
     def value(parameters):
-        class Fixed:
-            def normal(self, posterior, shape):
-                return noise
-
-        with weight_scope("draw", noise=Fixed(), kl=kind) as scope:
+        with weight_scope("draw", noise=FixedNoise(noise), kl=kind) as scope:
             out = functional_call(net, parameters, (x,))
             return out.square().sum() + scope.kl.total()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from tiny import TINY
 
 from bbq_torchrl.chat import Partner, TrainedAgent
 from bbq_torchrl.chat.spelling import Spelling
@@ -10,24 +11,14 @@ from bbq_torchrl.cli.store import compose
 from bbq_torchrl.language import Frame, Generator, TextError, Unclear, Understood
 from bbq_torchrl.run import run
 
-TINY = (
-    "protocol.rounds=1",
-    "protocol.dialogues=2",
-    "protocol.capacity=100",
-    "protocol.eval_dialogues=2",
-    "protocol.eval_every=0",
-    "spike.dialogues=2",
-    "spike.policy=random",
-    "agent.hidden=[8,8]",
-    "env.max_turn=8",
-)
+SHRUNKEN = (*TINY, "protocol.rounds=1", "protocol.eval_every=0", "spike.policy=random")
 
 
 def trained(folder, *more):
     folder.mkdir()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bbq_torchrl.run.draw_run", lambda file, *_, **__: file.touch())
-        run(compose([*TINY, *more]), folder)
+        run(compose([*SHRUNKEN, *more]), folder)
     return folder
 
 

@@ -25,12 +25,10 @@ SHRUNKEN = (
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def finished(tmp_path_factory, without_curves):
     """A finished run of two replicas."""
     folder = tmp_path_factory.mktemp("run")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bbq_torchrl.run.draw_run", lambda file, *_, **__: file.touch())
-        run(compose(list(SHRUNKEN)), folder)
+    run(compose(list(SHRUNKEN)), folder)
     (folder / ".hydra").mkdir()
     (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(list(SHRUNKEN)))
     return folder

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
-from tiny import TINY
+from tiny import TINY, rows
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli.store import compose
@@ -84,15 +83,16 @@ def overrides(choices: Sequence[str], values: dict[str, Any], domain: Path) -> l
 def trained(command: list[str], folder: Path) -> tuple[list[torch.Tensor], list[dict[str, Any]]]:
     """What is learned, and the metrics but for the times."""
     trainer, _ = build_trainer(compose(command), folder)
-    rows = trainer.train()
-    plain = [{k: v for k, v in row.items() if not k.startswith("seconds")} for row in rows]
+    plain = [
+        {k: v for k, v in row.items() if not k.startswith("seconds")} for row in trainer.train()
+    ]
     return [parameter.detach().clone() for parameter in trainer.optimizer.parameters], plain
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, restaurant_folder, tmp_path):
     choices, values = CASES[case]
-    weights, rows = trained(
+    weights, together = trained(
         ["replicas=2", *overrides(choices, values, restaurant_folder)], tmp_path / "both"
     )
     for replica in range(2):
@@ -104,7 +104,7 @@ def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, restaurant_f
             torch.equal(one[replica], other[replica])
             for one, other in zip(weights, alone, strict=True)
         )
-        ours = [row for row in rows if row["replica"] == replica]
+        ours = [row for row in together if row["replica"] == replica]
         theirs = [row | own for row in expected if row["replica"] == replica]
         assert ours == theirs
 
@@ -127,9 +127,7 @@ def test_results_say_which_replica_had_which_value(finished):
         {"agent.lr": 0.001, "agent.prior_std": 0.2},
         {"agent.lr": 0.002, "agent.prior_std": 0.2},
     ]
-    with (finished / "metrics.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    for row in rows:
+    for row in rows(finished / "metrics.csv"):
         values = per_replica[int(row["replica"])]["values"]
         assert {key: float(row[key]) for key in values} == values
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import ast
-import subprocess
-import sys
 from typing import TYPE_CHECKING
 
+import forked
 import pytest
 
 from .pages import ROOT
@@ -41,10 +40,8 @@ DOMAINS = sorted((ROOT / "bbq_torchrl" / "domains").rglob("*.py"))
 
 
 def test_options_need_no_torch_dialogues_no_torchrl_and_the_parts_no_dialogue() -> None:
-    command = [sys.executable, "-c", PROGRAM]
-    finished = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert finished.returncode == 0, finished.stderr
-    assert finished.stdout.split() == ["numpy", "tensordict", "torch", "torchrl"]
+    asked, _ = forked.python("-c", PROGRAM, cwd=ROOT)
+    assert asked.split() == ["numpy", "tensordict", "torch", "torchrl"]
 
 
 @pytest.mark.parametrize("file", DOMAINS, ids=lambda file: file.stem)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 
 import numpy as np
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from result_folders import make_run
 from scipy import integrate, stats
+from tiny import rows
 
 from bbq_torchrl.evaluation import areas, rounds_to_reach
 from bbq_torchrl.evaluation.comparison import learning_table
@@ -149,8 +149,7 @@ def test_the_tables_csv_leaves_empty_what_was_not_reached(tmp_path):
     run = make_run(tmp_path / "run", [0.8, *[1.0] * 5], rounds=8, eval_every=4)
     table = learning_table(read_groups([run]))
     table.write(tmp_path)
-    with (tmp_path / "learning.csv").open(newline="") as stream:
-        training, evaluation = csv.DictReader(stream)
+    training, evaluation = rows(tmp_path / "learning.csv")
     assert training["to_0.5_reached"] == "5"
     assert float(training["to_0.5"]) == float(training["to_0.5_low"]) == 5
     assert float(training["to_0.5_dialogues"]) == 250

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-
 import pytest
 from result_folders import make_run
 from scipy import stats
+from tiny import rows
 
 from bbq_torchrl.evaluation import estimate, estimate_iqm, interquartile_mean
 from bbq_torchrl.evaluation.comparison import comparison_report, references, success_table
@@ -16,11 +15,6 @@ from bbq_torchrl.evaluation.runs import find_results
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
-
-
-def read_csv(file):
-    with file.open(newline="") as stream:
-        return list(csv.DictReader(stream))
 
 
 def test_a_privileged_policy_is_drawn_where_all_runs_know_it_and_have_the_same_users(tmp_path):
@@ -132,7 +126,7 @@ def test_a_table_has_the_statistics_of_each_group_and_its_csv_all_digits(tmp_pat
     assert f"| 0.750 [{low:.3f}, {high:.3f}] | {estimate_iqm(GOOD)} |" in row
     assert row.endswith(f"| {estimate([rate / 2 for rate in GOOD])} | 10.00 | 8.00 |")
     table.write(tmp_path)
-    five, three, one = read_csv(tmp_path / "report.csv")
+    five, three, one = rows(tmp_path / "report.csv")
     assert float(five["final_success_low"]) == pytest.approx(low)
     assert float(five["cumulative_training_success"]) == pytest.approx(sum(GOOD) / 10)
     # Few seeds have no bootstrap interval, and one has none at all.
@@ -170,7 +164,7 @@ def test_a_report_is_written_as_markdown_csv_png_and_svg(tmp_path, capsys, form)
     assert text.startswith(capsys.readouterr().out)
     assert all(f"]({name}.png)" in text for name in figures)
     assert {file.stem for file in out.glob("*.csv")} == {*tables, "replicas"}
-    assert len(read_csv(out / "replicas.csv")) == 10
+    assert len(rows(out / "replicas.csv")) == 10
     for kind, start in (("png", b"\x89PNG"), ("svg", b"<?xml")):
         pictures = {file.stem: file.read_bytes() for file in out.glob(f"*.{kind}")}
         assert pictures.keys() == figures

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import asdict
 
 import pytest
 from result_folders import make_run
 from scipy import stats
+from tiny import rows
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.groups import read_groups
@@ -83,11 +83,10 @@ def test_two_settings_of_a_cell_are_refused(runs):
 def test_every_replica_is_a_row(runs, tmp_path):
     make_run(runs / "noisy", GOOD, noisy=True, **DQN)  # no agent of the table
     assert main([str(runs), "--table1", "--out", str(tmp_path / "report")]) == 0
-    with (tmp_path / "report" / "replicas.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["agent"] for row in rows] == ["BBQN-MAP"] * 5 + ["DQN"] * 5
-    assert [float(row["success_rate"]) for row in rows] == GOOD + BAD
-    first = {**rows[0]}
+    replicas = rows(tmp_path / "report" / "replicas.csv")
+    assert [row["agent"] for row in replicas] == ["BBQN-MAP"] * 5 + ["DQN"] * 5
+    assert [float(row["success_rate"]) for row in replicas] == GOOD + BAD
+    first = {**replicas[0]}
     assert {first.pop(name) for name in ("updates", "rounds_to_60")} == {""}
     assert first == {
         "corpus": "movie",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import torch
+from tiny import TINY
 
 from bbq_torchrl import evaluate as command
 from bbq_torchrl import load_run
@@ -29,18 +30,14 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers import RoundTrainer
 
 SMALL = (
+    *TINY,
     "protocol.rounds=3",
-    "protocol.dialogues=6",
-    "protocol.capacity=200",
     "protocol.eval_dialogues=20",
     "protocol.eval_batch=40",
     "protocol.eval_every=2",
     "protocol.eval_every_dialogues=15",
     "protocol.checkpoint_every=2",
-    "protocol.keep_checkpoints=last",
-    "spike.dialogues=6",
     "spike.policy=random",
-    "agent.hidden=[8,8]",
     "env.max_turn=12",
     "replicas=2",
     "domain=folder",

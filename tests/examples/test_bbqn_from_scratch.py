@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 
 import pytest
 import torch
 from extended import EXAMPLES
 from tensordict import TensorDict
+from tiny import rows
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
@@ -141,11 +141,11 @@ def test_a_tiny_training_learns_from_the_spike_and_adds_a_line(
     names = example["train"].__globals__
     for name, value in {"SPIKE_DIALOGUES": 4, "DIALOGUES": 2, "HIDDEN": (8,)}.items():
         monkeypatch.setitem(names, name, value)
-    rows = []
+    learned = []
     learn = names["learn"]
 
     def watched(net, optimizer, data):
-        rows.append(len(data))
+        learned.append(len(data))
         learn(net, optimizer, data)
 
     monkeypatch.setitem(names, "learn", watched)
@@ -154,9 +154,8 @@ def test_a_tiny_training_learns_from_the_spike_and_adds_a_line(
     options = ["--seed=1", "--rounds=2", "--dialogues=4", f"--file={file}"]
     monkeypatch.setattr(sys, "argv", ["bbqn_from_scratch.py", *options])
     example["main"]()
-    with file.open(newline="") as stream:
-        lines = list(csv.DictReader(stream))
+    lines = rows(file)
     assert [(line["seed"], line["rounds"]) for line in lines] == [("7", "40"), ("1", "2")]
     assert float(lines[1]["final_success"]) in {0, 0.25, 0.5, 0.75, 1}
     assert "in 4 dialogues" in capsys.readouterr().out
-    assert 10 < rows[0] < rows[1] <= example["CAPACITY"]
+    assert 10 < learned[0] < learned[1] <= example["CAPACITY"]

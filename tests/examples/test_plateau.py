@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 
 import pytest
 import torch
 from extended import EXAMPLES
+from tiny import rows
 
 SCRIPT = EXAMPLES / "plateau.py"
 
@@ -28,8 +28,7 @@ def test_a_line_for_every_start_freeze_and_seed(example, tmp_path, monkeypatch):
     file = tmp_path / "plateau.csv"
     monkeypatch.setattr(sys, "argv", ["plateau.py", "--epochs=1", "--seeds=2", f"--file={file}"])
     example["main"]()
-    with file.open(newline="") as stream:
-        lines = list(csv.DictReader(stream))
+    lines = rows(file)
     assert [(line["start"], line["seed"]) for line in lines] == [
         (start, seed) for start in example["STARTS"] for seed in ("0", "1")
     ]

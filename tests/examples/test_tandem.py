@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import copy
-import csv
 import sys
 
 import torch
 from extended import EXAMPLES
+from tiny import rows
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
@@ -49,8 +49,10 @@ def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path
 def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example, tmp_path):
     active, passive = example["make_trainers"]("dqn", "dqn", TINY, tmp_path)
     begun = copy.deepcopy(active.loss.state_dict())
-    for rows in example["tandem"](active, passive):
-        rates = {role: [row[3] for row in rows if row[0] == role] for role in ("active", "passive")}
+    for played in example["tandem"](active, passive):
+        rates = {
+            role: [row[3] for row in played if row[0] == role] for role in ("active", "passive")
+        }
         assert rates["active"] == rates["passive"]
     assert same_weights(active, passive.loss.state_dict())
     assert not same_weights(active, begun)
@@ -68,8 +70,7 @@ def test_the_file_has_a_line_for_each_agent_evaluation_and_replica(example, tmp_
     file = tmp_path / "tandem.csv"
     monkeypatch.setattr(sys, "argv", ["tandem.py", f"--file={file}", *TINY, "protocol.rounds=1"])
     example["main"]()
-    with file.open(newline="") as stream:
-        lines = list(csv.DictReader(stream))
+    lines = rows(file)
     assert [(line["agent"], line["rounds"], line["replica"]) for line in lines] == [
         (agent, "1", replica) for agent in ("bbqn_map", "dqn") for replica in ("0", "1")
     ]

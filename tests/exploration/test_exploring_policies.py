@@ -6,7 +6,7 @@ from copy import deepcopy
 
 import pytest
 import torch
-from q_actor import ACTIONS, FEATURES, all_legal, bayes_actor, observations
+from q_actor import ACTIONS, FEATURES, all_legal, bayes_actor, observations, values
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 from torchrl.data import Categorical
@@ -25,12 +25,6 @@ from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, bootstrap_acto
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 REPLICAS = [(), (3,)]
-
-
-def values(policy, td):
-    with set_exploration_type(RANDOM):
-        # action 2 is always legal
-        return policy(td.clone())["action_value"][..., 2].detach()
 
 
 def is_one_number(rows):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from q_actor import ACTIONS, FEATURES, bayes_actor, observations
+from q_actor import ACTIONS, FEATURES, bayes_actor, observations, values
 from torchrl.data import Categorical
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.exploration import BootstrapSampling, NoisySampling, ThompsonSampling
@@ -32,12 +32,6 @@ def heads(replicas=(), **settings):
 def noisy(replicas=(), shared=False, **_):
     network = NoisyMLP(FEATURES, ACTIONS, (16,), replicas=replicas)
     return NoisySampling(q_actor(network, Categorical(ACTIONS)), shared=shared)
-
-
-def values(policy, td, exploration=ExplorationType.RANDOM):
-    """The value of an action that is always legal, for each row."""
-    with set_exploration_type(exploration):
-        return policy(td.clone())["action_value"][..., 2].detach()
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)

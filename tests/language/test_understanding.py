@@ -1,10 +1,8 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 
+import forked
 import numpy as np
 import pytest
 import torch
@@ -219,29 +217,21 @@ print([lexicon.link("moviename", f"the first {name[:-1]}") for name in lexicon.v
 """
 
 
-def test_two_processes_find_the_same_names():
-    linked = {
-        subprocess.run(
-            [sys.executable, "-c", LINKS],
-            env={**os.environ, "PYTHONHASHSEED": hash_seed},
-            check=True,
-            stdout=subprocess.PIPE,
-        ).stdout
-        for hash_seed in ("1", "2")
-    }
+def test_two_processes_find_the_same_names(tmp_path, monkeypatch):
+    linked = set()
+    for hash_seed in ("1", "2"):
+        monkeypatch.setenv("PYTHONHASHSEED", hash_seed)
+        linked.add(forked.python("-c", LINKS, cwd=tmp_path)[0])
     assert len(linked) == 1
-    assert b"Link(values=('" in linked.pop()
+    assert "Link(values=('" in linked.pop()
 
 
 @pytest.mark.slow
-def test_two_processes_train_the_same_bytes(tmp_path):
+def test_two_processes_train_the_same_bytes(tmp_path, monkeypatch):
     for hash_seed in ("1", "2"):
+        monkeypatch.setenv("PYTHONHASHSEED", hash_seed)
         command = ["-m", "bbq_torchrl.language", "train", "--sentences", "200", "--file"]
-        subprocess.run(
-            [sys.executable, *command, tmp_path / f"{hash_seed}.npz"],
-            env={**os.environ, "PYTHONHASHSEED": hash_seed},
-            check=True,
-        )
+        forked.python(*command, f"{hash_seed}.npz", cwd=tmp_path)
     assert (tmp_path / "1.npz").read_bytes() == (tmp_path / "2.npz").read_bytes()
 
 

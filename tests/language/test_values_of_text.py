@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-
+import forked
 import pytest
 
 from bbq_torchrl.extras import needed
@@ -135,12 +133,12 @@ def test_a_missing_library_names_the_command():
         needed("no-such", "no_such_library_at_all")
 
 
-def test_the_package_and_its_language_import_without_the_extra():
+def test_the_package_and_its_language_import_without_the_extra(tmp_path):
     code = (
         "import sys; sys.modules.update(dict.fromkeys(('pycrfsuite', 'rapidfuzz', 'httpx')))\n"
         "import bbq_torchrl, bbq_torchrl.language"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    forked.python("-c", code, cwd=tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from q_transitions import plain_mlp
 from torch.func import functional_call, grad, stack_module_state, vmap
 
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP
@@ -21,13 +22,6 @@ def make(replicas=(), trunk_layers=None, hidden=HIDDEN, **settings):
     )
 
 
-def plain(x, layers):
-    """One network by its definition."""
-    for k, (matrix, bias) in enumerate(layers):
-        x = (x if k == 0 else x.relu()) @ matrix + bias
-    return x
-
-
 def separate_networks(x, trunk, heads, net):
     """Each head of each replica, one after the other: [*replicas, *batch, K, out]."""
     n = len(net.replicas)
@@ -40,7 +34,7 @@ def separate_networks(x, trunk, heads, net):
             flat = trunk.reshape(-1, trunk.shape[-1])[element]
             shared = net.trunk_layout.unflatten(flat)
         layers = [shared + net.head_layout.unflatten(head) for head in of_heads]
-        outs.append(torch.stack([plain(rows, each) for each in layers], -2))
+        outs.append(torch.stack([plain_mlp(rows, each) for each in layers], -2))
     out = torch.stack(outs)
     return out.reshape(*net.replicas, *out.shape[1:])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from q_transitions import plain_mlp
 
 from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
@@ -13,16 +14,9 @@ LAYOUT = FlatLayout((5, 7, 6, 3))
 REPLICAS = [(), (1,), (4,), (2, 3)]
 
 
-def plain(x, flat, layout):
-    """One network, one layer after the other, with autograd's gradients."""
-    for k, (matrix, bias) in enumerate(layout.unflatten(flat)):
-        x = (x if k == 0 else x.relu()) @ matrix + bias
-    return x
-
-
 def per_element(x, flat, replicas, layout):
     outs = [
-        plain(a, b, layout)
+        plain_mlp(a, layout.unflatten(b))
         for a, b in zip(
             x.reshape(-1, *x.shape[len(replicas) :]), flat.reshape(-1, flat.shape[-1]), strict=True
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss, transitions
+from q_transitions import FixedNoise, bayes_loss, heads_loss, noisy_loss, plain_loss, transitions
 
 from bbq_torchrl.bayes import BayesMLP, weight_scope
 from bbq_torchrl.bayes.noise import NoisePool
@@ -51,11 +51,7 @@ def test_a_draw_with_its_kl_is_one_graph(replicas, kl):
     torch.manual_seed(0)
     noise = torch.randn(net.posterior.mu.shape)
 
-    class Fixed:
-        def normal(self, posterior, shape):
-            return noise
-
-    with weight_scope(noise=Fixed()):
+    with weight_scope(noise=FixedNoise(noise)):
         expected = value()
     torch.testing.assert_close(found, expected)
     for own, reference in zip(

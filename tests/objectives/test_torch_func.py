@@ -4,20 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
+from q_transitions import FixedNoise
 from torch.func import functional_call, grad, vmap
 
 from bbq_torchrl.bayes import BayesMLP, weight_scope
 from bbq_torchrl.objectives.td_loss import DISTANCES, td_loss
-
-
-class Fixed:
-    """A source of the very noise that it is given."""
-
-    def __init__(self, noise):
-        self.noise = noise
-
-    def normal(self, posterior, shape):
-        return self.noise
 
 
 def batch(with_weight):
@@ -40,7 +31,7 @@ def test_the_gradient_of_a_loss_is_autograds(distance, with_weight):
     rows = batch(with_weight)
 
     def value(parameters):
-        with weight_scope("draw", noise=Fixed(noise), kl="closed") as scope:
+        with weight_scope("draw", noise=FixedNoise(noise), kl="closed") as scope:
             values = functional_call(net, parameters, (x,))
         loss, *reported = td_loss(values, *rows, distance, scale)
         return (loss + scope.kl.total() / 100).sum(), reported

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import copy
-import csv
 import dataclasses
 import json
 import math
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import forked
 import pytest
 from filelock import FileLock, Timeout
+from tiny import rows
 
 from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
@@ -117,8 +116,7 @@ def search(folder, *arguments, trials=4, of="dqn"):
 
 def table(folder):
     """trials.csv without its times."""
-    with (folder / "trials.csv").open() as file:
-        return [{**row, "seconds": None} for row in csv.DictReader(file)]
+    return rows(folder / "trials.csv")
 
 
 def test_the_best_trial_is_written_down_with_the_command_that_trains_it(tmp_path):
@@ -298,8 +296,6 @@ def test_help_and_refusals_need_no_optuna(tmp_path):
         "import sys, runpy; sys.modules['optuna'] = None; sys.argv = ['search', '--help'];"
         "runpy.run_module('bbq_torchrl.search', run_name='__main__')"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, cwd=Path.cwd()
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "usage: python -m bbq_torchrl.search" in done.stdout
+    out, err = forked.python("-c", program, cwd=tmp_path)
+    assert "usage: python -m bbq_torchrl.search" in out
+    assert not err
