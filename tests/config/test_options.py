@@ -198,12 +198,6 @@ def test_train_takes_the_folder(more, tmp_path):
     assert checked == ["narrow"] * (2 if more else 1)
 
 
-def test_a_file_in_the_place_of_a_folder_is_refused(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match=r"--config-dir must be a folder, got /.*/file$"):
-        load(tmp_path / "file")
-
-
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [

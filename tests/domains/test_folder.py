@@ -102,11 +102,6 @@ def test_a_damaged_folder_is_refused_as_the_table_of_bad_input_says(
 CSV, GOALS, VALUES = "knowledge_base.csv", "goals.jsonl", "values.json"
 DAMAGE = {
     "line break": (CSV, 'area,day\n"no\nrth",today\n', "line 2: area must have one line"),
-    "a slot twice": (
-        GOALS,
-        '{"constraints": {"zip": "1"}, "requests": ["zip"]}',
-        "goals.jsonl, line 1: it names the unknown slot 'zip'",
-    ),
     "long": (GOALS, json.dumps("x" * 1_000_000), r"must have the keys .* characters \.\.\.\]"),
     "blank value": (
         VALUES,

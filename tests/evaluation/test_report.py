@@ -192,11 +192,3 @@ def test_a_run_that_is_not_finished_is_named(tmp_path, capsys):
     text = capsys.readouterr().out
     assert f"\n\nLeft out, since not finished: {tmp_path / 'killed'}.\n\n| agent |" in text
     assert "| BBQN-MAP | thompson | 5 |" in text
-
-
-def test_a_folder_without_results_is_refused_in_one_line(tmp_path, capsys):
-    out = tmp_path / "report"
-    assert main([str(tmp_path), "--out", str(out)]) == 2
-    said = f"error: {tmp_path} holds no finished run: no result.json is in or below it\n"
-    assert capsys.readouterr().err == said
-    assert not out.exists()
