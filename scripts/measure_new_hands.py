@@ -15,7 +15,7 @@ from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.language import Understander, read_lines
 from bbq_torchrl.language.labeled import LEARNED_FILE
-from bbq_torchrl.language.measure import figures, score
+from bbq_torchrl.language.measure import score
 
 _BEGINS = "# terse\n"
 _NEW = 7
@@ -38,7 +38,7 @@ def main() -> None:
             understand = Understander.train(domain)
             for at in left_out:
                 file.write_text(hands[at], encoding="utf-8")
-                own = figures(score(understand, read_lines(file, domain)))
+                own = score(understand, read_lines(file, domain))
                 found[at] = {name: round(value, 4) for name, value in own.items()}
     content = [{"hand": at, **found[at]} for at in sorted(found)]
     RESULT.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

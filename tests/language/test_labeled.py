@@ -8,7 +8,7 @@ import pytest
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.language import Frame, Understander, read_lines
 from bbq_torchrl.language.labeled import Line, as_examples, varied
-from bbq_torchrl.language.measure import VOICES, Score
+from bbq_torchrl.language.measure import VOICES, calibration_error, calibration_floor
 
 DATA = Path(__file__).parents[1] / "data" / "language"
 
@@ -49,11 +49,10 @@ def test_a_name_in_full_is_placed_as_a_whole(lexicon):
 
 
 def test_what_chance_alone_gives_a_calibration_error_is_told():
-    few = Score([True] * 50, [], [0.5] * 50, [])
-    many = Score([True] * 5000, [], [0.5] * 5000, [])
-    assert few.calibration_error == many.calibration_error == 0.5
-    assert 0.04 < few.calibration_floor < 0.075  # sqrt(2 / pi) / 2 / sqrt(50) = 0.056
-    assert many.calibration_floor < 0.008
+    few, many = [0.5] * 50, [0.5] * 5000
+    assert calibration_error(few, [True] * 50) == calibration_error(many, [True] * 5000) == 0.5
+    assert 0.04 < calibration_floor(few) < 0.075  # sqrt(2 / pi) / 2 / sqrt(50) = 0.056
+    assert calibration_floor(many) < 0.008
 
 
 @pytest.mark.parametrize("sentences", [0, -1])
