@@ -136,8 +136,9 @@ def draw_chat(file: Path) -> None:
 
     from bbq_torchrl.chat import Partner, TrainedAgent
     from bbq_torchrl.chat.goals import choose_goal
-    from bbq_torchrl.chat.language import make_ears, make_mouth, slot_names
     from bbq_torchrl.chat.terminal import Chat
+    from bbq_torchrl.language import Generator, load_phrases
+    from bbq_torchrl.language.kept import kept_understander
 
     torch.set_num_threads(1)
     agent = TrainedAgent(AGENT)
@@ -150,8 +151,8 @@ def draw_chat(file: Path) -> None:
             screen.print(f"you: {line}", markup=False, highlight=False)
         return line
 
-    names = slot_names(agent.domain)
-    partner = Partner(agent, make_ears(agent.domain), make_mouth(agent.domain))
+    names = load_phrases(agent.domain).names
+    partner = Partner(agent, kept_understander(agent.domain), Generator(agent.domain))
     Chat(partner, choose_goal(partner.domain, 1, 0), screen, names=names).run(read)
     drawn = screen.export_svg(title=f"bbq chat {AGENT} --goal 1")
     # Any font of the reader's will do, and none is loaded from another host.

@@ -71,10 +71,17 @@ def _chat(given: argparse.Namespace) -> None:
 
     from bbq_torchrl.chat.agent import TrainedAgent
     from bbq_torchrl.chat.goals import choose_goal
-    from bbq_torchrl.chat.language import make_ears, make_mouth, slot_names
     from bbq_torchrl.chat.partner import Partner
     from bbq_torchrl.chat.spelling import Spelling
     from bbq_torchrl.chat.terminal import Chat, console, prompt
+    from bbq_torchrl.language import (
+        EndpointGenerator,
+        EndpointUnderstander,
+        Generator,
+        Understander,
+        load_phrases,
+    )
+    from bbq_torchrl.language.kept import kept_understander
 
     torch.set_num_threads(1)
     screen = console()
@@ -82,16 +89,16 @@ def _chat(given: argparse.Namespace) -> None:
     agent = TrainedAgent(given.run, replica=given.replica, mode=given.mode, weights=given.weights)
     spelling = Spelling(agent.domain)
     goal = None if given.free else choose_goal(spelling.domain, given.goal, given.seed)
-    ears = make_ears(
-        agent.domain,
-        file=given.understander,
-        labeled=given.labeled,
-        endpoint=endpoint if given.nlu == "endpoint" else None,
-        tell=screen.print,
-    )
-    mouth = make_mouth(agent.domain, endpoint if given.nlg == "endpoint" else None)
+    if given.understander is not None:
+        own = Understander.load(given.understander, agent.domain)
+    else:
+        own = kept_understander(agent.domain, given.labeled, screen.print)
+    speak = Generator(agent.domain)
+    ears = EndpointUnderstander(endpoint, own) if endpoint and given.nlu == "endpoint" else own
+    mouth = EndpointGenerator(endpoint, speak) if endpoint and given.nlg == "endpoint" else speak
     partner = Partner(agent, ears, mouth, spelling, ask_below=given.ask_below)
-    Chat(partner, goal, screen, names=slot_names(agent.domain), seed=given.seed).run(read)
+    names = load_phrases(agent.domain).names
+    Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
 
 
 def _endpoint(given: argparse.Namespace) -> Endpoint | None:

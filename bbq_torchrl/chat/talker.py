@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.chat.agent import TrainedAgent
-from bbq_torchrl.chat.language import make_ears, make_mouth, slot_names
 from bbq_torchrl.chat.partner import Partner, as_act
 from bbq_torchrl.chat.spelling import Spelling
-from bbq_torchrl.language.kept import language_key
+from bbq_torchrl.language import Generator, load_phrases
+from bbq_torchrl.language.kept import kept_understander, language_key
 from bbq_torchrl.shipped import run_folder
 from bbq_torchrl.study import Reply, StudyError
 
@@ -41,7 +41,7 @@ class AgentTalker:
     """
 
     def __init__(self, study: Study, ears: Ears, mouth: Mouth, *, language: str) -> None:
-        self.labels = slot_names(study.domain)
+        self.labels = load_phrases(study.domain).names
         spelling = Spelling(study.domain)
         self.domain = spelling.domain
         self._language = language
@@ -101,5 +101,5 @@ def make_talker(study: Study) -> AgentTalker:
     """
     torch.set_num_threads(1)
     domain = study.domain
-    language = language_key(domain)
-    return AgentTalker(study, make_ears(domain), make_mouth(domain), language=language)
+    ears, mouth = kept_understander(domain), Generator(domain)
+    return AgentTalker(study, ears, mouth, language=language_key(domain))

@@ -72,26 +72,17 @@ class Chat:
         """
         self._say("Talk to the agent in your own words. /help lists the commands.")
         self._show_goal()
-        ended = ""
-        while not ended and (text := read()) is not None:
-            words = text.split()
-            if not words:
-                continue
-            if words[0].startswith("/"):
-                if words[0] == "/quit":
-                    break
-                self._command(words[0])
-                continue
-            ended = self._talk(text)
-        success = self._outcome(ended)
-        if ended:
-            self._say("/acts and /why still tell of the last turn; /quit leaves.")
-        while ended and (text := read()) is not None:
-            name = text.strip()
-            if not name.startswith("/") or name == "/quit":
+        success, ended = None, ""
+        for text in iter(read, None):
+            name, *_ = text.split() or [""]
+            if name == "/quit" or (ended and name and not name.startswith("/")):
                 break
-            self._command(name)
-        return success
+            if name.startswith("/"):
+                self._command(name)
+            elif name and (ended := self._talk(text)):
+                success = self._outcome(ended)
+                self._say("/acts and /why still tell of the last turn; /quit leaves.")
+        return success if ended else self._outcome("")
 
     def _talk(self, text: str) -> str:
         memory = self._turns[-1].answer.memory if self._turns else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,15 +39,19 @@ def kept_understander(
         ValueError or OSError: a file that cannot be used.
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
-    kept = _kept(language_key(domain, labeled))
-    try:
+    lines = [] if labeled is None else read_lines(labeled, domain)
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    kept = cache / "bbq-torchrl" / f"{language_key(domain, labeled)}.npz"
+    with suppress(OSError, ValueError):
         return Understander.load(kept, domain)
-    except (OSError, ValueError):
-        tell("Learning the language of the domain, once; it takes about a minute ...")
-        lines = [] if labeled is None else read_lines(labeled, domain)
-        own = Understander.train(domain, labeled=lines)
-        _keep(own, kept)
-        return own
+    tell("Learning the language of the domain, once; it takes about a minute ...")
+    own = Understander.train(domain, labeled=lines)
+    with suppress(OSError):  # without a cache folder it is made anew
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        part = kept.with_suffix(f".{os.getpid()}")  # whole or not at all
+        own.save(part)
+        part.replace(kept)
+    return own
 
 
 def language_key(domain: Domain, labeled: Path | None = None) -> str:
@@ -64,20 +69,3 @@ def language_key(domain: Domain, labeled: Path | None = None) -> str:
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()[:24]
-
-
-def _kept(key: str) -> Path:
-    """Returns where an understander is kept, whether it is there or not."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return cache / "bbq-torchrl" / f"{key}.npz"
-
-
-def _keep(own: Understander, path: Path) -> None:
-    """Keeps an understander, whole or not at all; without a cache folder it is made anew."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}")
-        own.save(part)
-        part.replace(path)
-    except OSError:
-        return

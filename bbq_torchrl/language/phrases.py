@@ -72,6 +72,11 @@ class Phrases:
     agent: Mapping[str, tuple[Template, ...]]
     slots: Mapping[str, SlotPhrases]
 
+    @property
+    def names(self) -> dict[str, str]:
+        """What people call each slot."""
+        return {slot: entry.name for slot, entry in self.slots.items()}
+
 
 def load_phrases(domain: Domain) -> Phrases:
     """Returns the phrases of a domain.

@@ -51,6 +51,13 @@ def test_a_goal_that_is_not_met_says_why(partner):
     assert "Failure: no booking was offered" in shown
 
 
+def test_commands_work_after_the_end_as_before_it(partner):
+    _, shown = play(partner, None, ["closing", "", "/acts now", "/goal", "more", "/help"])
+    assert shown.count("understood: closing") == 1
+    assert shown.count("There is no goal") == 2
+    assert "these commands" not in shown
+
+
 def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, decided):
     decided(partner.agent, *["request(city)"] * 3)
     lines = ["/acts", "inform(moviename=barbie)", "/acts", "/why", "/goal", "/help", "/nope"]

@@ -37,7 +37,7 @@ def study(runs):
 @pytest.fixture(autouse=True)
 def typed_acts(monkeypatch):
     """People and simulated users type acts, so that nothing has to be learned."""
-    monkeypatch.setattr(talkers, "make_ears", lambda *_: Acts())
+    monkeypatch.setattr(talkers, "kept_understander", lambda *_: Acts())
     monkeypatch.setattr(simulated_user, "Generator", lambda _: Letters())
 
 

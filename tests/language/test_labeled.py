@@ -7,6 +7,7 @@ import pytest
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.language import Frame, Understander, read_lines
+from bbq_torchrl.language.kept import kept_understander
 from bbq_torchrl.language.labeled import Line, as_examples, varied
 from bbq_torchrl.language.measure import VOICES, calibration_error, calibration_floor
 
@@ -85,6 +86,15 @@ def test_a_line_is_learned_with_other_values_as_well(lexicon):
         assert lexicon.link("city", city).score == 1.0
         cities.add(city)
     assert len(cities) > 10
+
+
+def test_own_lines_that_are_not_there_are_missed_though_an_understander_is_kept(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(Understander, "load", lambda path, domain: "kept")
+    assert kept_understander(movie_domain()) == "kept"
+    with pytest.raises(FileNotFoundError, match=r"gone\.txt"):
+        kept_understander(movie_domain(), tmp_path / "gone.txt")
 
 
 def test_lines_that_cannot_be_read_are_all_named(tmp_path):
