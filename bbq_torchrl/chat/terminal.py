@@ -181,12 +181,12 @@ class Chat:
                 self._say(f"The last offer: {offers[-1][complete]} ({', '.join(held)}).")
             return None
         judge = Judge(self._partner.domain)
-        verdict = judge.verdict(self._goal, said, in_time=ended != "turns")
-        if verdict.success:
+        reasons = judge.reasons(self._goal, said, in_time=ended != "turns")
+        if not reasons:
             self._say("Success: you have got what your goal card says.")
         else:
-            self._say(f"Failure: {'; '.join(REASONS[reason] for reason in verdict.reasons)}.")
-        return verdict.success
+            self._say(f"Failure: {'; '.join(REASONS[reason] for reason in reasons)}.")
+        return not reasons
 
     def _say(self, text: str, style: str | None = None) -> None:
         # Lines are wrapped between words for people, and left whole for programs.

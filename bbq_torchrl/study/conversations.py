@@ -105,9 +105,9 @@ class Conversations:
             said = [*_frames(exchanges), (reply.heard, reply.said)]
             end = None
             if reply.ended:
-                end = ("agent", self._judge.verdict(self._goal(session), said))
+                end = ("agent", self._judge.reasons(self._goal(session), said))
             elif number >= self._study.terms.max_turns:
-                end = ("turns", self._judge.verdict(self._goal(session), said, in_time=False))
+                end = ("turns", self._judge.reasons(self._goal(session), said, in_time=False))
             self._store.add_exchange(session, number, nonce, text, reply, end)
 
     def end(self, token: str, form: Mapping[str, str]) -> None:
@@ -122,8 +122,8 @@ class Conversations:
                 raise RefusedError(
                     HTTPStatus.CONFLICT, "Please say something to the assistant before you end."
                 )
-            verdict = self._judge.verdict(self._goal(session), _frames(exchanges))
-            self._store.end(session, "person", verdict)
+            reasons = self._judge.reasons(self._goal(session), _frames(exchanges))
+            self._store.end(session, "person", reasons)
 
     def rate(self, token: str, form: Mapping[str, str]) -> None:
         """Stores a person's ratings. The same form sent again changes nothing.

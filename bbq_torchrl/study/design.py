@@ -3,24 +3,12 @@
 from __future__ import annotations
 
 from random import Random
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Assignment", "assignments", "williams_rows"]
-
-
-class Assignment(NamedTuple):
-    """One session of a person.
-
-    Attributes:
-        agent: its name.
-        goal: number of the goal in the domain, from 1.
-    """
-
-    agent: str
-    goal: int
+__all__ = ["assignments", "williams_rows"]
 
 
 def williams_rows(count: int) -> list[list[int]]:
@@ -42,8 +30,8 @@ def williams_rows(count: int) -> list[list[int]]:
 
 def assignments(
     place: int, agents: Sequence[str], goals: Sequence[int], sessions: int, seed: str
-) -> list[Assignment]:
-    """Returns what the person in a place of the design does, session by session.
+) -> list[tuple[str, int]]:
+    """Returns agent and goal of each session of the person in a place of the design.
 
     Places run through blocks; a block has every Williams row once, in an order of its own. With
     more sessions than agents, rows follow each other. No goal comes twice.
@@ -61,4 +49,4 @@ def assignments(
     repeats = range(sessions // len(agents))
     sequence = [item for repeat in repeats for item in rows[order[(within + repeat) % len(rows)]]]
     drawn = Random(f"{seed} place {place}").sample(list(goals), sessions)
-    return [Assignment(agents[item], goal) for item, goal in zip(sequence, drawn, strict=True)]
+    return [(agents[item], goal) for item, goal in zip(sequence, drawn, strict=True)]

@@ -7,7 +7,6 @@ the dialogue acts are known. The rule is the simulator's, said of these.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT, fold
@@ -18,27 +17,11 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain, Goal
     from bbq_torchrl.study.talk import Frame
 
-__all__ = ["Judge", "Verdict", "card"]
+__all__ = ["Judge", "card"]
 
 _NO_MATCH = fold(RESERVED_TEXT[NO_MATCH])
 _AVAILABLE = fold(RESERVED_TEXT[AVAILABLE])
 _DONT_CARE = fold(RESERVED_TEXT[DONT_CARE])
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """How a conversation ended.
-
-    Attributes:
-        reasons: why it was no success; empty for a success.
-    """
-
-    reasons: tuple[str, ...]
-
-    @property
-    def success(self) -> bool:
-        """Whether it was a success."""
-        return not self.reasons
 
 
 def card(goal: Goal, labels: Mapping[str, str]) -> dict[str, Any]:
@@ -96,10 +79,10 @@ class Judge:
         has_all = (self._has.get(slot, ()) for slot in goal.requests)
         return bool(self._matching(goal.constraints).intersection(*has_all))
 
-    def verdict(
+    def reasons(
         self, goal: Goal, exchanges: Iterable[tuple[Frame, Frame]], *, in_time: bool = True
-    ) -> Verdict:
-        """Returns the verdict on a conversation.
+    ) -> tuple[str, ...]:
+        """Returns why a conversation was no success; nothing for a success.
 
         Args:
             goal: the person's goal card.
@@ -121,7 +104,7 @@ class Judge:
                 answers |= told
         asked = {slot: answers.get(slot, _NO_MATCH) for slot in goal.requests}
         wishes = _folded(goal.constraints)
-        reasons = {
+        faults = {
             "no offer": not offer,
             "wishes": bool(offer) and not _holds(offer, wishes),
             "no ticket": bool(offer) and offer[self._complete] != _AVAILABLE,
@@ -129,7 +112,7 @@ class Judge:
             "no match left": _NO_MATCH in latest.values(),
             "out of turns": not in_time,
         }
-        return Verdict(tuple(reason for reason, holds in reasons.items() if holds))
+        return tuple(reason for reason, holds in faults.items() if holds)
 
     def _matching(self, values: Mapping[str, str]) -> frozenset[int]:
         """Returns the records that hold all values; free slots and "do not care" match any."""

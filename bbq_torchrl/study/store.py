@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from bbq_torchrl.study.outcome import Verdict
     from bbq_torchrl.study.talk import Reply
 
 __all__ = ["Store"]
@@ -159,7 +158,7 @@ class Store(Database):
         nonce: str,
         text: str,
         reply: Reply,
-        end: tuple[str, Verdict] | None,
+        end: tuple[str, tuple[str, ...]] | None,
     ) -> None:
         """Stores both turns of an exchange and, where they are the last, the end.
 
@@ -169,7 +168,8 @@ class Store(Database):
             nonce: of the message.
             text: the person's.
             reply: the agent's.
-            end: who or what ended the conversation, and the verdict; ``None`` if it goes on.
+            end: who or what ended the conversation, and why it was no success; ``None`` if it
+                goes on.
         """
         beliefs = None if reply.beliefs is None else json.dumps(asdict(reply.beliefs))
         with self._step(session) as (connection, now):
@@ -184,10 +184,10 @@ class Store(Database):
             if end is not None:
                 _end(connection, session.id, now, *end)
 
-    def end(self, session: Session, ended_by: str, verdict: Verdict) -> None:
-        """Stores that a conversation has ended; nothing if it had."""
+    def end(self, session: Session, ended_by: str, reasons: tuple[str, ...]) -> None:
+        """Stores that a conversation has ended and why it was no success; nothing if it had."""
         with self._step(session) as (connection, now):
-            _end(connection, session.id, now, ended_by, verdict)
+            _end(connection, session.id, now, ended_by, reasons)
 
     @contextmanager
     def _step(self, session: Session) -> Iterator[tuple[sqlite3.Connection, float]]:
@@ -252,12 +252,16 @@ _HELD = f"SELECT DISTINCT place FROM person WHERE active > ? OR {_IS_FINISHED}"
 
 
 def _end(
-    connection: sqlite3.Connection, session: int, now: float, ended_by: str, verdict: Verdict
+    connection: sqlite3.Connection,
+    session: int,
+    now: float,
+    ended_by: str,
+    reasons: tuple[str, ...],
 ) -> None:
     connection.execute(
         "UPDATE session SET ended = ?, ended_by = ?, success = ?, reasons = ? "
         "WHERE id = ? AND ended IS NULL",
-        (now, ended_by, int(verdict.success), json.dumps(verdict.reasons), session),
+        (now, ended_by, int(not reasons), json.dumps(reasons), session),
     )
 
 

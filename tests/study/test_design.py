@@ -30,12 +30,12 @@ def test_a_block_of_people_has_every_row_once(agents, repeats):
             assignments(place, list(agents), goals, sessions, "seed")
             for place in range(block * size, (block + 1) * size)
         ]
-        first = {"".join(item.agent for item in plan[: len(agents)]) for plan in plans}
+        first = {"".join(agent for agent, _ in plan[: len(agents)]) for plan in plans}
         assert len(first) == size
         for plan in plans:
-            assert set(Counter(item.agent for item in plan).values()) == {repeats}
-            assert len({item.goal for item in plan}) == sessions
-            order = "".join(item.agent for item in plan)
+            assert set(Counter(agent for agent, _ in plan).values()) == {repeats}
+            assert len({goal for _, goal in plan}) == sessions
+            order = "".join(agent for agent, _ in plan)
             rows = {order[start:][: len(agents)] for start in range(0, sessions, len(agents))}
             assert len(rows) == min(repeats, size)
 
@@ -47,7 +47,7 @@ def test_the_draw_depends_on_the_seed_alone():
 
 def test_goals_are_drawn_evenly():
     drawn = Counter(
-        item.goal for place in range(2_000) for item in assignments(place, "ab", range(10), 2, "s")
+        goal for place in range(2_000) for _, goal in assignments(place, "ab", range(10), 2, "s")
     )
     expected = 2_000 * 2 / 10
     assert all(abs(count - expected) < 4.5 * expected**0.5 for count in drawn.values())

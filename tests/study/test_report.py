@@ -12,7 +12,6 @@ import pytest
 from bbq_torchrl.study.__main__ import main
 from bbq_torchrl.study.comparisons import compare_pairs
 from bbq_torchrl.study.export import defused, without_names
-from bbq_torchrl.study.outcome import Verdict
 from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.report import report_text, write_report
 from bbq_torchrl.study.results import read_results
@@ -21,7 +20,7 @@ from bbq_torchrl.study.talk import Frame
 
 from .fakes import FakeTalker, prints
 
-WON, LOST = Verdict(()), Verdict(("wishes", "no ticket"))
+WON, LOST = (), ("wishes", "no ticket")
 
 
 @pytest.fixture

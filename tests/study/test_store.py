@@ -10,7 +10,6 @@ import pytest
 
 import bbq_torchrl
 from bbq_torchrl.study.database import Database, StoreError, reading
-from bbq_torchrl.study.outcome import Verdict
 from bbq_torchrl.study.records import SCALES, current
 from bbq_torchrl.study.store import Store
 
@@ -99,7 +98,7 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
     says, ends, rates = (current(store.sessions(token)) for token in tokens[1:4])
     reply = FakeTalker(study.domain).reply("secret-dqn", None, "hello", 0)
     store.add_exchange(says, 1, NONCES[7], "hello", reply, None)
-    store.end(ends, "person", Verdict(()))
+    store.end(ends, "person", ())
     store.rate(rates, NONCES[8], dict.fromkeys(SCALES, 3), True)
     clock.now += 1
     later = store.enrol(NONCES[6])
@@ -116,7 +115,7 @@ def test_who_has_finished_keeps_their_place(open_store, study, clock):
     store = open_store(replace(study.terms, participants=2))
     token, _ = (store.enrol(nonce) for nonce in NONCES[:2])
     for session in store.sessions(token):
-        store.end(session, "person", Verdict(("wishes",)))
+        store.end(session, "person", ("wishes",))
         store.rate(session, NONCES[2], dict.fromkeys(SCALES, 3), True)
     people = {"wanted": 2, "enrolled": 2, "finished": 1}
     assert store.progress()[0] == {**people, "active": 1, "left": 0}
