@@ -17,15 +17,14 @@ from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
-    from bbq_torchrl.domains import Domain
     from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.templates import Piece
 
 __all__ = ["Example", "make_examples", "spoiled", "tag"]
 
-_NO_CONTENT = tuple(
+_SLOTLESS = tuple(
     "greeting thanks deny confirm_answer not_sure closing welcome request inform confirm_question "
     "multiple_choice".split()
 )
@@ -80,25 +79,21 @@ def make_examples(
         simulated: whether the acts are those of simulated users, who ask several things at once.
     """
     rng = random.Random(seed)
-    draw = _played(lexicon.domain, seed) if simulated else _Frames(lexicon).draw
+    # Other dialogues than those that the round trip is measured on.
+    other = seed + 1_000_000
+    turns = play(lexicon.domain, _DIALOGUES, seed=other, kept=_KEPT) if simulated else []
+    frames = _Frames(lexicon)
     composer = Composer(lexicon, simulated=simulated)
     surfaces = Surfaces(lexicon)
     examples: list[Example] = []
     while len(examples) < count:
-        question, frame = draw(rng)
+        question, frame = rng.choice(turns) if simulated else frames.draw(rng)
         is_clear = simulated and rng.random() < 0.5
         words, tags = tag(composer.compose(frame, question, rng, surfaces, is_clear=is_clear))
         words, tags = _spoil(words, tags, rng, noise)
         if words and len(words) <= 60:
             examples.append(Example(words, tags, frame, question))
     return examples
-
-
-def _played(domain: Domain, seed: int) -> Callable[[random.Random], tuple[Frame | None, Frame]]:
-    """Returns what draws a turn of simulated dialogues."""
-    # Other dialogues than those that the round trip is measured on.
-    turns = play(domain, _DIALOGUES, seed=seed + 1_000_000, kept=_KEPT)
-    return lambda rng: rng.choice(turns)
 
 
 def spoiled(examples: Sequence[Example], seed: int) -> list[Example]:
@@ -154,8 +149,7 @@ class _Frames:
     def __init__(self, lexicon: Lexicon) -> None:
         domain = lexicon.domain
         self._domain, self._lexicon = domain, lexicon
-        acts = {act for act in lexicon.phrases.user if act in domain.acts}
-        self._slotless = [act for act in _NO_CONTENT if act in acts]
+        self._slotless = [act for act in _SLOTLESS if act in domain.acts]
         goals = len(domain.goals)
         requested = [s for goal in domain.goals for s in goal.requests]
         told = [a.slot for a in domain.actions if a.kind == "inform" and a.slot]
@@ -193,13 +187,7 @@ class _Frames:
             verdict = rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))
             question = Frame("inform", {complete: verdict, **self._values(rng, rng.randint(1, 4))})
             return question, self._verdict(question, rng)
-        act = rng.choice(
-            [
-                a
-                for a in ("greeting", "deny", "confirm_question", "confirm_answer")
-                if a in self._domain.acts
-            ]
-        )
+        act = rng.choice(("greeting", "deny", "confirm_question", "confirm_answer"))
         if rng.random() < 0.3:
             ticket = Frame(
                 "inform", {self._domain.ticket_slot: rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))}
@@ -233,15 +221,11 @@ class _Frames:
         if kind < 0.62:
             requests = self._requests(rng, rng.choices((1, 2, 3), (16, 3, 1))[0])
             return Frame("request", self._values(rng, count, requests), requests)
-        if kind < 0.66 and "confirm_question" in self._slotless:
+        if kind < 0.66:
             return Frame("confirm_question", self._values(rng, rng.randint(1, 3)))
         if kind < 0.9:
             return Frame("inform", self._values(rng, max(count, 1)))
-        return (
-            Frame("greeting")
-            if rng.random() < 0.5 and "greeting" in self._slotless
-            else self._slotless_act(rng)
-        )
+        return Frame("greeting") if rng.random() < 0.5 else self._slotless_act(rng)
 
     def _answer(self, slot: str, rng: random.Random) -> Frame:
         kind = rng.random()
@@ -282,7 +266,7 @@ class _Frames:
         if kind < 0.62:
             requests = self._requests(rng, 1)
             return Frame("request", self._values(rng, rng.choice((0, 0, 0, 1)), requests), requests)
-        if kind < 0.69 and "confirm_question" in self._slotless:
+        if kind < 0.69:
             return Frame("confirm_question", self._values(rng, 1))
         if kind < 0.82:
             return Frame("thanks")

@@ -183,12 +183,12 @@ class Generator:
             slot: {row for row, record in enumerate(self._records) if record.get(slot) == value}
             for slot, value in wanted.items()
         }
-        for size in range(1, _MOST_IN_CONFLICT + 1):
-            for some in combinations(matches, size):
-                if not set.intersection(*(matches[slot] for slot in some)):
-                    return some
         every = set(range(len(self._records)))
-        return tuple(matches) if not every.intersection(*matches.values()) else ()
+        for size in (*range(1, _MOST_IN_CONFLICT + 1), len(matches)):
+            for some in combinations(matches, size):
+                if not every.intersection(*(matches[slot] for slot in some)):
+                    return some
+        return ()
 
     def _wishes(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
         """Returns what is wished, in the order of the domain's slots."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from bbq_torchrl.language.templates import Template, TemplateError, parse
 from bbq_torchrl.text import FaultsError, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from bbq_torchrl.domains import Domain
 
@@ -28,7 +29,7 @@ __all__ = [
 
 LANGUAGE_FILE = "language.yaml"
 _GENERIC = Path(__file__).with_name("generic.yaml")
-_SECTIONS = ("rules", "user", "agent", "slots")
+_SECTIONS = ("rules", "user", "agent")
 _DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
 """Rules that are filled in while a sentence is made."""
 
@@ -113,12 +114,12 @@ class _Reader:
         self.faults: list[str] = []
 
     def read(self, generic: dict[str, Any], own: object) -> Phrases:
-        own = self._mapping("the file", own, _SECTIONS)
+        own = self._mapping("the file", own, (*_SECTIONS, "slots"))
         sections = {
-            name: generic[name] | self._mapping(name, own.get(name, {}), None)
-            for name in ("rules", "user", "agent")
+            name: generic[name] | self._mapping(name, own.get(name, {})) for name in _SECTIONS
         }
         given = self._mapping("slots", own.get("slots", {}), self._domain.slots)
+        self._rules = (*sections["rules"], "thing", *_DERIVED)
         read = {
             name: {key: self._templates(f"{name}.{key}", texts) for key, texts in section.items()}
             for name, section in sections.items()
@@ -126,9 +127,16 @@ class _Reader:
         slots = {
             slot: self._slot(slot, given.get(slot, {}), generic) for slot in self._domain.slots
         }
-        phrases = Phrases(read["rules"], read["user"], read["agent"], slots)
-        self.faults += _unknown_names(phrases, self._domain)
-        return phrases
+        named = {
+            rule: [name for text in texts for kind, name in text.names() if kind == "rule"]
+            for rule, texts in {**read["rules"], "thing": read["user"]["thing"]}.items()
+        }
+        try:
+            TopologicalSorter(named).prepare()
+        except CycleError as error:
+            circle = " -> ".join(reversed(error.args[1]))
+            self.faults.append(f"rules must not name each other in a circle, got {circle}")
+        return Phrases(read["rules"], read["user"], read["agent"], slots)
 
     def _slot(self, slot: str, content: object, generic: dict[str, Any]) -> SlotPhrases:
         where = f"slots.{slot}"
@@ -143,9 +151,7 @@ class _Reader:
             self.faults.append(f"{where}.kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
         aliases = {
             str(value): self._texts(f"{where}.aliases.{value}", texts)
-            for value, texts in self._mapping(
-                f"{where}.aliases", own.get("aliases", {}), None
-            ).items()
+            for value, texts in self._mapping(f"{where}.aliases", own.get("aliases", {})).items()
         }
         is_offer = slot == self._domain.complete_slot
         if slot in self._domain.special_slots:
@@ -159,7 +165,7 @@ class _Reader:
         return SlotPhrases(name, nouns, kind, aliases, phrases)
 
     def _mapping(
-        self, where: str, content: object, allowed: tuple[str, ...] | None
+        self, where: str, content: object, allowed: tuple[str, ...] | None = None
     ) -> dict[str, Any]:
         if not isinstance(content, dict):
             self.faults.append(f"{where} must be a mapping, got {shown(content)}")
@@ -190,31 +196,11 @@ class _Reader:
                 templates.append(parse(text, own))
             except TemplateError as error:
                 self.faults.append(f"{where}: {error}")
+        for kind, name in dict.fromkeys(item for text in templates for item in text.names()):
+            known = self._domain.slots if kind == "slot" else self._rules
+            if name not in (*known, "", "q"):
+                self.faults.append(
+                    f"{where} names the unknown {kind} {shown(name)}; the {kind}s are "
+                    f"{', '.join(known)}"
+                )
         return tuple(templates)
-
-
-def _unknown_names(phrases: Phrases, domain: Domain) -> Iterator[str]:
-    """Yields a fault for every slot and rule that no phrase may name."""
-    groups = [
-        *((f"rules.{key}", texts) for key, texts in phrases.rules.items()),
-        *((f"user.{key}", texts) for key, texts in phrases.user.items()),
-        *((f"agent.{key}", texts) for key, texts in phrases.agent.items()),
-        *(
-            (f"slots.{slot}.{key}", texts)
-            for slot, entry in phrases.slots.items()
-            for key, texts in entry.phrases.items()
-        ),
-    ]
-    rules = (*phrases.rules, "thing", *_DERIVED)
-    for where, texts in groups:
-        for kind, name in dict.fromkeys(item for text in texts for item in text.names()):
-            if kind == "slot" and name not in (*domain.slots, "", "q"):
-                yield (
-                    f"{where} names the unknown slot {shown(name)}; the slots are "
-                    f"{', '.join(domain.slots)}"
-                )
-            elif kind == "rule" and name not in rules:
-                yield (
-                    f"{where} names the unknown rule {shown(name)}; the rules are "
-                    f"{', '.join(rules)}"
-                )

@@ -154,6 +154,11 @@ def test_what_was_without_a_match_is_corrected_by_that(speak):
         ('slots: {city: {say: ["in {town}"]}}', "unknown slot 'town'"),
         ('user: {open: ["<wnat> it"]}', "unknown rule 'wnat'"),
         ('slots: {city: {say: ["in [{}"]}}', "close what it opens"),
+        (
+            'rules: {please: ["<filler> x", "y"], filler: ["<please>"]}',
+            "please -> filler -> please",
+        ),
+        ('rules: {please: ["<please> x", "y"]}', "in a circle, got please -> please"),
         ("slots: {city: {say: 7}}", "must be a list of texts"),
         ("slots: {city: {kind: number}}", "must be one of text, time"),
         ("slots: [a]", "must be a mapping"),
