@@ -50,12 +50,13 @@ def chosen(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> st
     named = [v for v in choices if re.search(rf"(^|\W){re.escape(v.lower())}(\W|$)", text)]
     if len(named) == 1:
         return named[0]
-    keys = {lexicon.key(slot, value): value for value in choices}
-    if lexicon.kinds.get(slot) == "time":  # the keys of others have no order
+    clocks = {lexicon.key(slot, value)[-5:]: value for value in choices}
+    # Other keys than "at 19:30" and "after 18:00" have no order.
+    if lexicon.kinds.get(slot) == "time" and all(clock[2:3] == ":" for clock in clocks):
         if "later" in words or "latest" in words:
-            return keys[max(keys)]
+            return clocks[max(clocks)]
         if "earlier" in words or "earliest" in words:
-            return keys[min(keys)]
+            return clocks[min(clocks)]
     # Words that some choices have and others do not: "the downtown one".
     own = {value: {compact(part) for part in value.split()} for value in choices}
     said = {compact(word) for word in words} - {"one", "the"}

@@ -83,10 +83,11 @@ def read_count(text: str) -> str | None:
     ):
         return None
     has_me = any(word in ("me", "i", "my", "myself") for word in words)
-    if "dozen" in words:
-        return "6" if "half" in words else "12"
     if len(numbers) > 1:
         return None
+    if "dozen" in words:
+        total = 6 if "half" in words else 12 * sum(numbers or [1])
+        return str(total) if 0 < total <= 99 else None
     if numbers:
         is_plus = has_me and bool({"+", "plus"} & set(words))
         is_plus |= (

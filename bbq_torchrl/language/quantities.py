@@ -162,7 +162,7 @@ def _clock(words: list[str]) -> tuple[int, int, bool] | None:
     if match:
         minutes = {"half": 30, "quarter": 15, "a quarter": 15}.get(match[1]) or number_of(match[1])
         hour = number_of(match[3])
-        if minutes is None or hour is None or not 0 < minutes < 60:
+        if minutes is None or hour is None or not 0 < minutes < 60 or hour > 24:
             return None
         return (
             (hour, minutes, False)

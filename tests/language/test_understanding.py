@@ -59,6 +59,21 @@ def test_one_is_a_place_only_where_it_stands_for_one(lexicon, choices, text, tak
     assert chosen(text.split(), question, lexicon) == taken
 
 
+@pytest.mark.parametrize(
+    ("choices", "later"),
+    [
+        (("2:15 pm", "after 6pm"), "after 6pm"),  # not by the letters of "after" and "at"
+        (("7:30 pm", "matinee"), None),  # which has no clock
+        (("7pm", "9:30 pm"), "9:30 pm"),
+    ],
+)
+def test_the_later_one_of_two_times_is_told_by_the_clock(lexicon, choices, later):
+    question = Frame("multiple_choice", requests=("starttime",), choices=choices)
+    assert chosen(["the", "later", "one"], question, lexicon) == later
+    earlier = None if later is None else choices[0]
+    assert chosen(["the", "earlier", "one"], question, lexicon) == earlier
+
+
 def test_yes_to_a_value_tells_the_value(understand):
     question = Frame("confirm_question", {"city": "reno"})
     assert understand("yes", question).frame == Frame("inform", {"city": "reno"})
