@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.language.frames import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bbq_torchrl.language.endpoint import EndpointUnderstander
     from bbq_torchrl.language.frames import Understood
+    from bbq_torchrl.language.understand import Understander
 
-__all__ = ["MOST_ASKS", "Asker", "Asking", "repeated"]
+__all__ = ["MOST_ASKS", "Asking", "repeated"]
 
 MOST_ASKS = 2
 """How often a system asks again in a row: better a mistake, which can be corrected, than no end."""
-
-
-class Asker(Protocol):
-    """Who understands, and so knows what is better asked again."""
-
-    def asks(self, understood: Understood) -> bool:
-        """Returns whether better to ask again than to act on it."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +46,12 @@ class Asking:
     slot: str = ""
     choices: tuple[str, ...] = ()
 
-    def asks(self, ears: Asker, understood: Understood, below: float | None = None) -> bool:
+    def asks(
+        self,
+        ears: Understander | EndpointUnderstander,
+        understood: Understood,
+        below: float | None = None,
+    ) -> bool:
         """Returns whether the system asks again rather than act on what it understood.
 
         Args:
@@ -91,8 +91,9 @@ class Asking:
 
     def joined(self, frame: Frame) -> Frame:
         """Returns an act with what was understood of the texts before, which were asked about."""
-        if self.waiting is None or not (frame.informs or frame.requests):
-            return frame
+        is_of_values = frame.act in ("inform", "request", "confirm_question")
+        if self.waiting is None or not (frame.informs or frame.requests or is_of_values):
+            return frame  # "No, goodbye."
         requests = tuple(dict.fromkeys((*self.waiting.requests, *frame.requests)))
         informs = {**self.waiting.informs, **frame.informs}
         return Frame("request" if requests else frame.act, informs, requests)

@@ -14,7 +14,7 @@ from bbq_torchrl.chat.simulated_user import SimulatedUser
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.language import Frame, Unclear, Understood
-from bbq_torchrl.language.asking import MOST_ASKS
+from bbq_torchrl.language.asking import MOST_ASKS, Asking
 from bbq_torchrl.simulator import Simulator
 
 
@@ -95,3 +95,15 @@ def test_a_partner_can_be_more_cautious_than_the_understanding(agents, mouth, de
         for below in (None, 0.9)
     ]
     assert acted == [True, False]
+
+
+def test_what_was_told_beside_a_name_is_kept_however_often_that_is_asked_about():
+    unclear = Unclear("moviename", "godzilla", ("godzilla minus one", "godzilla x kong"))
+    asking = Asking().again(Understood(Frame("inform", {"numberofpeople": "2"}), 0.9, (unclear,)))
+    name_alone = Understood(Frame("inform"), 0.9, (unclear,))
+    asking = asking.again(name_alone)
+    chosen = Frame("inform", {"moviename": "godzilla x kong"})
+    assert asking.joined(chosen).informs == {"numberofpeople": "2", **chosen.informs}
+    # As where it was asked too often, and the name stays unknown.
+    assert asking.joined(name_alone.frame).informs == {"numberofpeople": "2"}
+    assert asking.joined(Frame("closing")) == Frame("closing")
