@@ -8,9 +8,9 @@ import torch
 
 from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.domains import NO_MATCH, tensorize
+from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.language import Frame, Generator
 from bbq_torchrl.language.asking import repeated
-from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.simulator import Simulator
 from bbq_torchrl.simulator.tracker import AgentTurn
 

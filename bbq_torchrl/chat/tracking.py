@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.language.coding import Coding
+from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.simulator import Utterance
 
 if TYPE_CHECKING:

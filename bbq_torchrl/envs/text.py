@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.language import Frame, Generator, TextError, Understood
 from bbq_torchrl.language.asking import Asking, repeated
-from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.language.kept import kept_understander
 from bbq_torchrl.simulator import Utterance
 from bbq_torchrl.simulator.choices import index_below

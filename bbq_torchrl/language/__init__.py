@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.language.endpoint import Endpoint, EndpointGenerator, EndpointUnderstander
-from bbq_torchrl.language.frames import ANY, Frame, Unclear, Understood
+from bbq_torchrl.language.frames import Unclear, Understood
 from bbq_torchrl.language.generate import Generator
 from bbq_torchrl.language.labeled import read_lines
 from bbq_torchrl.language.phrases import PhrasesError, load_phrases

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language.frames import Frame
+from bbq_torchrl.domains.frames import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,7 +6,8 @@ import math
 import re
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language.frames import ANY, NO_MATCH_TEXT, Frame, Unclear, asked_slot
+from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
+from bbq_torchrl.language.frames import Unclear, asked_slot
 from bbq_torchrl.language.mentions import LONGEST, SHORT, values_of
 from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.tagger import OUTSIDE

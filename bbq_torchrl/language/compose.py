@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.language.frames import ANY, NO_MATCH_TEXT, Frame, asked_slot
+from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
+from bbq_torchrl.language.frames import asked_slot
 from bbq_torchrl.language.templates import Piece, Template, choose, expand, is_possible, plain
 from bbq_torchrl.language.words import compact
 

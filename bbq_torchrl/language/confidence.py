@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from bbq_torchrl.language.frames import Frame
+from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.language.words import BREAKS
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.language.compose import Composer
-from bbq_torchrl.language.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.language.noise import as_second_language, slangy, with_typos
 from bbq_torchrl.language.simulated import play
 from bbq_torchrl.language.surfaces import Surfaces

@@ -6,8 +6,8 @@ import json
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.extras import needed
-from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.language.words import TextError, clean
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from bbq_torchrl.language.words import compact
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from bbq_torchrl.language.frames import Frame
+    from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.quantities import Kind
 

@@ -1,116 +1,14 @@
-"""What somebody says, as an act with values and questions."""
+"""What was understood of a sentence, and what was not."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT
-from bbq_torchrl.text import shown
-
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from bbq_torchrl.domains.frames import Frame
 
-    from bbq_torchrl.domains import Domain
-
-__all__ = [
-    "ANY",
-    "AVAILABLE_TEXT",
-    "NO_MATCH_TEXT",
-    "Frame",
-    "Unclear",
-    "Understood",
-    "asked_slot",
-]
-
-ANY = RESERVED_TEXT[DONT_CARE]
-"""The value of a slot that does not matter."""
-
-NO_MATCH_TEXT, AVAILABLE_TEXT = RESERVED_TEXT[NO_MATCH], RESERVED_TEXT[AVAILABLE]
-"""What an agent tells where no record matches, and where a booking can be had."""
-
-_PART = re.compile(r"(?P<act>[A-Za-z_]\w*)(?:\((?P<content>[^()]*)\))?")
-_FRAME = re.compile(r"[A-Za-z_]\w*(\([^()]*\))?(\s+[A-Za-z_]\w*(\([^()]*\))?)*")
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A dialogue act of either side.
-
-    Args:
-        act: one of the domain's acts.
-        informs: slot to value, as the domain spells it; :data:`ANY` for "I do not care".
-        requests: the slots asked for.
-        choices: the values offered of the one slot in ``requests``; of ``multiple_choice`` alone.
-
-    Example:
-        >>> str(Frame("request", {"moviename": "wonka"}, ("theater", "date")))
-        'request(theater, date) inform(moviename=wonka)'
-        >>> Frame.parse("inform(city=reno) request(date)").requests
-        ('date',)
-    """
-
-    act: str
-    informs: Mapping[str, str] = field(default_factory=dict)
-    requests: tuple[str, ...] = ()
-    choices: tuple[str, ...] = ()
-
-    @property
-    def dont_care(self) -> tuple[str, ...]:
-        """The slots that do not matter to who speaks."""
-        return tuple(slot for slot, value in self.informs.items() if value == ANY)
-
-    def __str__(self) -> str:
-        if self.choices:
-            return f"{self.act}({', '.join(f'{self.requests[0]}={v}' for v in self.choices)})"
-        parts = {}
-        if self.requests:
-            parts["request"] = f"request({', '.join(self.requests)})"
-        if self.informs:
-            told = ", ".join(f"{slot}={value}" for slot, value in self.informs.items())
-            parts["inform"] = f"inform({told})"
-        return " ".join((parts.pop(self.act, self.act), *parts.values()))
-
-    @classmethod
-    def parse(cls, text: str, domain: Domain | None = None) -> Frame:
-        """Returns the frame that ``text`` writes, as transcripts write it.
-
-        Args:
-            text: ``"request(theater) inform(moviename=wonka)"``.
-            domain: whose acts and slots are allowed; ``None`` for any.
-
-        Raises:
-            ValueError: if it is written in another way, or names an unknown act or slot.
-        """
-        act = ""
-        informs: dict[str, str] = {}
-        requests: list[str] = []
-        choices: list[str] = []
-        if _FRAME.fullmatch(text.strip()) is None:
-            raise ValueError(
-                f"a frame is written 'act', 'request(slot)' or 'inform(slot=value)', "
-                f"got {shown(text)}"
-            )
-        for match in _PART.finditer(text):
-            act = act or match["act"]
-            for item in (
-                re.split(r",\s+(?=\w+(?:=|,|$))", match["content"]) if match["content"] else ()
-            ):
-                slot, is_told, value = item.partition("=")
-                if match["act"] == "multiple_choice":
-                    requests, choices = [slot], [*choices, value]
-                elif bool(is_told) != (match["act"] == "inform") or slot in informs:
-                    raise ValueError(
-                        f"a frame requests slots and informs slot=value once, got {shown(text)}"
-                    )
-                elif is_told:
-                    informs[slot] = value
-                else:
-                    requests.append(slot)
-        if domain is not None:
-            _check(act, (*informs, *requests), domain)
-        return cls(act, informs, tuple(requests), tuple(choices))
+__all__ = ["Unclear", "Understood", "asked_slot"]
 
 
 @dataclass(frozen=True)
@@ -148,11 +46,3 @@ class Understood:
 def asked_slot(question: Frame | None) -> str | None:
     """Returns the slot that an agent's act asks for, of several the first."""
     return question.requests[0] if question is not None and question.requests else None
-
-
-def _check(act: str, slots: tuple[str, ...], domain: Domain) -> None:
-    if act not in domain.acts:
-        raise ValueError(f"the act must be one of {', '.join(domain.acts)}, got {shown(act)}")
-    for slot in slots:
-        if slot not in domain.slots:
-            raise ValueError(f"a slot must be one of {', '.join(domain.slots)}, got {shown(slot)}")

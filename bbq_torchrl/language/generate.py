@@ -9,8 +9,8 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains import fold
+from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.language.compose import Composer
-from bbq_torchrl.language.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.templates import Piece, choose, plain
 

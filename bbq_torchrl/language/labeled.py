@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.language.corpus import Example
-from bbq_torchrl.language.frames import ANY, Frame
 from bbq_torchrl.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.language.words import compact, tokenize, words_of
 from bbq_torchrl.text import FaultsError

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from bbq_torchrl.language.frames import Frame
+    from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.language.generate import Generator
     from bbq_torchrl.language.understand import Understander
 

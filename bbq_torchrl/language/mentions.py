@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.language.frames import Frame, Unclear, asked_slot
+from bbq_torchrl.language.frames import Unclear, asked_slot
 from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
 from bbq_torchrl.language.tagger import spans_of
@@ -13,6 +13,7 @@ from bbq_torchrl.language.tagger import spans_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.language.lexicon import Lexicon, Link
     from bbq_torchrl.language.model import Reading
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.language.features import Features
-from bbq_torchrl.language.frames import Frame, asked_slot
+from bbq_torchrl.language.frames import asked_slot
 from bbq_torchrl.language.intents import IntentNet, train_intents
 from bbq_torchrl.language.tagger import OUTSIDE, Tagger
 from bbq_torchrl.language.words import BREAKS

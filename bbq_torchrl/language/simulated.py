@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.language.coding import Coding
+from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
     from tensordict import TensorDict
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.language.frames import Frame
+    from bbq_torchrl.domains.frames import Frame
 
 __all__ = ["play"]
 

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bbq_torchrl.domains import Domain
+    from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.language.corpus import Example
-    from bbq_torchrl.language.frames import Frame, Unclear
+    from bbq_torchrl.language.frames import Unclear
     from bbq_torchrl.language.labeled import Line
 
 __all__ = ["SENTENCES", "THRESHOLD", "Understander"]

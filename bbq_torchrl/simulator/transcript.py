@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains.values import NONE
+from bbq_torchrl.domains.coding import Coding
 
 if TYPE_CHECKING:
-    import torch
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.domains.frames import Frame
 
 __all__ = ["Transcript"]
 
@@ -37,9 +37,7 @@ class Transcript:
     """
 
     def __init__(self, domain: DomainTensors) -> None:
-        self._acts = tuple(domain.act)
-        self._slots = tuple(domain.slot)
-        self._vocabulary = domain.vocabulary
+        self._coding = Coding(domain)
 
     def lines(self, state: TensorDictBase) -> list[str]:
         """Returns the last turn of one dialogue, a line each for agent and user.
@@ -64,34 +62,21 @@ class Transcript:
 
     def agent(self, state: TensorDictBase) -> str:
         """Returns the agent's last act: ``"inform(theater=carmike 16)"``."""
-        return self._act(state["agent_act"], state["agent_requests"], state["agent_informs"])
+        return str(self._frame(state, "agent_act", "agent_informs", "agent_requests"))
 
     def user(self, state: TensorDictBase) -> str:
         """Returns the user's last act: ``"request(theater) inform(moviename=zootopia)"``."""
-        meant = self._act(state["user_act"], state["pending"], state["meant_informs"])
-        heard = self._act(state["heard_act"], state["heard_requests"], state["user_informs"])
+        meant = str(self._frame(state, "user_act", "meant_informs", "pending"))
+        heard = str(self._frame(state, "heard_act", "user_informs", "heard_requests"))
         return meant if meant == heard else f"{meant} [heard: {heard}]"
 
     def goal(self, state: TensorDictBase) -> str:
         """Returns what the user wants: ``"request(ticket) inform(moviename=zootopia)"``."""
-        parts = self._parts(state["requests"], state["constraints"])
-        return " ".join(parts.values())
+        request = self._coding.acts.index("request")
+        values, asked = state["constraints"].tolist(), state["requests"].tolist()
+        return str(self._coding.frame(request, values, asked))
 
-    def _act(self, act: torch.Tensor, requests: torch.Tensor, informs: torch.Tensor) -> str:
-        name = self._acts[int(act)]
-        parts = self._parts(requests, informs)
-        return " ".join((parts.pop(name, name), *parts.values()))
-
-    def _parts(self, requests: torch.Tensor, informs: torch.Tensor) -> dict[str, str]:
-        asked = [self._slots[slot] for slot in requests.nonzero().flatten().tolist()]
-        told = [
-            f"{self._slots[slot]}={self._vocabulary[slot][value]}"
-            for slot, value in enumerate(informs.tolist())
-            if value != NONE
-        ]
-        parts = {}
-        if asked:
-            parts["request"] = f"request({', '.join(asked)})"
-        if told:
-            parts["inform"] = f"inform({', '.join(told)})"
-        return parts
+    def _frame(self, state: TensorDictBase, *keys: str) -> Frame:
+        """Returns an act, of its keys of act, values and questions."""
+        act, informs, requests = (state[key].tolist() for key in keys)
+        return self._coding.frame(act, informs, requests)

@@ -10,8 +10,8 @@ pytest.importorskip("pycrfsuite", reason="needs the extra language")
 from bbq_torchrl.chat.partner import as_act
 from bbq_torchrl.chat.simulated_user import SimulatedUser
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.language import Frame
-from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.simulator import Simulator
 from bbq_torchrl.study import Frame as Act
 

@@ -7,8 +7,8 @@ import torch
 
 from bbq_torchrl.chat.tracking import Tracking
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.language import Frame
-from bbq_torchrl.language.coding import Coding
 from bbq_torchrl.simulator import ErrorModel, Simulator
 
 PLACES = 8

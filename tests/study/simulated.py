@@ -8,8 +8,8 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.domains import Goal
+from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.language.coding import Coding
 
 
 class Conversations:

@@ -1,17 +1,16 @@
-"""Frames of the language layer as ids of the simulator, and back."""
+"""Dialogue acts as ids of the simulator, and back."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains import DONT_CARE, NONE, fold
-from bbq_torchrl.domains.values import value_ids
-from bbq_torchrl.language.frames import ANY, Frame
+from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.domains.values import NONE, fold, value_ids
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.domains.tensors import DomainTensors
 
 __all__ = ["Coding"]
 
@@ -28,7 +27,7 @@ class Coding:
     Example:
         >>> from bbq_torchrl.domains import movie_domain, tensorize
         >>> coding = Coding(tensorize(movie_domain()))
-        >>> ids = coding.ids({"city": "Reno", "date": ANY})
+        >>> ids = coding.ids({"city": "Reno", "date": "I do not care"})
         >>> coding.values(ids)
         {'city': 'reno', 'date': 'I do not care'}
     """
@@ -51,20 +50,17 @@ class Coding:
     def values(self, ids: Sequence[int]) -> dict[str, str]:
         """Returns slot to value of the ids ``[S]``, without those that are 0."""
         return {
-            slot: ANY if value == DONT_CARE else self._vocabulary[number][value]
+            slot: self._vocabulary[number][value]
             for number, (slot, value) in enumerate(zip(self.slots, ids, strict=True))
             if value != NONE
         }
 
     def ids(self, values: Mapping[str, str]) -> list[int]:
         """Returns the value ids ``[S]``; values that the domain does not know are left out."""
-        found = [NONE] * len(self.slots)
-        for number, slot in enumerate(self.slots):
-            value = values.get(slot)
-            if value is not None:
-                is_any = value == ANY
-                found[number] = DONT_CARE if is_any else self._ids[number].get(fold(value), NONE)
-        return found
+        return [
+            ids.get(fold(values[slot]), NONE) if slot in values else NONE
+            for slot, ids in zip(self.slots, self._ids, strict=True)
+        ]
 
     def flags(self, requests: Sequence[str]) -> list[bool]:
         """Returns the requested slots ``[S]``."""
