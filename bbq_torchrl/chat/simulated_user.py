@@ -129,8 +129,4 @@ def make_users(study: Study) -> Callable[[int, int], SimulatedUser]:
     spelling = Spelling(study.domain)
     simulator = Simulator(tensorize(spelling.domain))
     speak = Generator(study.domain)
-
-    def user(goal: int, seed: int) -> SimulatedUser:
-        return SimulatedUser(simulator, speak, goal, seed, spelling.of)
-
-    return user
+    return lambda goal, seed: SimulatedUser(simulator, speak, goal, seed, spelling.of)

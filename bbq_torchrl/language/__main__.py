@@ -89,8 +89,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             **measure_round_trip(understand, Generator(domain), turns),
         }
         text = json.dumps(_rounded(figures), indent=1) + "\n"
-        given.out.write_text(text, encoding="utf-8")
         output.write(text)
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        given.out.write_text(text, encoding="utf-8")
     return 0
 
 

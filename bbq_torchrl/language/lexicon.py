@@ -92,8 +92,7 @@ class Lexicon:
                 names.setdefault(*group)
             self._names[slot] = {name: key for name, key in names.items() if key in keys}
         self._exact = {
-            slot: {(compact(value), fold(value)): value for value in reversed(values)}
-            for slot, values in self._values.items()
+            slot: {fold(value): value for value in values} for slot, values in self._values.items()
         }
         self.link = lru_cache(maxsize=50_000)(self._link)
         self._near_names = cache(partial(_Names, self))
@@ -109,11 +108,11 @@ class Lexicon:
 
     def _groups(self, slot: str) -> dict[str, str]:
         """Returns the key of every spelling that the phrases call equal to a value."""
-        groups = {}
-        for value, others in self.phrases.slots[slot].aliases.items():
-            for text in (value, *others):
-                groups[compact(text)] = compact(value)
-        return groups
+        return {
+            compact(text): compact(value)
+            for value, others in self.phrases.slots[slot].aliases.items()
+            for text in (value, *others)
+        }
 
     def key(self, slot: str, value: str) -> str:
         """Returns the canonical key of a value: equal for all its spellings."""
@@ -165,7 +164,7 @@ class Lexicon:
         name, kind = compact(text), self.kinds[slot]
         if not name or (kind == "count" and _NEGATIVE.search(text)):
             return Link((), 0.0)
-        if (value := self._exact[slot].get((name, fold(text)))) is not None:
+        if (value := self._exact[slot].get(fold(text))) is not None:
             return Link((value,), 1.0)
         if (key := self._names[slot].get(name)) is not None:
             exact = [value for value in self._by_key[slot][key] if compact(value) == name]

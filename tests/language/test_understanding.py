@@ -275,6 +275,6 @@ def test_measuring_leaves_a_trained_file_alone(understand, tmp_path, monkeypatch
     monkeypatch.setattr(Understander, "train", lambda *args, **given: understand)
     monkeypatch.setattr(command, "measure_lines", lambda *args: {"turns": 3})
     monkeypatch.setattr(command, "measure_round_trip", lambda *args: {})
-    assert command.main(["measure", "--out", "figures.json", "--dialogues", "9"]) == 0
+    assert command.main(["measure", "--out", "new/figures.json", "--dialogues", "9"]) == 0
     assert (tmp_path / "movie.language.npz").read_text() == "trained"
-    assert json.loads((tmp_path / "figures.json").read_text())["megabytes"] > 0
+    assert json.loads((tmp_path / "new" / "figures.json").read_text())["megabytes"] > 0
