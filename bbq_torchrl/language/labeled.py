@@ -1,4 +1,4 @@
-"""A user's own labeled lines: ``agent's last act | sentence | what it means``."""
+"""Labeled lines: ``agent's last act | sentence | what it means``."""
 
 from __future__ import annotations
 
