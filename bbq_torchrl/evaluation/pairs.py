@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.statistics import Estimate
 
-__all__ = ["NOT_RUN", "Comparison", "Pairing", "compare", "difference", "pair", "verdict"]
+__all__ = ["NOT_PAIRED", "NOT_RUN", "Comparison", "Pairing", "compare", "difference", "pair"]
 
 ALPHA = 0.05
 NOT_RUN = "not run"
+NOT_PAIRED = "not paired"
+"""Verdict on two that were run, of which fewer than two replicas are partners."""
 
 _OF_DIALOGUES = (
     "env.",
@@ -153,14 +155,16 @@ class Comparison(NamedTuple):
     Attributes:
         one: the name of the one.
         other: the name of the one that is subtracted.
-        difference: its mean over pairs with the t interval; None if it was not run.
-        p_value: by a t test of the differences, adjusted by Holm's method; 1 if it was not run.
+        difference: its mean over pairs with the t interval; None below two pairs.
+        p_value: by a t test of the differences, adjusted by Holm's method; 1 below two pairs.
+        verdict: that of :func:`verdict`, or ``not paired`` or ``not run``.
     """
 
     one: str
     other: str
     difference: Estimate | None
     p_value: float
+    verdict: str
 
     @property
     def label(self) -> str:
@@ -170,8 +174,8 @@ class Comparison(NamedTuple):
     def cells(self) -> tuple[object, object, str]:
         """Returns difference, p-value and verdict as they stand in a table."""
         if self.difference is None:
-            return NONE, NONE, NOT_RUN
-        return self.difference, PValue(self.p_value), verdict(self.difference, self.p_value)
+            return NONE, NONE, self.verdict
+        return self.difference, PValue(self.p_value), self.verdict
 
 
 def compare(
@@ -193,10 +197,15 @@ def compare(
             values = paired.differences.get(quantity, ())
         found.append(values)
     adjusted = holm([t_test(values) for values in found])
-    return [
-        Comparison(*names, difference(values) if len(values) > 1 else None, p_value)
-        for names, values, p_value in zip(declared, found, adjusted, strict=True)
-    ]
+    compared = []
+    for names, values, p_value in zip(declared, found, adjusted, strict=True):
+        mean = difference(values) if len(values) > 1 else None
+        if mean is not None:
+            answer = verdict(mean, p_value)
+        else:
+            answer = NOT_PAIRED if {*names} <= groups.keys() else NOT_RUN
+        compared.append(Comparison(*names, mean, p_value, answer))
+    return compared
 
 
 def verdict(difference: Estimate, p_value: float) -> str:

@@ -74,6 +74,16 @@ def test_p_values_are_adjusted_for_every_comparison_that_was_declared(groups):
     assert (found["BBQN-MC"].p_value, found["BBQN-MC"].difference) == (1, None)
 
 
+def test_agents_that_share_fewer_than_two_replicas_are_not_paired(tmp_path, capsys):
+    for seed, rate in enumerate(GOOD):
+        make_run(tmp_path / f"map{seed}", [rate], seed=seed)
+    make_run(tmp_path / "dqn", BAD[:1], seed=0, **DQN)
+    assert main([str(tmp_path), "--table1"]) == 0
+    full = capsys.readouterr().out.partition("## env=domain_ext")[0]
+    assert "| BBQN-MAP minus DQN | – | – | not paired | – | – | not paired |" in full
+    assert "| BBQN-MAP minus BBQN-MC | – | – | not run | – | – | not run |" in full
+
+
 def test_two_settings_of_a_cell_are_refused(runs):
     make_run(runs / "other", GOOD, prior_std=0.2)
     with pytest.raises(ValueError, match=r"got two of BBQN-MAP with env=full: .*other"):
