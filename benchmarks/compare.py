@@ -28,7 +28,7 @@ from benchmarks.parts.rows import as_table, keep  # noqa: E402
 from benchmarks.parts.simulator import simulator  # noqa: E402
 from benchmarks.parts.sizes import FULL, TINY  # noqa: E402
 from benchmarks.parts.time_to_learn import time_to_learn  # noqa: E402
-from benchmarks.parts.timing import CLOCKS, Timer, one_thread  # noqa: E402
+from benchmarks.parts.timing import one_thread  # noqa: E402
 from benchmarks.parts.updates import agents, update  # noqa: E402
 
 if TYPE_CHECKING:
@@ -53,15 +53,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="default: all")
     parser.add_argument("--save", metavar="VERSION", help="keep the figures as a version's")
     parser.add_argument("--tiny", action="store_true", help="sizes that only test the benchmark")
-    parser.add_argument("--clock", choices=CLOCKS, default="wall", help="default: wall")
     parser.add_argument("--file", type=Path, default=FILE, help="default: results/speed.csv")
     chosen = parser.parse_args(arguments)
-    timer, sizes = Timer(chosen.clock), TINY if chosen.tiny else FULL
-    rows = []
+    sizes, rows = TINY if chosen.tiny else FULL, []
     with one_thread():
         for part in chosen.parts or PARTS:
             sys.stderr.write(f"measuring: {part}\n")
-            measured = PARTS[part](sizes, timer)
+            measured = PARTS[part](sizes)
             rows += measured
             if chosen.save:
                 keep(chosen.file, chosen.save, measured)

@@ -32,7 +32,7 @@ from bbq_torchrl.domains import Domain, movie_domain  # noqa: E402
 from bbq_torchrl.envs import DialogueEnv  # noqa: E402
 from benchmarks.parts.learning import full_trainer  # noqa: E402
 from benchmarks.parts.simulator import play_simulator  # noqa: E402
-from benchmarks.parts.timing import CLOCKS, Timer, one_thread  # noqa: E402
+from benchmarks.parts.timing import one_thread, seconds  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,49 +44,49 @@ LOCKSTEP = 250
 """Dialogues played side by side on a knowledge base."""
 
 
-def rounds(size: int, timer: Timer, run: Path) -> float:
+def rounds(size: int, run: Path) -> float:
     """Trains DQN for so many rounds of hardly any work; the training is what counts."""
     small = ("protocol.dialogues=2", "protocol.capacity=32", "spike=none", "agent.hidden=[8]")
     # With longer dialogues rounds would take longer or shorter with what is learned.
     config = compose([*DQN, *small, "env.max_turn=2", f"protocol.rounds={size}"])
     trainer, _ = build_trainer(config, run)
     trainer.progress = False
-    return timer.time(trainer.train)
+    return seconds(trainer.train)
 
 
-def buffer(size: int, timer: Timer, run: Path) -> float:
+def buffer(size: int, run: Path) -> float:
     """Learns with BBQN on a full buffer of so many transitions: a freeze, an epoch."""
     once = (*BBQN, "protocol.freezes=1", "protocol.epochs=1")
     trainer = full_trainer(once, run, replicas=1, capacity=size)
-    return timer.time(lambda: trainer.learner.learn(0))
+    return seconds(lambda: trainer.learner.learn(0))
 
 
-def replicas(size: int, timer: Timer, run: Path) -> float:
+def replicas(size: int, run: Path) -> float:
     """Trains so many BBQNs for a round of 50 dialogues and 40 updates each."""
     trainer = full_trainer(BBQN, run, replicas=size, capacity=320)
     trainer.train_round()
-    return timer.time(trainer.train_round)
+    return seconds(trainer.train_round)
 
 
-def dialogues(size: int, timer: Timer, run: Path) -> float:
+def dialogues(size: int, run: Path) -> float:
     """Plays and stores so many dialogues of a round with BBQN."""
     trainer, _ = build_trainer(compose([*BBQN, f"protocol.dialogues={size}", "spike=none"]), run)
     trainer._collect(0)
-    return min(timer.time(lambda: trainer._collect(1)) for _ in range(3))
+    return min(seconds(lambda: trainer._collect(1)) for _ in range(3))
 
 
-def records(size: int, timer: Timer, _: Path, new_every: int | None = None) -> float:
+def records(size: int, _: Path, new_every: int | None = None) -> float:
     """Plays 250 dialogues on a knowledge base of so many records."""
     domain = varied(movie_domain(), size, new_every=new_every)
     play = play_simulator(DialogueEnv(domain, batch_size=(LOCKSTEP,), seed=0))
     play()
-    return min(timer.time(play) for _ in range(3))
+    return min(seconds(play) for _ in range(3))
 
 
-def records_build(size: int, timer: Timer, _: Path) -> float:
+def records_build(size: int, _: Path) -> float:
     """Makes the environment with such a knowledge base."""
     domain = varied(movie_domain(), size)
-    return timer.time(lambda: DialogueEnv(domain, batch_size=(LOCKSTEP,), seed=0))
+    return seconds(lambda: DialogueEnv(domain, batch_size=(LOCKSTEP,), seed=0))
 
 
 def varied(domain: Domain, size: int, *, new_every: int | None = None) -> Domain:
@@ -114,7 +114,7 @@ def varied(domain: Domain, size: int, *, new_every: int | None = None) -> Domain
     return replace(domain, records=tuple(mixed))
 
 
-GROWTH: dict[str, tuple[Callable[[int, Timer, Path], float], tuple[int, ...]]] = {
+GROWTH: dict[str, tuple[Callable[[int, Path], float], tuple[int, ...]]] = {
     "rounds": (rounds, (30, 100, 300, 1_000)),
     "buffer": (buffer, (1_000, 3_000, 10_000, 30_000, 100_000)),
     "replicas": (replicas, (1, 2, 5, 10, 20, 50)),
@@ -126,19 +126,19 @@ GROWTH: dict[str, tuple[Callable[[int, Timer, Path], float], tuple[int, ...]]] =
 """Name -> what is done, and how much of it."""
 
 
-def measure(what: str, size: int, clock: str) -> tuple[float, float]:
+def measure(what: str, size: int) -> tuple[float, float]:
     """Measures one cell in a child process. Returns seconds and megabytes."""
     # A fork has everything imported already: only what the cell itself needs is counted.
     with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as child:
-        seconds, peak = child.submit(_cell, what, size, clock).result()
-    return round(seconds, 6), round(peak / 1e6, 3)
+        took, peak = child.submit(_cell, what, size).result()
+    return round(took, 6), round(peak / 1e6, 3)
 
 
-def _cell(what: str, size: int, clock: str) -> tuple[float, int]:
+def _cell(what: str, size: int) -> tuple[float, int]:
     before = _peak()
     with one_thread(), tempfile.TemporaryDirectory() as folder:
-        seconds = GROWTH[what][0](size, Timer(clock), Path(folder) / "run")
-    return seconds, max(_peak() - before, 1)
+        took = GROWTH[what][0](size, Path(folder) / "run")
+    return took, max(_peak() - before, 1)
 
 
 def _peak() -> int:
@@ -166,12 +166,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", nargs="*", choices=[*GROWTH, []], help="default: all")
     parser.add_argument("--tiny", action="store_true", help="a size that only tests the script")
-    parser.add_argument("--clock", choices=CLOCKS, default="wall", help="default: wall")
     parser.add_argument("--file", type=Path, default=FILE, help="default: results/growth.csv")
     chosen = parser.parse_args(arguments)
     for what in chosen.what or GROWTH:
         for size in (40,) if chosen.tiny else GROWTH[what][1]:
-            line = (what, size, *measure(what, size, chosen.clock))
+            line = (what, size, *measure(what, size))
             if not chosen.tiny:
                 keep(chosen.file, line)
             print(*(f"{name} {value}" for name, value in zip(COLUMNS, line, strict=True)), sep=", ")

@@ -8,7 +8,7 @@ merging steps (a gradient that is never written, say) is not.
 from __future__ import annotations
 
 import itertools
-from dataclasses import astuple, dataclass
+from collections import Counter
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -18,45 +18,31 @@ from bbq_torchrl.bayes.noise import fill_normal_
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.envs import DialogueEnv
 from benchmarks.parts.rows import Row
+from benchmarks.parts.timing import seconds
 from benchmarks.parts.yardstick import ACTIONS, BATCH, FEATURES, HIDDEN, bare_block
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from benchmarks.parts.sizes import Sizes
-    from benchmarks.parts.timing import Timer
 
-FLOAT, BLOCKS, LOCKSTEP = 4, 15, 1_000
+FLOAT, LOCKSTEP = 4, 1_000
+BLOCKS, BLOCK_SECONDS = 15, 0.02
 EPOCHS, UPDATES_PER_EPOCH = 2, 313
 """A target is computed once for so many epochs; updates of 10,000 transitions."""
 POOL = 8
 """Weight draws whose normal numbers an epoch's draws are windows of."""
 
 
-@dataclass(frozen=True)
-class Work:
-    """What a step does; or how much of it the machine does in a second.
+Work = Counter[str]
+"""How many a step does; or the machine in a second: of ``operations`` (multiplications and
+additions of matrix products), ``bytes`` read and written, ``normals`` (normally distributed random
+numbers), ``uniforms`` and ``functions`` (exponentials and logarithms)."""
 
-    Attributes:
-        operations: multiplications and additions of matrix products.
-        bytes: read and written.
-        normals: normally distributed random numbers drawn.
-        uniforms: uniformly distributed ones.
-        functions: exponentials and logarithms.
-    """
 
-    operations: float = 0.0
-    bytes: float = 0.0
-    normals: float = 0.0
-    uniforms: float = 0.0
-    functions: float = 0.0
-
-    def __add__(self, other: Work) -> Work:
-        return Work(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
-
-    def seconds(self, rates: Work) -> float:
-        """Returns what it takes at these rates, one thing after the other."""
-        return sum(a / b for a, b in zip(astuple(self), astuple(rates), strict=True))
+def least_seconds(work: Work, rates: Work) -> float:
+    """Returns what work takes at these rates, one thing after the other."""
+    return sum(count / rates[kind] for kind, count in work.items())
 
 
 LAYERS = tuple(itertools.pairwise((FEATURES, *HIDDEN, ACTIONS)))
@@ -68,9 +54,11 @@ VECTOR = FLOAT * PARAMETERS
 _BEHIND_FIRST = sum(inputs * outputs for inputs, outputs in LAYERS[1:])
 _PASS = 2.0 * BATCH * WEIGHTS
 _GATHER = Work(bytes=2.0 * BATCH * (2 * (FEATURES * FLOAT + ACTIONS) + 8 + FLOAT + 2))
-_FORWARD = Work(_PASS, VECTOR)
-_FIXED_TARGET = Work(_PASS / EPOCHS)
-_BACKWARD = Work(_PASS + 2.0 * BATCH * _BEHIND_FIRST, FLOAT * _BEHIND_FIRST + VECTOR)
+_FORWARD = Work(operations=_PASS, bytes=VECTOR)
+_FIXED_TARGET = Work(operations=_PASS / EPOCHS)
+_BACKWARD = Work(
+    operations=_PASS + 2.0 * BATCH * _BEHIND_FIRST, bytes=FLOAT * _BEHIND_FIRST + VECTOR
+)
 # reads μ, ρ and noise; writes the weights, and σ for the gradient: softplus is an exponential and
 # a logarithm. Pool and value of the KL are an epoch's
 _DRAW = Work(
@@ -120,8 +108,8 @@ def valid_share(env: DialogueEnv) -> float:
     return ((done.cumsum(-1) - done.long()) == 0).float().mean().item()
 
 
-def rates(timer: Timer, seconds: float = 0.02) -> Work:
-    """Measures the machine on one thread: the best of short blocks of about so many seconds.
+def rates() -> Work:
+    """Measures the machine on one thread: the best of short blocks.
 
     A large matrix product; a copy within the third-level cache, where the vectors of one network
     fit; the library's normal numbers, torch's uniform ones and exponentials.
@@ -129,31 +117,32 @@ def rates(timer: Timer, seconds: float = 0.02) -> Work:
 
     def rate(count: float, work: Callable[[], object]) -> float:
         work()
-        repeats = max(1, int(seconds / max(timer.time(work), 1e-7)))
-        blocks = (timer.time(lambda: [work() for _ in range(repeats)]) for _ in range(BLOCKS))
+        repeats = max(1, int(BLOCK_SECONDS / max(seconds(work), 1e-7)))
+        blocks = (seconds(lambda: [work() for _ in range(repeats)]) for _ in range(BLOCKS))
         return count * repeats / min(blocks)
 
     left, right, out = (torch.randn(1024, 1024) for _ in range(3))
     source, target = (torch.zeros(1024**2) for _ in range(2))
     vector, other = torch.rand(PARAMETERS), torch.empty(PARAMETERS)
     return Work(
-        rate(2.0 * 1024**3, lambda: torch.mm(left, right, out=out)),
-        rate(2.0 * source.nbytes, lambda: target.copy_(source)),
-        rate(PARAMETERS, lambda: fill_normal_(vector)),
-        rate(PARAMETERS, vector.uniform_),
-        rate(PARAMETERS, lambda: torch.exp(vector, out=other)),
+        operations=rate(2.0 * 1024**3, lambda: torch.mm(left, right, out=out)),
+        bytes=rate(2.0 * source.nbytes, lambda: target.copy_(source)),
+        normals=rate(PARAMETERS, lambda: fill_normal_(vector)),
+        uniforms=rate(PARAMETERS, vector.uniform_),
+        functions=rate(PARAMETERS, lambda: torch.exp(vector, out=other)),
     )
 
 
-def floor(sizes: Sizes, timer: Timer) -> list[Row]:
+def floor(sizes: Sizes) -> list[Row]:
     """The least times, and that of the bare update, which runs in the same process."""
-    measured, bare = rates(timer), bare_block(timer, sizes.bare_updates)
+    measured, bare = rates(), bare_block(sizes.bare_updates)
     env = DialogueEnv(movie_domain(), batch_size=(LOCKSTEP,), seed=0)
-    valid_turn = turn(env).seconds(measured) / valid_share(env)
+    valid_turn = least_seconds(turn(env), measured) / valid_share(env)
+    updates = {agent: least_seconds(work, measured) for agent, work in UPDATES.items()}
     return [
         *(
-            Row("floor", f"least time of an update of {agent}", "ms", 1e3 * work.seconds(measured))
-            for agent, work in UPDATES.items()
+            Row("floor", f"least time of an update of {agent}", "ms", 1e3 * took)
+            for agent, took in updates.items()
         ),
         Row("floor", "bare DQN update", "ms", 1e3 * median(bare() for _ in range(sizes.repeats))),
         Row("floor", "least time of a valid turn", "µs", 1e6 * valid_turn),

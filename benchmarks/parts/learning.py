@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.cli.store import compose
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.trainers import RoundTrainer
-    from benchmarks.parts.timing import Block, Timer
+    from benchmarks.parts.timing import Block
 
 AGENTS: dict[str, tuple[str, ...]] = {
     "dqn": ("+experiment=agents/dqn",),
@@ -32,10 +33,6 @@ AGENTS: dict[str, tuple[str, ...]] = {
     "bbqn-vime-mc": ("+experiment=agents/bbqn_vime_mc",),
 }
 """Name -> its overrides. DQN with Boltzmann exploration learns as DQN does."""
-
-TINY_CAPACITY = 64
-TINY_OVERRIDES = ("protocol.dialogues=6",)
-"""A buffer and a round so small that they only test the benchmarks."""
 
 
 def full_trainer(
@@ -55,7 +52,6 @@ def full_trainer(
 def learning_block(
     overrides: Sequence[str],
     folder: Path,
-    timer: Timer,
     *,
     replicas: int = 1,
     capacity: int = 10_000,
@@ -69,7 +65,6 @@ def learning_block(
     Args:
         overrides: of the configuration.
         folder: for the trainer's files.
-        timer: the clock.
         replicas: networks trained side by side.
         capacity: transitions in the buffer of each, which is full.
         freezes: target freezes of a learning phase, of two epochs each.
@@ -82,11 +77,11 @@ def learning_block(
     numbers = itertools.count(1)
 
     def block() -> float:
-        started = timer.now()
+        started = perf_counter()
         if stores:
             trainer.replay.extend(new_rows)
         trainer.learner.learn(next(numbers))
-        return (timer.now() - started) / sum(trainer.learner.updates)
+        return (perf_counter() - started) / sum(trainer.learner.updates)
 
     block()
     return block

@@ -15,7 +15,6 @@ from benchmarks.parts.rows import Row
 
 if TYPE_CHECKING:
     from benchmarks.parts.sizes import Sizes
-    from benchmarks.parts.timing import Timer
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -42,18 +41,16 @@ def python(*arguments: str) -> Used:
     """
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
     started = time.perf_counter()
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, *arguments],
         cwd=ROOT,
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-    )
-    assert process.stderr is not None
-    with process.stderr:
+    ) as process:
         said = process.stderr.read()
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode != 0:
         raise RuntimeError(f"{' '.join(arguments)} failed: {said.decode(errors='replace')[-2000:]}")
     return Used(
@@ -66,7 +63,7 @@ def python(*arguments: str) -> Used:
 MEMORY_GB, HELP_SECONDS = 1.5, 6
 
 
-def process(sizes: Sizes, _: Timer) -> list[Row]:
+def process(sizes: Sizes) -> list[Row]:
     """The most memory of a run with full buffers; the time until help is shown."""
     overrides = ("agent=bbqn", "env=full", *sizes.memory, *sizes.overrides)
     protocol = ("spike.protect=false", f"protocol.eval_dialogues={sizes.eval_dialogues}")

@@ -6,24 +6,24 @@ import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.trainers.learn import LossSums, Update
 from benchmarks.parts import processes
 from benchmarks.parts.learning import full_trainer
 from benchmarks.parts.rows import Row
-from benchmarks.parts.timing import stopwatch
+from benchmarks.parts.timing import seconds, stopwatch
 
 if TYPE_CHECKING:
     from bbq_torchrl.trainers import RoundTrainer
     from benchmarks.parts.sizes import Sizes
-    from benchmarks.parts.timing import Timer
 
 PERCENT, ROUNDS = 5, 400
 """Most that may go elsewhere than into simulator and updates; rounds of a whole run."""
 
 
-def watched_round(trainer: RoundTrainer, timer: Timer) -> tuple[float, float]:
+def watched_round(trainer: RoundTrainer) -> tuple[float, float]:
     """Trains one round. Returns its seconds, and those that are neither simulator nor updates.
 
     The simulator's are those of playing, with the policy's. Updates are what is done to a batch
@@ -34,28 +34,28 @@ def watched_round(trainer: RoundTrainer, timer: Timer) -> tuple[float, float]:
     with ExitStack() as stack:
 
         def watch(owner: object, name: str) -> list[float]:
-            return stack.enter_context(stopwatch(timer.now, owner, name))
+            return stack.enter_context(stopwatch(owner, name))
 
         played = watch(trainer.env, "rollout")
         computed = watch(trainer.learner, "compute_targets")
         updated, sums = watch(Update, "__call__"), watch(LossSums, "add")
-        total = timer.time(trainer.train_round)
+        total = seconds(trainer.train_round)
     return total, total - sum([*played, *computed, *updated]) + sum(sums)
 
 
-def rounds(sizes: Sizes, timer: Timer) -> list[Row]:
+def rounds(sizes: Sizes) -> list[Row]:
     """Shares of a round, and of a whole run, outside of simulator and updates."""
     overrides = ("agent=bbqn", "env=full", *sizes.overrides)
     with tempfile.TemporaryDirectory() as folder:
-        started = timer.now()
-        run, capacity = Path(folder) / "run", sizes.capacity[1]
+        started = perf_counter()
+        run, capacity = Path(folder) / "run", sizes.capacity
         trainer = full_trainer(overrides, run, replicas=1, capacity=capacity)
         trainer.train_round()
-        start = timer.now() - started
-        found = [watched_round(trainer, timer) for _ in range(sizes.rounds)]
-        save = timer.time(lambda: trainer.checkpoints.save(0, {}, name="timed"))
+        start = perf_counter() - started
+        found = [watched_round(trainer) for _ in range(sizes.rounds)]
+        save = seconds(lambda: trainer.checkpoints.save(0, {}, name="timed"))
     share = save / trainer.checkpoint_every
-    whole, outside = (median(seconds) + share for seconds in zip(*found, strict=True))
+    whole, outside = (median(took) + share for took in zip(*found, strict=True))
     # The start is what a process does before its first round, and the first round's compilation.
     start += processes.python("-c", "import bbq_torchrl.run").wall - whole
     of_run = (start + ROUNDS * outside) / (start + ROUNDS * whole)

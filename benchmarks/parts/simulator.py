@@ -10,12 +10,12 @@ import torch
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.envs import DialogueEnv
 from benchmarks.parts.rows import Row
+from benchmarks.parts.timing import seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from benchmarks.parts.sizes import Sizes
-    from benchmarks.parts.timing import Timer
 
 TURNS = (15_000, 80_000, 100_000)
 PUBLIC = {"random": (411, 100), "rule": (1_560, 40)}
@@ -53,14 +53,14 @@ def play_simulator(env: DialogueEnv, policy: str = "random") -> Callable[[], int
     return play
 
 
-def simulator(sizes: Sizes, timer: Timer) -> list[Row]:
+def simulator(sizes: Sizes) -> list[Row]:
     """Turns a second, features included, and how many times the public simulator's."""
     rows = [
         Row(
             "simulator",
             f"simulator, {dialogues:,} dialogues in parallel",
             "turns/s",
-            _turns_per_second(dialogues, "random", sizes, timer),
+            _turns_per_second(dialogues, "random", sizes),
             target,
             "higher",
         )
@@ -68,14 +68,14 @@ def simulator(sizes: Sizes, timer: Timer) -> list[Row]:
     ]
     dialogues = sizes.dialogues[1]
     for policy, (public, target) in PUBLIC.items():
-        times = _turns_per_second(dialogues, policy, sizes, timer) / public
+        times = _turns_per_second(dialogues, policy, sizes) / public
         what = f"simulator, {policy} policy under errors, {dialogues:,} dialogues"
         unit = f"times the public one's {public:,} turns/s"
         rows.append(Row("simulator", what, unit, times, target, "higher"))
     return rows
 
 
-def _turns_per_second(dialogues: int, policy: str, sizes: Sizes, timer: Timer) -> float:
+def _turns_per_second(dialogues: int, policy: str, sizes: Sizes) -> float:
     play = play_simulator(DialogueEnv(movie_domain(), batch_size=(dialogues,), seed=0), policy)
     valid = play()
-    return valid / median(timer.time(play) for _ in range(sizes.repeats))
+    return valid / median(seconds(play) for _ in range(sizes.repeats))

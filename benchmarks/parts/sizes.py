@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
-from benchmarks.parts.learning import TINY_CAPACITY, TINY_OVERRIDES
+from typing import NamedTuple
 
 
-@dataclass(frozen=True)
-class Sizes:
+class Sizes(NamedTuple):
     """The sizes that the figures are published for.
 
     Attributes:
         dialogues: played in parallel, for each of the targets.
-        capacity: transitions in the buffer of one network, by replicas side by side.
+        capacity: transitions in the buffer of a single network.
+        many: replicas side by side, and transitions in the buffer of each.
         repeats: learning phases of each agent; times that dialogues are played.
         bare_updates: of the yardstick in a block.
         rounds: of the accounts, after one to warm up.
@@ -26,7 +24,8 @@ class Sizes:
     """
 
     dialogues: tuple[int, int, int] = (50, 1_000, 16_384)
-    capacity: dict[int, int] = field(default_factory=lambda: {1: 10_000, 10: 3_200})
+    capacity: int = 10_000
+    many: tuple[int, int] = (10, 3_200)
     repeats: int = 5
     bare_updates: int = 300
     rounds: int = 3
@@ -42,7 +41,8 @@ FULL = Sizes()
 
 TINY = Sizes(
     dialogues=(2, 3, 4),
-    capacity={1: TINY_CAPACITY, 2: TINY_CAPACITY},
+    capacity=64,
+    many=(2, 64),
     repeats=1,
     bare_updates=3,
     rounds=1,
@@ -56,6 +56,6 @@ TINY = Sizes(
         "protocol.eval_every_dialogues=4",
         "spike.dialogues=4",
     ),
-    overrides=TINY_OVERRIDES,
+    overrides=("protocol.dialogues=6",),
 )
 """Runs every line in seconds; its figures mean nothing."""

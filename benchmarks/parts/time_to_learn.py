@@ -6,17 +6,17 @@ import math
 import tempfile
 from pathlib import Path
 from statistics import median_low
-from typing import TYPE_CHECKING, Any, NamedTuple
+from time import process_time
+from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from benchmarks.parts import processes
 from benchmarks.parts.learning import AGENTS
 from benchmarks.parts.rows import Row
-from benchmarks.parts.timing import CLOCKS, Timer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from benchmarks.parts.sizes import Sizes
 
@@ -41,8 +41,8 @@ class Learned(NamedTuple):
     rounds: int
 
 
-def time_to_learn(sizes: Sizes, _: Timer) -> list[Row]:
-    """Processor time of ``protocol=quick`` until evaluation success, whatever the clock asked for.
+def time_to_learn(sizes: Sizes) -> list[Row]:
+    """Processor time of ``protocol=quick`` until evaluation success.
 
     From the start of the process: imports, spiking, rounds, evaluations and checkpoints. Who is not
     there after the protocol's rounds goes on, with all schedules at their end, for up to
@@ -62,28 +62,16 @@ def time_to_learn(sizes: Sizes, _: Timer) -> list[Row]:
 
 def train(overrides: Sequence[str], rounds: int) -> Learned:
     """Trains one replica until it reaches the level, at most so many rounds."""
-    now = CLOCKS["cpu"]
-    started = now()
+    started = process_time()
     with tempfile.TemporaryDirectory() as folder:
-        config = compose(overrides)
-        trainer, _ = build_trainer(config, Path(folder) / "run")
+        trainer, _ = build_trainer(compose(overrides), Path(folder) / "run")
         trainer.begin()
-        return until(trainer.train_round, rounds, now, started)
-
-
-def until(
-    train_round: Callable[[], Sequence[dict[str, Any]]],
-    rounds: int,
-    now: Callable[[], float],
-    started: float,
-) -> Learned:
-    """Trains rounds until the evaluation of one reaches the level, at most so many."""
-    for done in range(1, rounds + 1):
-        (row,) = train_round()
-        # NaN, in a round without an evaluation, is not above anything.
-        if row["eval_success_rate"] >= LEVEL:
-            return Learned(now() - started, True, done)
-    return Learned(now() - started, False, rounds)
+        done, is_reached = 0, False
+        while done < rounds and not is_reached:
+            (row,) = trainer.train_round()
+            # NaN, in a round without an evaluation, is not above anything.
+            done, is_reached = done + 1, row["eval_success_rate"] >= LEVEL
+        return Learned(process_time() - started, is_reached, done)
 
 
 def _row(name: str, learned: Sequence[Learned], start: float) -> Row:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-import time
 from contextlib import contextmanager
 from statistics import median
+from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
 from unittest.mock import patch
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     Block = Callable[[], float]
     """Does some work once and returns the seconds that a unit of it took."""
-
-CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 
 
 class Comparison(NamedTuple):
@@ -34,21 +32,11 @@ class Comparison(NamedTuple):
     ratio: float
 
 
-class Timer:
-    """Measures blocks of work by a clock.
-
-    Args:
-        clock: ``"wall"``, or ``"cpu"``, which other processes on the machine disturb less.
-    """
-
-    def __init__(self, clock: str = "wall") -> None:
-        self.now = CLOCKS[clock]
-
-    def time(self, work: Callable[[], object]) -> float:
-        """Returns the seconds that ``work()`` took."""
-        started = self.now()
-        work()
-        return self.now() - started
+def seconds(work: Callable[[], object]) -> float:
+    """Returns the seconds that ``work()`` took."""
+    started = perf_counter()
+    work()
+    return perf_counter() - started
 
 
 def interleaved(base: Block, candidate: Block, repeats: int) -> Comparison:
@@ -59,29 +47,29 @@ def interleaved(base: Block, candidate: Block, repeats: int) -> Comparison:
         candidate: what is measured.
         repeats: how often the candidate runs.
     """
-    bases, seconds = [base()], []
+    bases, own = [base()], []
     for _ in range(repeats):
-        seconds.append(candidate())
+        own.append(candidate())
         bases.append(base())
-    sides = zip(seconds, bases, bases[1:], strict=False)
-    ratios = [2 * own / (before + after) for own, before, after in sides]
-    return Comparison(median(seconds), median(ratios))
+    sides = zip(own, bases, bases[1:], strict=False)
+    ratios = [2 * took / (before + after) for took, before, after in sides]
+    return Comparison(median(own), median(ratios))
 
 
 @contextmanager
-def stopwatch(now: Callable[[], float], owner: object, name: str) -> Iterator[list[float]]:
+def stopwatch(owner: object, name: str) -> Iterator[list[float]]:
     """Yields a list to which every call of ``owner.name`` within the context adds its seconds."""
-    function, seconds = getattr(owner, name), []
+    function, took = getattr(owner, name), []
 
     def timed(*args: object, **kwargs: object) -> object:
-        started = now()
+        started = perf_counter()
         try:
             return function(*args, **kwargs)
         finally:
-            seconds.append(now() - started)
+            took.append(perf_counter() - started)
 
     with patch.object(owner, name, timed):
-        yield seconds
+        yield took
 
 
 @contextmanager

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from benchmarks.parts.timing import seconds
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from benchmarks.parts.timing import Block, Timer
+    from benchmarks.parts.timing import Block
 
 FEATURES, HIDDEN, ACTIONS, BATCH = 268, (256, 256), 39, 32
 
@@ -50,13 +52,13 @@ def bare_update() -> Callable[[], None]:
     return update
 
 
-def bare_block(timer: Timer, updates: int) -> Block:
+def bare_block(updates: int) -> Block:
     """Returns a block of bare updates; its unit is an update."""
     update = bare_update()
     for _ in range(5):
         update()
 
     def block() -> float:
-        return timer.time(lambda: [update() for _ in range(updates)]) / updates
+        return seconds(lambda: [update() for _ in range(updates)]) / updates
 
     return block

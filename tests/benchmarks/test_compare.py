@@ -12,7 +12,6 @@ from benchmarks.parts import processes, updates
 from benchmarks.parts.processes import Used
 from benchmarks.parts.rows import Row, as_table, keep, read
 from benchmarks.parts.sizes import FULL, TINY
-from benchmarks.parts.timing import Timer
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,7 +36,7 @@ SLOW = [pytest.param(part, marks=pytest.mark.slow) for part in ("agents", "time_
 @pytest.mark.parametrize("part", ["simulator", "update", "round", *SLOW])
 def test_part_gives_positive_figures(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(updates, "TARGETS", {"bbqn-map": (1.0, 1.0)})
-    rows = PARTS[part](TINY, Timer())
+    rows = PARTS[part](TINY)
     assert rows
     assert all(row.part == part for row in rows)
     assert all(row.measured > 0 for row in rows if row.unit != "%")
@@ -46,7 +45,7 @@ def test_part_gives_positive_figures(part: str, monkeypatch: pytest.MonkeyPatch)
 def test_the_process_part_measures_a_run_with_full_buffers_and_medians_of_starts(
     commands: list[tuple[str, ...]],
 ) -> None:
-    memory, start = PARTS["process"](FULL, Timer())
+    memory, start = PARTS["process"](FULL)
     assert (memory.measured, memory.target, memory.reached) == (1.0, 1.5, True)
     assert {"agent=bbqn", "env=full", "replicas=5", "spike.dialogues=500"} <= set(commands[0])
     assert (start.measured, start.target) == (2.0, 6)

@@ -20,7 +20,7 @@ def test_cells_take_the_place_of_earlier_ones_in_the_order_of_the_table(
     first, *others = growth.GROWTH["replicas"][1]
     for what in ("new_values", "replicas", "rounds"):
         growth.keep(file, (what, first, 7.0, 2.0))
-    monkeypatch.setattr(growth, "measure", lambda what, size, clock: (float(size), 1.0))
+    monkeypatch.setattr(growth, "measure", lambda what, size: (float(size), 1.0))
     growth.main(["replicas", f"--file={file}"])
     head, *lines = file.read_text().splitlines()
     assert head == "what,size,seconds,megabytes"

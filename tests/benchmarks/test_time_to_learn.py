@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
 from benchmarks.parts import processes, time_to_learn
 from benchmarks.parts.processes import Used
 from benchmarks.parts.sizes import FULL
-from benchmarks.parts.time_to_learn import Learned, until
-from benchmarks.parts.timing import Timer
+from benchmarks.parts.time_to_learn import Learned
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,7 @@ from benchmarks.parts.timing import Timer
     ],
 )
 def test_training_ends_with_the_first_evaluation_that_reaches_the_level(
-    evaluations: list[float], learned: Learned
+    monkeypatch: pytest.MonkeyPatch, evaluations: list[float], learned: Learned
 ) -> None:
     """A round takes a second."""
     clock = [10.0]
@@ -31,10 +31,10 @@ def test_training_ends_with_the_first_evaluation_that_reaches_the_level(
         clock[0] += 1
         return [{"eval_success_rate": next(rates)}]
 
-    def now() -> float:
-        return clock[0]
-
-    assert until(train_round, len(evaluations), now, started=10.0) == learned
+    trainer = SimpleNamespace(begin=lambda: None, train_round=train_round)
+    monkeypatch.setattr(time_to_learn, "build_trainer", lambda *_: (trainer, None))
+    monkeypatch.setattr(time_to_learn, "process_time", lambda: clock[0])
+    assert time_to_learn.train([], len(evaluations)) == learned
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_the_median_says_what_was_cut_off(
 
     monkeypatch.setattr(time_to_learn, "train", train)
     monkeypatch.setattr(processes, "python", lambda *_: Used(wall=9, cpu=2, peak_bytes=1))
-    rows = time_to_learn.time_to_learn(FULL, Timer())
+    rows = time_to_learn.time_to_learn(FULL)
     assert [row.what.partition(",")[0] for row in rows] == ["bbqn-map", "dqn"]
     for row in rows:
         assert (row.measured, row.is_bound, row.remark) == (measured, is_bound, remark)

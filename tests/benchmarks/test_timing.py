@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from benchmarks.parts import timing
 from benchmarks.parts.timing import interleaved, stopwatch
 
 
@@ -17,21 +18,16 @@ def test_slow_spell_that_hits_both_leaves_the_ratio() -> None:
     assert result.seconds == 11.0
 
 
-class Ticks:
-    """A clock that a function moves on."""
-
-    now = 0.0
-
-
-def test_stopwatch_times_every_call_and_lets_go() -> None:
-    clock = Ticks()
+def test_stopwatch_times_every_call_and_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(timing, "perf_counter", lambda: clock[0])
 
     def work(ticks: float) -> str:
-        clock.now += ticks
+        clock[0] += ticks
         return "done"
 
     owner = SimpleNamespace(work=work)
-    with stopwatch(lambda: clock.now, owner, "work") as seconds:
+    with stopwatch(owner, "work") as seconds:
         assert owner.work(3.0) == owner.work(20.0) == "done"
     assert seconds == [3.0, 20.0]
     assert owner.work is work
