@@ -29,7 +29,7 @@ def provides(owner: object, hooks: type[Hooks]) -> TypeGuard[Hooks]:
         owner: the object.
         hooks: the protocol.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.exploration.hooks import Resampled
         >>> class Policy:
         ...     def resample(self) -> None: ...

@@ -18,7 +18,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], *, numbers: int
         rows: the cells; a pipe in one is escaped.
         numbers: how many columns, the last ones, are aligned to the right.
 
-    Example:
+    Examples:
         >>> print(table(("agent", "success"), [("a|b", 0.5)], numbers=1))
         | agent | success |
         | --- | ---: |

@@ -17,7 +17,7 @@ CONFIDENCE = 0.95
 def half_width(values: Any) -> float:
     """Returns half the width of the 95 % Student t interval of a mean of two values or more.
 
-    Example:
+    Examples:
         >>> round(half_width([0.7, 0.72, 0.74, 0.76, 0.78]), 3)
         0.039
     """
@@ -28,7 +28,7 @@ def half_width(values: Any) -> float:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Returns Holm's (1979) adjusted p-values, in the given order.
 
-    Example:
+    Examples:
         >>> holm([0.01, 0.04, 0.03])
         [0.03, 0.06, 0.06]
     """

@@ -25,7 +25,7 @@ class FaultsError(ValueError):
     Attributes:
         faults: the same.
 
-    Example:
+    Examples:
         >>> print(FaultsError("a.csv", ["line 2 is empty", "line 7 is empty"]))
         a.csv has 2 faults:
           line 2 is empty
@@ -46,7 +46,7 @@ class FaultsError(ValueError):
 def shown(value: object) -> str:
     """Returns a value as Python writes it, the middle of a long one left out.
 
-    Example:
+    Examples:
         >>> shown("abc"), shown(0.5)
         ("'abc'", '0.5')
         >>> len(shown("x" * 20_000_000)) < 300
@@ -61,7 +61,7 @@ def sentence(error: object) -> str:
 
     The middle of a very long line is left out. An error of the operating system has its file.
 
-    Example:
+    Examples:
         >>> sentence("a value\nis  wrong")
         'a value is wrong'
     """

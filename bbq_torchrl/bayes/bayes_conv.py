@@ -44,7 +44,7 @@ class BayesConv2d(BayesLayer):
         ValueError: for an argument outside of what is listed; when called, for an input that does
             not fit.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesConv2d
         >>> net = BayesConv2d(3, 8, 3, replicas=5, padding=1)

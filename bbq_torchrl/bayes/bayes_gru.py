@@ -44,7 +44,7 @@ class BayesGRU(BayesLayer):
         ValueError: for an argument outside of what is listed; when called, for shapes that do not
             fit, or mode "local" for more than one step.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesGRU
         >>> net = BayesGRU(3, 8, replicas=5)

@@ -44,7 +44,7 @@ class BayesMLP(BayesLayer):
     Raises:
         ValueError: for an argument outside of what is listed.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesMLP
         >>> net = BayesMLP(268, 39, replicas=5, prior_std="fan_in")
@@ -116,7 +116,7 @@ class BayesLinear(BayesMLP):
     Raises:
         ValueError: for an argument outside of what is listed.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from torch import nn
         >>> from torchrl.envs.utils import ExplorationType, set_exploration_type

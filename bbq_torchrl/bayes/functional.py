@@ -40,7 +40,7 @@ class FlatLayout:
     Raises:
         ValueError: if there are fewer than two sizes or one is not positive.
 
-    Example:
+    Examples:
         >>> layout = FlatLayout((3, 4, 2))
         >>> layout.numel, layout.layer_sizes
         (26, (16, 10))
@@ -176,7 +176,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
     Raises:
         ValueError: if the shape of ``x`` does not fit.
 
-    Example:
+    Examples:
         >>> import torch
         >>> layout = FlatLayout((3, 4, 2))
         >>> mlp(torch.ones(5, 7, 3), torch.ones(5, 26), layout).shape

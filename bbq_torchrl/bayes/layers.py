@@ -60,7 +60,7 @@ class BayesLayer(nn.Module):
     Raises:
         ValueError: for an argument outside of what is listed.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesLayer, kl_divergence, weight_scope
         >>> class BayesScale(BayesLayer):

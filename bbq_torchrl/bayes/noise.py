@@ -70,7 +70,7 @@ def fill_normal_(out: Tensor) -> Tensor:
     Args:
         out: any shape.
 
-    Example:
+    Examples:
         >>> import torch
         >>> noise = fill_normal_(torch.empty(5, 100_000))
         >>> bool(abs(noise.mean()) < 0.01), bool(abs(noise.var() - 1) < 0.01)
@@ -101,7 +101,7 @@ def fill_kept_(out: Tensor, dropout: float) -> Tensor:
         out: any shape.
         dropout: from 0 to below 1.
 
-    Example:
+    Examples:
         >>> import torch
         >>> bool(abs(fill_kept_(torch.empty(5, 100_000), 0.2).mean() - 0.8) < 0.01)
         True
@@ -146,7 +146,7 @@ class NoisePool:
     Raises:
         ValueError: if ``draws`` is less than 2.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesMLP, weight_scope
         >>> from bbq_torchrl.bayes.noise import NoisePool
@@ -191,7 +191,7 @@ class SharedNoise:
     Raises:
         ValueError: at a draw whose shape is not that of the noise it is to share.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesMLP, weight_scope
         >>> from bbq_torchrl.bayes.noise import SharedNoise

@@ -49,7 +49,7 @@ class GaussianPosterior(nn.Module):
         ValueError: if a prior_std is not a positive finite number, or there are not as many as
             there are groups or replicas.
 
-    Example:
+    Examples:
         >>> import torch
         >>> posterior = GaussianPosterior([6, 4], 0.1, replicas=5)
         >>> posterior.sample().shape, posterior.sample((32,)).shape
@@ -249,7 +249,7 @@ def posteriors(module: nn.Module) -> list[GaussianPosterior]:
     Raises:
         ValueError: if there are none.
 
-    Example:
+    Examples:
         >>> from torch import nn
         >>> from bbq_torchrl.bayes import BayesLinear
         >>> from bbq_torchrl.bayes.posterior import posteriors
@@ -272,7 +272,7 @@ def kl_divergence(module: nn.Module) -> Tensor:
     Raises:
         ValueError: if the module has none.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.bayes import BayesMLP
         >>> bool((kl_divergence(BayesMLP(3, 2, replicas=5)) < 1e-3).all())
         True

@@ -18,7 +18,7 @@ __all__ = ["replica_shape", "replica_values", "replicas_of"]
 def replica_shape(replicas: int | Sequence[int]) -> torch.Size:
     """Returns the leading shape that replicas give to weights and data: 5 is (5,).
 
-    Example:
+    Examples:
         >>> replica_shape(5), replica_shape((2, 3)), replica_shape(())
         (torch.Size([5]), torch.Size([2, 3]), torch.Size([]))
     """
@@ -49,7 +49,7 @@ def replica_values(
     Raises:
         ValueError: for another shape, or a value that is not allowed.
 
-    Example:
+    Examples:
         >>> replica_values("noise_std", torch.tensor([1, 2]), (2,))
         tensor([1., 2.], dtype=torch.float64)
     """

@@ -178,7 +178,7 @@ def weight_scope(
         ValueError: for another mode or kind of KL; and when a layer in mode "mean" or "local" runs
             with kl="sampled": there are no weights to evaluate it at.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesMLP, weight_scope
         >>> net, x = BayesMLP(3, 2), torch.ones(4, 3)

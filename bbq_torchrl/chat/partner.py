@@ -120,7 +120,7 @@ class Partner:
         agent: who decides.
         domain: what they talk about, in the spelling that all acts have.
 
-    Example:
+    Examples:
         >>> partner = Partner(TrainedAgent("runs/bbqn"), understand, speak)  # doctest: +SKIP
         >>> answer = partner.reply(None, "two tickets for wonka please", seed=0)  # doctest: +SKIP
         >>> answer.text  # doctest: +SKIP

@@ -27,7 +27,7 @@ class Spelling:
     Attributes:
         domain: the same, its records and goals in that spelling: the one that most of them have.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain
         >>> domain = movie_domain()
         >>> spelling = Spelling(domain)

@@ -33,7 +33,7 @@ class Tracking:
         simulator: of the domain.
         active: bool ``[S]``, the slots active for the agent.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.domains import movie_domain, tensorize
         >>> from bbq_torchrl.language import Frame

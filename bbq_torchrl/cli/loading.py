@@ -66,7 +66,7 @@ def load_run(
     Raises:
         ValueError: no run folder, or none whose checkpoint can be read.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl import load_run
         >>> env, policy, config, mode = load_run("runs/my_run")  # doctest: +SKIP
         >>> env.rollout(20, policy, break_when_any_done=False)  # doctest: +SKIP

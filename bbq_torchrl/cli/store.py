@@ -88,7 +88,7 @@ def register_options() -> None:
 def explorations_table() -> str:
     """Which strategies an agent can use, as text, one line an agent.
 
-    Example:
+    Examples:
         >>> next(line for line in explorations_table().splitlines() if "=bootstrap " in line)
         'agent=bootstrap  explore=bootstrap (default), epsilon_greedy, greedy'
     """
@@ -247,7 +247,7 @@ def compose(overrides: Sequence[str] = (), root: type[Root] = Config) -> Root:  
     Raises:
         ConfigError: one sentence that says which key is wrong and what it may be.
 
-    Example:
+    Examples:
         >>> compose(["agent=dqn"]).explore.name
         'epsilon_greedy'
         >>> compose(["env=domain_ext"]).protocol.rounds

@@ -49,7 +49,7 @@ class BootstrapMask(Transform):
     Raises:
         ValueError: if ``heads`` is not positive or ``prob`` not in (0, 1].
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer

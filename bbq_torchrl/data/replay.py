@@ -69,7 +69,7 @@ class ReplicaReplay:
         stored_keys (tuple of NestedKey): those, and what the transform adds.
         transform (Transform or None): the transform.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> replay = ReplicaReplay(8, replicas=2, keys=["observation"])

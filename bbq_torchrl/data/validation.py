@@ -32,7 +32,7 @@ def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> 
     Raises:
         ValueError: names the key, the first bad row and what is allowed.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> rows = TensorDict(

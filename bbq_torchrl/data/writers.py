@@ -28,7 +28,7 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
     Raises:
         ValueError: if more rows are written at once than there are unprotected ones.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer

@@ -24,7 +24,7 @@ class Coding:
     Args:
         domain: the domain's tensors.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain, tensorize
         >>> coding = Coding(tensorize(movie_domain()))
         >>> ids = coding.ids({"city": "Reno", "date": "I do not care"})

@@ -31,7 +31,7 @@ class Action:
     Raises:
         ValueError: if the act cannot carry a slot.
 
-    Example:
+    Examples:
         >>> str(Action("request", "moviename"))
         'request(moviename)'
         >>> Action.parse("thanks")

@@ -95,7 +95,7 @@ def load_domain(path: str | Path) -> Domain:
 def movie_domain() -> Domain:
     """Returns the movie-booking domain that comes with the package.
 
-    Example:
+    Examples:
         >>> domain = movie_domain()
         >>> len(domain.acts), len(domain.slots), len(domain.actions)
         (11, 29, 39)

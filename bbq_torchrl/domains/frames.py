@@ -36,7 +36,7 @@ class Frame:
         requests: the slots asked for.
         choices: the values offered of the one slot in ``requests``; of ``multiple_choice`` alone.
 
-    Example:
+    Examples:
         >>> str(Frame("request", {"moviename": "wonka"}, ("theater", "date")))
         'request(theater, date) inform(moviename=wonka)'
         >>> Frame.parse("inform(city=reno) request(date)").requests

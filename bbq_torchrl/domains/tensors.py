@@ -112,7 +112,7 @@ def build_vocabulary(domain: Domain) -> tuple[tuple[str, ...], ...]:
 def tensorize(domain: Domain) -> DomainTensors:
     """Returns ``domain`` as tensors of ids, on the CPU.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain
         >>> tensors = tensorize(movie_domain())
         >>> tensors.n_acts, tensors.n_slots, tensors.n_actions

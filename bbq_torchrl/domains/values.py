@@ -51,7 +51,7 @@ def fold(text: str) -> str:
     White space counts: the public movie corpus holds ``" standard"`` beside ``"standard"``, and
     there the two do not match each other.
 
-    Example:
+    Examples:
         >>> fold("Deadpool") == fold("deadpool")
         True
     """

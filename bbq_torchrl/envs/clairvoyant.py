@@ -41,7 +41,7 @@ class ClairvoyantPolicy(TensorDictModuleBase):
         env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms; the policy plays
             in no other one.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain
         >>> from bbq_torchrl.envs import DialogueEnv
         >>> env = DialogueEnv(movie_domain(), batch_size=(100,), slot_error_prob=0.0, seed=0)

@@ -69,7 +69,7 @@ class DialogueEnv(EnvBase):
         ValueError: if a setting is out of range, the schedule never adds a slot that the agent has
             actions for, or the device is absent.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain
         >>> env = DialogueEnv(movie_domain(), batch_size=(50,), seed=0)
         >>> rollout = env.rollout(5, break_when_any_done=False)

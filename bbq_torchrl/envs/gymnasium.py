@@ -59,7 +59,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     Raises:
         ValueError: if a setting is out of range, or the domain's folder holds none.
 
-    Example:
+    Examples:
         >>> import gymnasium
         >>> import bbq_torchrl.envs.gymnasium
         >>> env = gymnasium.make("bbq_torchrl/MovieDialogue-v0", slot_error_prob=0.1)

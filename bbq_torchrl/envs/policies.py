@@ -44,7 +44,7 @@ class SequencePolicy(TensorDictModuleBase):
     Raises:
         ValueError: if there is no action.
 
-    Example:
+    Examples:
         >>> from tensordict import TensorDict
         >>> policy = SequencePolicy([4, 2, 7])
         >>> policy(TensorDict(turns=torch.tensor([[0], [1], [9]]), batch_size=[3]))["action"]
@@ -132,7 +132,7 @@ class UniformPolicy(TensorDictModuleBase):
         mask_key: bool ``[*batch, N]``, the legal actions, at least one.
         action_key: where the action is written, int64 ``[*batch]``.
 
-    Example:
+    Examples:
         >>> from tensordict import TensorDict
         >>> mask = torch.tensor([[False, True, False]])
         >>> UniformPolicy()(TensorDict(action_mask=mask, batch_size=[1]))["action"]
@@ -165,7 +165,7 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
     Raises:
         ValueError: if there is no such policy.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain
         >>> from bbq_torchrl.envs import DialogueEnv
         >>> env = DialogueEnv(movie_domain(), batch_size=(3,), seed=0)

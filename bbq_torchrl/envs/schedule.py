@@ -25,7 +25,7 @@ class ExtensionSchedule:
     Raises:
         ValueError: if ``start`` is below 0 or ``every`` below 1.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain
         >>> schedule = ExtensionSchedule(start=40, every=10)
         >>> len(schedule.active(movie_domain(), 39))

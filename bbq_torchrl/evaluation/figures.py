@@ -40,7 +40,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#00
 def moving_average(values: Any, window: int = WINDOW) -> Any:
     """Mean of the last ``window`` rounds (of fewer at the start), along the first axis.
 
-    Example:
+    Examples:
         >>> moving_average(np.array([0.0, 1.0, 2.0]), window=2).tolist()
         [0.0, 0.5, 1.5]
     """

@@ -106,7 +106,7 @@ def rounds_to_reach(success: Any, level: float, window: int = WINDOW) -> Any:
     Returns:
         One value for each seed, shape [seeds]; infinite where the level is not reached.
 
-    Example:
+    Examples:
         >>> curve = np.array([[0.2], [0.4], [0.8], [0.6]])
         >>> rounds_to_reach(curve, 0.6, window=2), rounds_to_reach(curve, 0.9, window=2)
         (array([3.]), array([inf]))
@@ -128,7 +128,7 @@ def areas(curve: Any) -> list[float]:
     Args:
         curve: success rates, shape [rounds, seeds]; NaN in rounds without, a value in at least one.
 
-    Example:
+    Examples:
         >>> areas(np.array([[0.0], [np.nan], [0.5], [0.5]]))
         [0.3333333333333333]
     """

@@ -20,7 +20,7 @@ def agent_name(config: Mapping[str, Any]) -> str:
         config: the composed configuration, nested mappings; groups that a version did not have
             yet may be absent.
 
-    Example:
+    Examples:
         >>> agent_name({"agent": {"name": "dqn"}, "explore": {"name": "boltzmann"}})
         'DQN-Boltzmann'
         >>> bbqn = {"agent": {"name": "bbqn", "target": "mc"}, "explore": {"name": "thompson"}}

@@ -126,7 +126,7 @@ class Run:
 def telling(keys: Iterable[str]) -> list[str]:
     """Returns the keys that tell settings apart: where an option differs, its name says enough.
 
-    Example:
+    Examples:
         >>> telling(["env.every", "env.name", "env.start", "spike.dialogues"])
         ['env.name', 'spike.dialogues']
     """

@@ -74,7 +74,7 @@ def binomial_standard_error(rate: float, dialogues: int) -> float:
         rate: successes / dialogues, in [0, 1].
         dialogues: how many were played.
 
-    Example:
+    Examples:
         >>> round(binomial_standard_error(0.5, 10_000), 4)
         0.005
     """
@@ -87,7 +87,7 @@ def interquartile_mean(values: Any, axis: int = -1) -> Any:
     The 25 % trimmed mean that Agarwal et al. (2021, "Deep RL at the edge of the statistical
     precipice") report. Five values keep the middle three; fewer than four keep all.
 
-    Example:
+    Examples:
         >>> float(interquartile_mean([0.0, 1.0, 2.0, 3.0, 100.0]))
         2.0
     """
@@ -108,7 +108,7 @@ def estimate(values: Sequence[float], spec: str = ".3f") -> Estimate:
     Raises:
         ValueError: no values, or a value that is not finite.
 
-    Example:
+    Examples:
         >>> print(estimate([0.7, 0.72, 0.74, 0.76, 0.78]))
         0.740 [0.701, 0.779]
     """
@@ -132,7 +132,7 @@ def estimate_iqm(values: Sequence[float]) -> Estimate:
     Raises:
         ValueError: no values, or a value that is not finite.
 
-    Example:
+    Examples:
         >>> print(estimate_iqm([0.7, 0.72, 0.74, 0.76, 0.78]))
         0.740 [0.707, 0.773]
     """
@@ -169,7 +169,7 @@ def t_test(differences: Sequence[float]) -> float:
     Of one difference it is 1. Where all are equal, so that there is no spread to judge by, it is 1
     for differences of 0 and 0 for others.
 
-    Example:
+    Examples:
         >>> round(t_test([0.1, 0.2, 0.3]), 4)
         0.0742
     """

@@ -41,7 +41,7 @@ class Boltzmann(TensorDictModuleBase):
         ValueError: if not temperature_init ≥ temperature_end > 0, without any step, or, when
             called, for a batch that the temperatures do not broadcast with.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> explore = Boltzmann(2.0, 0.5, 3, action_mask_key=None)

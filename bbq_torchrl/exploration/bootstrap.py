@@ -66,7 +66,7 @@ class MajorityVote(_OnHeads):
     Raises:
         ValueError: for another actor.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
@@ -115,7 +115,7 @@ class BootstrapSampling(_OnHeads):
         ValueError: for another ``per`` or another actor, or, when called, for per="episode"
             without ``init_key``.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

@@ -40,7 +40,7 @@ class BatchedEGreedy(EGreedyModule):
         ValueError: if not 1 ≥ eps_init ≥ eps_end ≥ 0, without any step, or, when called, for a
             batch that the epsilons do not broadcast with.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

@@ -47,7 +47,7 @@ class EvaluationPolicy(ActorPolicy):
         ValueError: for another mode, fewer than one draw, or draws from a network that has no
             Bayesian layers.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

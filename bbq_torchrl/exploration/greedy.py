@@ -21,7 +21,7 @@ class Greedy(ActorPolicy):
     Args:
         actor: what chooses actions from values.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictSequential

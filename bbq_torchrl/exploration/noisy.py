@@ -31,7 +31,7 @@ class NoisySampling(ActorPolicy):
     Raises:
         ValueError: for an actor without noisy layers.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

@@ -49,7 +49,7 @@ class ThompsonSampling(ActorPolicy):
         ValueError: for another ``per``, an actor without Bayesian layers, or, when called, for
             per="episode" without ``init_key``.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

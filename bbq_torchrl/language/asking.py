@@ -30,7 +30,7 @@ class Asking:
         slot: what it asked about; empty where it asked for other words.
         choices: between which values of it; none where it knew none.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.language import Unclear, Understood
         >>> unclear = Unclear("moviename", "godzilla", ("godzilla minus one", "godzilla x kong"))
         >>> two = Understood(Frame("inform", {"numberofpeople": "2"}), 0.9, (unclear,))

@@ -53,7 +53,7 @@ class Generator:
         domain: what is spoken of, with its ``language.yaml`` in its folder; of none, by the
             generic phrases.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain
         >>> speak = Generator(movie_domain())
         >>> speak.agent(Frame("inform", {"city": "reno"}), session=1, turn=2)

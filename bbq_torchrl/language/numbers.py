@@ -69,7 +69,7 @@ def number_of(word: str) -> int | None:
 def read_count(text: str) -> str | None:
     """Returns the key of a number of people, else ``None``.
 
-    Example:
+    Examples:
         >>> [read_count(t) for t in ("two", "me and my wife", "3 of my friends and me", "-3")]
         ['2', '2', '4', None]
     """

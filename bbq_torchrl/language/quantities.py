@@ -101,7 +101,7 @@ def read_time(text: str) -> str | None:
     An hour without am or pm is marked by ``?`` and means the afternoon or evening where both
     exist.
 
-    Example:
+    Examples:
         >>> [read_time(t) for t in ("7:30 pm", "half past seven", "1930", "after 6pm", "25:99")]
         ['at 19:30', 'at 19:30?', 'at 19:30', 'after 18:00', None]
     """
@@ -188,7 +188,7 @@ def _clock(words: list[str]) -> tuple[int, int, bool] | None:
 def read_date(text: str) -> str | None:
     """Returns the key of a day, else ``None``.
 
-    Example:
+    Examples:
         >>> [read_date(t) for t in ("this Friday night", "15 of march", "3/15", "the 9th")]
         ['friday night', '3/15', '3/15', 'day 9']
         >>> read_date("february 30"), read_date("barbie")
@@ -261,7 +261,7 @@ def _day_number(words: list[str]) -> int | None:
 def read_price(text: str) -> str | None:
     """Returns the key of a price, else ``None``.
 
-    Example:
+    Examples:
         >>> read_price("$10"), read_price("not more than 20 dollars")
         ('$10', 'under $20')
     """
@@ -288,7 +288,7 @@ READERS: dict[Kind, Callable[[str], str | None]] = {
 def kind_of(values: Iterable[str]) -> Kind:
     """Returns the kind of quantity that most values of a slot are, else ``"text"``.
 
-    Example:
+    Examples:
         >>> kind_of(["7pm", "8:15 pm", "after work"]), kind_of(["98101", "10036"])
         ('time', 'text')
     """

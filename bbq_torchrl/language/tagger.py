@@ -78,7 +78,7 @@ class Tagger:
 def spans_of(tags: Sequence[str]) -> list[Span]:
     """Returns the spans that tags mark.
 
-    Example:
+    Examples:
         >>> spans_of([OUTSIDE, "city", "city", "date"])
         [Span(slot='city', start=1, end=3), Span(slot='date', start=3, end=4)]
     """

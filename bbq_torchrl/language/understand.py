@@ -61,7 +61,7 @@ class Understander:
         calibration: weights ``[CUES]`` from cues to the log-odds that a frame is right.
         threshold: the confidence below which the caller should ask again.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain
         >>> understand = Understander.train(movie_domain())  # doctest: +SKIP
         >>> str(understand("two tickets for wonka please").frame)  # doctest: +SKIP

@@ -62,7 +62,7 @@ def clean(text: str) -> str:
     Raises:
         TextError: if the text is longer than :data:`MAX_CHARACTERS`, or nothing is left of it.
 
-    Example:
+    Examples:
         >>> clean("  two\x00 tickets\n please ")
         'two tickets please'
     """
@@ -85,7 +85,7 @@ def clean(text: str) -> str:
 def normalize(text: str) -> str:
     """Returns ``text`` without case and accents.
 
-    Example:
+    Examples:
         >>> normalize("Timothée Chalamet")
         'timothee chalamet'
     """
@@ -98,7 +98,7 @@ def normalize(text: str) -> str:
 def tokenize(text: str) -> list[str]:
     """Returns the words, numbers and marks of a text, without case, accents and short forms.
 
-    Example:
+    Examples:
         >>> tokenize("Barbie at 7:30pm, the 14th!")
         ['barbie', 'at', '7:30', 'pm', ',', 'the', '14', 'th', '!']
         >>> tokenize("2 tix 4 fri nite")
@@ -122,7 +122,7 @@ def words_of(text: str) -> list[str]:
 def compact(text: str) -> str:
     """Returns the letters and digits of a text: what two spellings of a name share.
 
-    Example:
+    Examples:
         >>> compact("PG-13") == compact("pg13")
         True
     """

@@ -73,7 +73,7 @@ class BootstrapMLP(nn.Module):
     Raises:
         ValueError: for an argument outside of what is listed.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.networks import BootstrapMLP
         >>> net = BootstrapMLP(268, 39, heads=10, replicas=5, prior_scale=1.0)

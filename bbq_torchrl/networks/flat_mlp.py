@@ -35,7 +35,7 @@ class FlatMLP(nn.Module):
     Raises:
         ValueError: if dropout is not in [0, 1).
 
-    Example:
+    Examples:
         >>> import torch
         >>> net = FlatMLP(3, 2, (16,), replicas=5, dropout=0.5)
         >>> x = torch.ones(5, 7, 3)

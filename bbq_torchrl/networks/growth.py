@@ -73,7 +73,7 @@ def reset_inactive_(
         TypeError: if the network lacks what :class:`Growing` names.
         ValueError: if a mask has another shape.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesMLP, kl_divergence
         >>> from bbq_torchrl.networks.growth import reset_inactive_

@@ -43,7 +43,7 @@ class ReplicaNoisyLinear(NoisyLinear):
     Raises:
         ValueError: if a size or std_init is not positive.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from torch import nn
         >>> from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -151,7 +151,7 @@ class NoisyMLP(nn.Module):
     Raises:
         ValueError: if a size or std_init is not positive.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.networks import NoisyMLP
         >>> net, x = NoisyMLP(3, 2, (16,), replicas=5), torch.ones(5, 7, 3)

@@ -40,7 +40,7 @@ def q_actor(
         action_key: where the action goes.
         action_value_key: where the values go; forbidden actions have the least float there.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
@@ -88,7 +88,7 @@ def split_actor(
     Returns:
         the network and the choice; the whole actor and None where no module of it chooses.
 
-    Example:
+    Examples:
         >>> from tensordict.nn import TensorDictModule, TensorDictSequential
         >>> from torch import nn
         >>> from torchrl.modules import QValueModule

@@ -42,7 +42,7 @@ class VoteModule(TensorDictModuleBase):
     Raises:
         ValueError: for another spec.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
@@ -162,7 +162,7 @@ def bootstrap_actor(
     Raises:
         ValueError: for a spec that is neither Categorical nor OneHot.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

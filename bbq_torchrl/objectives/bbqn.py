@@ -100,7 +100,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         ValueError: for an argument outside of what is listed, or a network without Bayesian
             layers.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

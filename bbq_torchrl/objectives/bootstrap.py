@@ -49,7 +49,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         ValueError: for an argument outside of what is listed; when called, for values or a mask
             whose shape does not fit.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

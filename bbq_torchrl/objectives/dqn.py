@@ -33,7 +33,7 @@ class DropoutDQNLoss(OneStepQLoss):
         double_dqn: whether the online network chooses the target's action. Defaults to False.
         loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
@@ -81,7 +81,7 @@ class NoisyDQNLoss(OneStepQLoss):
     Raises:
         ValueError: for an argument outside of what is listed, or a network without noisy layers.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

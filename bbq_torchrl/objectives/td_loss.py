@@ -106,7 +106,7 @@ def td_loss(
         values; and without gradients Σ weight · |Q(s, a) - target| and Σ weight · Q(s, a), each
         [*replicas], and (Q(s, a) - target)² [*replicas, B, 1], 0 in rows of weight 0.
 
-    Example:
+    Examples:
         >>> import torch
         >>> values = torch.tensor([[1.0, 2.0], [3.0, 4.0]])
         >>> td_loss(values, torch.tensor([[1], [0]]), torch.zeros(2, 1))

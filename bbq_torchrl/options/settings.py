@@ -173,7 +173,7 @@ def per_replica(allowed: Allowed) -> Allowed:
 
     How long the list may be is checked where the number of replicas is known.
 
-    Example:
+    Examples:
         >>> per_replica(POSITIVE).test([0.1, 0.2]), per_replica(POSITIVE).test([0.1, -1])
         (True, False)
     """
@@ -231,7 +231,7 @@ def check_settings(config: Any, prefix: str = "") -> None:
     Raises:
         ConfigError: naming the first key whose value is not allowed.
 
-    Example:
+    Examples:
         >>> from dataclasses import dataclass
         >>> @dataclass
         ... class Optimizer:

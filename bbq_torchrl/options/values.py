@@ -34,7 +34,7 @@ def spread(value: Any, replicas: int) -> list[Any]:
         value: one value, or a list whose length divides ``replicas``.
         replicas: how many there are.
 
-    Example:
+    Examples:
         >>> spread([0.1, 0.2], 6)
         [0.1, 0.1, 0.1, 0.2, 0.2, 0.2]
         >>> spread(0.1, 2)

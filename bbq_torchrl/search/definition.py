@@ -151,7 +151,7 @@ def compose_search(arguments: Sequence[str]) -> Search:
     Raises:
         ConfigError: one sentence that names the key that is wrong and what it may be.
 
-    Example:
+    Examples:
         >>> search = compose_search(["search=bbqn", "search.trials=9", "agent.prior_std=.1"])
         >>> list(search.space), search.settings.trials
         (['agent.mean_init', 'agent.std_init', 'agent.kl_temperature'], 9)

@@ -90,7 +90,7 @@ def parse_parameter(key: str, plain: Any) -> Parameter:
     Raises:
         ConfigError: an entry that is no such mapping; names the key.
 
-    Example:
+    Examples:
         >>> entry = {"type": "float", "low": 1e-4, "high": 0.01, "log": True}
         >>> parse_parameter("search.space.agent.lr", entry).probes
         [0.0001, 0.01]

@@ -35,7 +35,7 @@ def run_folder(place: Path | str, base: Path | None = None) -> Path:
     Raises:
         ConfigError: there is no shipped agent of that name.
 
-    Example:
+    Examples:
         >>> run_folder("shipped:bbqn_map").name
         'bbqn_map'
     """

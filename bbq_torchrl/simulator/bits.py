@@ -29,7 +29,7 @@ def pack(members: torch.Tensor) -> torch.Tensor:
         members: bool ``[*batch, rows]``. Row ``r`` becomes bit ``r % 8`` of byte ``r // 8`` of the
             words' memory.
 
-    Example:
+    Examples:
         >>> pack(torch.tensor([True, False, True]))
         tensor([5])
     """
@@ -56,7 +56,7 @@ def popcount(words: torch.Tensor) -> torch.Tensor:
     Args:
         words: int64 ``[*batch, W]``.
 
-    Example:
+    Examples:
         >>> popcount(torch.tensor([[5, -1]]))
         tensor([66])
     """
@@ -69,7 +69,7 @@ def byte_counts(words: torch.Tensor) -> torch.Tensor:
     Args:
         words: int64 ``[*batch, W]``.
 
-    Example:
+    Examples:
         >>> byte_counts(torch.tensor([0x0301]))
         tensor([1, 2, 0, 0, 0, 0, 0, 0], dtype=torch.uint8)
     """

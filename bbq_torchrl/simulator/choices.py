@@ -18,7 +18,7 @@ def index_below(uniform: torch.Tensor, count: torch.Tensor | int) -> torch.Tenso
         uniform: float32 in [0, 1).
         count: how many there are to choose from, at least 0; 0 gives 0.
 
-    Example:
+    Examples:
         >>> index_below(torch.tensor([0.0, 0.49, 0.99]), 2)
         tensor([0, 0, 1])
     """
@@ -35,7 +35,7 @@ def pick_slot(pool: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
         pool: bool ``[*B, S]``, the slots to choose from.
         uniform: float32 ``[*B, S]`` in [0, 1).
 
-    Example:
+    Examples:
         >>> pick_slot(torch.tensor([True, False, True]), torch.tensor([0.2, 0.9, 0.3]))
         tensor([False, False,  True])
     """
@@ -45,7 +45,7 @@ def pick_slot(pool: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
 def one_of(index: torch.Tensor, count: int) -> torch.Tensor:
     """Marks an index in a row of flags. Returns bool ``[*B, count]``, no flag where it is below 0.
 
-    Example:
+    Examples:
         >>> one_of(torch.tensor([1, -1]), 3)
         tensor([[False,  True, False],
                 [False, False, False]])
@@ -62,7 +62,7 @@ def rows(table: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
         table: ``[n, *row]``.
         index: long ``[*B]``, in [0, n).
 
-    Example:
+    Examples:
         >>> rows(torch.tensor([[1, 2], [3, 4]]), torch.tensor([1, 0, 1]))
         tensor([[3, 4],
                 [1, 2],

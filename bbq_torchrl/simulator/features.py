@@ -51,7 +51,7 @@ class FeatureLayout:
         size: how many features there are.
         names: the features by name, ``"group:member"``.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain, tensorize
         >>> layout = FeatureLayout(tensorize(movie_domain()))
         >>> layout.size

@@ -25,7 +25,7 @@ class Transcript:
     Args:
         domain: the domain's tensors.
 
-    Example:
+    Examples:
         >>> from bbq_torchrl.domains import movie_domain, tensorize
         >>> import torch
         >>> from bbq_torchrl.simulator import Simulator

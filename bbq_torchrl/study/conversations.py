@@ -170,7 +170,7 @@ def clean(text: str) -> str:
     Raises:
         RefusedError: it is blank or too long.
 
-    Example:
+    Examples:
         >>> clean(" two\x00 tickets,\n please ")
         'two tickets, please'
     """

@@ -17,7 +17,7 @@ def williams_rows(count: int) -> list[list[int]]:
     Williams (1949): each treatment stands once in each place, and follows each other one equally
     often. ``count`` rows, twice as many for an odd count.
 
-    Example:
+    Examples:
         >>> williams_rows(4)
         [[0, 1, 3, 2], [1, 2, 0, 3], [2, 3, 1, 0], [3, 0, 2, 1]]
         >>> len(williams_rows(3))

@@ -71,7 +71,7 @@ def without_names(text: str) -> str:
 
     What people write otherwise of themselves stays: read texts before you publish them.
 
-    Example:
+    Examples:
         >>> without_names("My name is Ann Lee, ann@example.org or 555-123-4567")
         'My name is [name], [address] or [number]'
     """
@@ -83,7 +83,7 @@ def without_names(text: str) -> str:
 def defused(cell: Any) -> Any:
     """Returns a cell that no spreadsheet takes for a formula.
 
-    Example:
+    Examples:
         >>> defused("=cmd()"), defused(-3)
         ("'=cmd()", -3)
     """

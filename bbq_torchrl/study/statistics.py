@@ -67,7 +67,7 @@ def proportion(by_person: Collection[Sequence[bool]]) -> Interval:
     Args:
         by_person: each person's successes and failures.
 
-    Example:
+    Examples:
         >>> print(proportion([[True]] * 40 + [[False]] * 26))
         0.61 [0.49, 0.71]
     """
@@ -120,7 +120,7 @@ def sign_flip(differences: Sequence[Fraction]) -> float:
     Args:
         differences: one for each person.
 
-    Example:
+    Examples:
         >>> from fractions import Fraction
         >>> sign_flip([Fraction(1)] * 6)
         0.03125

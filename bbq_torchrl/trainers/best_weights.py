@@ -29,7 +29,7 @@ class BestWeights:
         round: of each replica's best, int64 [replicas]; -1 before the first.
         success_rate: what it was, float64 [replicas].
 
-    Example:
+    Examples:
         >>> import torch
         >>> policy = torch.nn.Module()
         >>> policy.weight = torch.nn.Parameter(torch.tensor([[1.0], [1.0]]))

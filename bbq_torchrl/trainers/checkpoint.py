@@ -58,7 +58,7 @@ class CheckpointFolder:
         **components: what is saved and restored, by name: objects with ``state_dict`` and
             ``load_state_dict``, of tensors and JSON values in dicts, lists and tuples.
 
-    Example:
+    Examples:
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
         >>> from torch import nn

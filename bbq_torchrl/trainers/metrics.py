@@ -42,7 +42,7 @@ class MetricsFile:
     Attributes:
         rows: those of all rounds, one for each round and replica.
 
-    Example:
+    Examples:
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
         >>> with TemporaryDirectory() as folder:

@@ -59,7 +59,7 @@ class ReplicaAdam:
         betas (pair of float): as in :class:`torch.optim.Adam`.
         eps (float): as in :class:`torch.optim.Adam`.
 
-    Example:
+    Examples:
         >>> weight = nn.Parameter(torch.zeros(2, 3))
         >>> optimizer = ReplicaAdam([weight], replicas=2, lr=0.5)
         >>> weight.sum().backward()

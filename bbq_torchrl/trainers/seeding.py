@@ -18,7 +18,7 @@ def derive_seed(seed: int, *path: str | int) -> int:
         seed (int): the seed of the run.
         *path (str or int): what the seed is for, for example ``("collect", round)``.
 
-    Example:
+    Examples:
         >>> derive_seed(0, "collect", 1) == derive_seed(0, "collect", 1)
         True
         >>> len({derive_seed(0, "collect", r) for r in range(1000)})

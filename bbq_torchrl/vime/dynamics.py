@@ -60,7 +60,7 @@ class DynamicsModel(nn.Module):
     Raises:
         ValueError: for an argument outside of what is listed.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.vime import DynamicsModel
         >>> dynamics = DynamicsModel(268, 39, replicas=5)

@@ -53,7 +53,7 @@ class DynamicsLoss(NumData, LossModule):
     Raises:
         ValueError: for an argument outside of what is listed.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from bbq_torchrl.vime import DynamicsModel

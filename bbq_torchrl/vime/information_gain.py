@@ -58,7 +58,7 @@ def information_gain(
     Raises:
         ValueError: if a shape does not fit.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from bbq_torchrl.vime import DynamicsModel, information_gain
         >>> dynamics = DynamicsModel(3, 2, replicas=5)

@@ -86,7 +86,7 @@ class VIMEReward(Transform):
     Raises:
         ValueError: for an argument outside of what is listed, or as part of an environment.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer

@@ -33,7 +33,7 @@ class RunningMedian(nn.Module):
     Raises:
         ValueError: if ``window`` is not positive.
 
-    Example:
+    Examples:
         >>> import torch
         >>> median = RunningMedian((), 2)
         >>> for values in ([1.0, 2.0, 9.0], [4.0], [5.0, 7.0]):

@@ -44,7 +44,7 @@ class VIMELoss(LossModule):
     Raises:
         ValueError: if ``dynamics_every`` is not positive, or the losses have parameters in common.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical

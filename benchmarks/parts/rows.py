@@ -65,7 +65,7 @@ def as_table(rows: Sequence[Row]) -> str:
 def number(value: float) -> str:
     """Returns a figure with three digits, or all before the point.
 
-    Example:
+    Examples:
         >>> number(1234.5), number(0.98765)
         ('1,234', '0.988')
     """

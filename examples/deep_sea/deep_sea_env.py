@@ -54,7 +54,7 @@ class DeepSeaEnv(EnvBase):
     Raises:
         ValueError: if the size is not positive, or the seeds do not fit the batch.
 
-    Example:
+    Examples:
         >>> env = DeepSeaEnv(10, batch_size=(5, 1), mapping_seed=range(5))
         >>> env.rollout(10)["next", "reward"].shape
         torch.Size([5, 1, 10, 1])

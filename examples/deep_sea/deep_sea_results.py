@@ -86,7 +86,7 @@ def typical(lines: Sequence[Line]) -> float | None:
 
     None if half of the seeds or more have not solved it.
 
-    Example:
+    Examples:
         >>> lines = [Line("a", 4, s, n, 90, 9) for s, n in enumerate((30, None, 10))]
         >>> typical(lines), typical(lines[:2])
         (30, None)
@@ -100,7 +100,7 @@ def table(lines: Sequence[Line], agents: Sequence[str]) -> str:
 
     A cell of which no seed, or no more than half of them, solved the sea tells the limit.
 
-    Example:
+    Examples:
         >>> lines = [Line("a", 4, s, n, 90, 9) for s, n in enumerate((30, None, 10))]
         >>> print(table([*lines, Line("b", 6, 0, None, 500, 0)], ["a", "b"]))
         | agent | N = 4 | N = 6 |

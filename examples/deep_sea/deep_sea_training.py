@@ -31,7 +31,7 @@ class DiveMemory:
     Args:
         capacity: transitions that each replica keeps.
 
-    Example:
+    Examples:
         >>> memory = DiveMemory(6)
         >>> memory.extend(TensorDict({"observation": torch.eye(4).expand(2, 4, 4)}, [2, 4]))
         >>> memory.extend(TensorDict({"observation": torch.eye(4).expand(2, 4, 4)}, [2, 4]))

@@ -41,7 +41,7 @@ def code(text: object) -> str:
 def pivot(corner: str, cells: Mapping[tuple[str, str], object]) -> str:
     """Returns a table of cells by row and column, both in the order in which they come first.
 
-    Example:
+    Examples:
         >>> print(pivot("agent", {("dqn", "seed 0"): 0.5, ("bbqn", "seed 1"): 0.7}))
         | agent | seed 0 | seed 1 |
         | --- | ---: | ---: |

@@ -72,7 +72,7 @@ class ProtocolOption(Option):
     def lr_share(self, round_number: int) -> float:
         """Returns the share of every step size that a round, counted from 0, learns with.
 
-        Example:
+        Examples:
             >>> protocol = ProtocolOption(rounds=8, lr_final=0.2, lr_decay_from=0.5)
             >>> [round(protocol.lr_share(number), 2) for number in range(8)]
             [1.0, 1.0, 1.0, 1.0, 0.8, 0.6, 0.4, 0.2]

@@ -33,7 +33,7 @@ class ChainEnv(EnvBase):
         far_reward: of the last one.
         device: where the walks are.
 
-    Example:
+    Examples:
         >>> env = ChainEnv(5, batch_size=(2, 3))
         >>> right = lambda td: td.set("action", torch.ones(2, 3, dtype=torch.int64))
         >>> rollout = env.rollout(14, right)

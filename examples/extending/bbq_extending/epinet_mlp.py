@@ -38,7 +38,7 @@ class EpinetMLP(nn.Module):
         replicas: R independent networks side by side, or a shape of them.
         device: of the weights.
 
-    Example:
+    Examples:
         >>> network = EpinetMLP(3, 2, (16,), index_size=4, replicas=5)
         >>> x, index = torch.ones(5, 7, 3), torch.randn(5, 7, 4)
         >>> network(x, index).shape

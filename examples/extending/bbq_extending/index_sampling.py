@@ -34,7 +34,7 @@ class IndexSampling(TensorDictModuleBase):
     Keyword Args:
         explores: False: acts with the index 0 whatever the exploration type.
 
-    Example:
+    Examples:
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from bbq_extending.epinet_mlp import EpinetMLP

@@ -38,7 +38,7 @@ class LangevinAdam:
         betas: α₁ and α₂.
         eps: λ.
 
-    Example:
+    Examples:
         >>> weight = nn.Parameter(torch.zeros(2, 3))
         >>> optimizer = LangevinAdam([weight], replicas=2, lr=0.1)
         >>> weight.sum().backward()

@@ -30,7 +30,7 @@ class UpperConfidence(TensorDictModuleBase):
         coefficient: a number, or a tensor that broadcasts with the batch, such as [replicas, 1].
         draws: over which mean and std are taken, at least 2.
 
-    Example:
+    Examples:
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> from bbq_torchrl.bayes import BayesMLP

@@ -29,7 +29,7 @@ class VisitReward(Transform):
         eta: a number, or a tensor [replicas].
         bits: of the hash.
 
-    Example:
+    Examples:
         >>> from tensordict import TensorDict
         >>> states = torch.eye(2)[torch.tensor([[0, 0, 1, 0]])]
         >>> rows = TensorDict({"next": {"observation": states}}, [1, 4])
