@@ -108,13 +108,12 @@ def draw_comparison(
     The band is the t interval of the mean over seeds (five or more), round by round.
 
     Args:
-        groups: at most seven, one for each setting.
+        groups: one for each setting.
         title: the heading.
         references: success rates of privileged policies, by name.
     """
-    _check_count(groups)
     figure, axes = _axes()
-    for group, color in zip(groups, COLORS, strict=False):
+    for group, color in zip(groups, _colors(len(groups)), strict=True):
         _draw_training(axes, group, color, band=True)
     _draw_references(axes, references or {})
     axes.set(xlabel="round", ylabel="success rate", xlim=(0, None), ylim=(0, 1), title=title)
@@ -133,7 +132,7 @@ def draw_families(
     below, as far as there are groups that have them.
 
     Args:
-        families: heading of a column -> at most seven groups. A group may be in several.
+        families: heading of a column -> its groups. A group may be in several.
         title: the heading.
         references: success rates of privileged policies, by name.
     """
@@ -146,9 +145,8 @@ def draw_families(
     figure, axes = _axes(rows=len(names), columns=len(families), shared=True)
     grid = np.reshape(axes, (len(names), len(families)))
     for (heading, family), column in zip(families.items(), grid.T, strict=True):
-        _check_count(family)
         drawn = dict(zip(names, column, strict=True))
-        for group, color in zip(family, COLORS, strict=False):
+        for group, color in zip(family, _colors(len(family)), strict=True):
             _draw_training(drawn["success"], group, color, band=True)
             if "evaluation" in drawn and group.evaluation is not None:
                 _draw_evaluated(drawn["evaluation"], group.evaluation, color, "-", band=True)
@@ -206,11 +204,6 @@ def draw_panels(
         panel.remove()
     figure.suptitle(title)
     return _finished(figure, axes[: len(panels)])
-
-
-def _check_count(groups: Sequence[Group]) -> None:
-    if not 1 <= len(groups) <= len(COLORS):
-        raise ValueError(f"between 1 and {len(COLORS)} groups can be drawn, got {len(groups)}")
 
 
 def _colors(count: int) -> Sequence[Any]:
