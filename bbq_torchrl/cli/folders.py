@@ -51,7 +51,9 @@ def run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> l
         # Hydra's own record stays as the first process wrote it.
         return [f"hydra.run.dir={quoted(resumed)}", "hydra.output_subdir=null"]
     chosen = named_folder(composed, "run")
-    if any(item.startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra):
+    if any(
+        item.lstrip("+").startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra
+    ):
         held.enter_context(run_lock(chosen))
         if (chosen / CONFIG).exists():
             raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")

@@ -11,7 +11,7 @@ from bbq_torchrl.run_folder import METRICS
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
 __all__ = ["Metrics", "read_metrics"]
@@ -22,12 +22,6 @@ _NEEDED = ("round", "replica", "dialogues", "success_rate")
 def _number(text: str, column: str) -> float:
     """Returns a value of metrics.csv: NaN for an empty one, which no needed column may have."""
     return math.nan if text == "" and column not in _NEEDED else float(text)
-
-
-def _last(replicas: Iterable[float]) -> int:
-    """Returns the greatest of the numbers; 0 where one is none, and so no row is in order."""
-    known = list(replicas)
-    return int(max(known, default=0)) if np.isfinite(known).all() else 0
 
 
 class Metrics:
@@ -93,7 +87,8 @@ def read_metrics(folder: Path) -> Metrics:
             rows.append([_number(text, column) for text, column in values])
         except ValueError as error:
             raise ValueError(f"{file}, line {number}, is damaged: {shown(line)}") from error
-    replicas = 1 + _last(row[names.index("replica")] for row in rows)
+    # At least one: where no row is of round 0, none is in order.
+    replicas = max(1, sum(row[names.index("round")] == 0 for row in rows))
     rounds = len(rows) // replicas
     if rounds == 0:
         raise ValueError(f"{file} has no complete round")

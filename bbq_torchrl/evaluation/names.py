@@ -30,6 +30,7 @@ def agent_name(config: Mapping[str, Any]) -> str:
     agent, intrinsic = config["agent"], config.get("intrinsic") or {}
     explore = (config.get("explore") or {}).get("name")
     target = str(agent["target"]).upper() if agent.get("target") else None
+    gain = str(intrinsic["weights"]).upper() if intrinsic.get("name") == "vime" else None
     name = "DQN-Bootstrap" if agent["name"] == "bootstrap" else str(agent["name"]).upper()
     if agent.get("noisy"):
         name = f"Noisy {name}"
@@ -38,9 +39,6 @@ def agent_name(config: Mapping[str, Any]) -> str:
     parts = [name]
     if explore == "boltzmann":
         parts.append("Boltzmann")
-    gain = None
-    if intrinsic.get("name") == "vime":
-        gain = str(intrinsic["weights"]).upper()
     if target is not None and target != gain:
         parts.append(target)
     if gain is not None:

@@ -116,20 +116,16 @@ def _different_dialogues(one: Group, other: Group) -> list[str]:
     return [f"{key} differs ({', '.join(map(str, different[key]))})" for key in telling(different)]
 
 
-def _compared(one: Group, other: Group) -> dict[str, tuple[Sequence[float], Sequence[float]]]:
+def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[float]]]:
     """Returns each quantity of both groups, a value for each seed."""
-    quantities: dict[str, tuple[Sequence[float], Sequence[float]]] = {
-        "final": (one.final, other.final),
-        "cumulative": (one.cumulative, other.cumulative),
-    }
+    quantities = {"final": (one.final, other.final)}
+    quantities["cumulative"] = (one.cumulative, other.cumulative)
     first, second = one.evaluation, other.evaluation
     if first is not None and second is not None and len(first) == len(second):
         in_both = np.isfinite(first[:, :1]) & np.isfinite(second[:, :1])
         if in_both.any():
-            quantities["area"] = (
-                areas(np.where(in_both, first, np.nan)),
-                areas(np.where(in_both, second, np.nan)),
-            )
+            own, theirs = (areas(np.where(in_both, of, np.nan)) for of in (first, second))
+            quantities["area"] = (own, theirs)
     return quantities
 
 

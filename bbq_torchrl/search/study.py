@@ -76,7 +76,9 @@ def run_search(
         with FileLock(folder / ".search.lock"):
             _check_definition(search, folder / _DEFINITION)
             study = _study(search, folder)
-            _write_definition(search, folder / _DEFINITION)
+            if not (folder / _DEFINITION).exists():
+                text = yaml.safe_dump(search.definition(), sort_keys=False)
+                write_text(folder / _DEFINITION, text)
         if (most := _most_trials(search)) < search.settings.trials:
             _LOG.info("search.trials=%d: the space has %d settings", search.settings.trials, most)
     except OSError as error:
@@ -124,11 +126,6 @@ def _refuse_another(search: Search, begun: Mapping[str, Any], place: str, choice
                 f"{place} holds a search with {key}={begun.get(key)}, got "
                 f"{definition.get(key)}: choose another {choice}"
             )
-
-
-def _write_definition(search: Search, file: Path) -> None:
-    if not file.exists():
-        write_text(file, yaml.safe_dump(search.definition(), sort_keys=False))
 
 
 def _study(search: Search, folder: Path) -> optuna.Study:

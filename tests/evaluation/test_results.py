@@ -141,6 +141,7 @@ HEAD = "round,replica,dialogues,success_rate\n"
         (HEAD + "0,0,50,.5,7\n", r"metrics\.csv, line 2, is damaged"),
         (HEAD + "0,0,50,.5\n0,1,50,.5\n1,1,50,.5\n1,0,50,.5\n", "in order"),
         (HEAD + "0,0,50,.5\n2,0,50,.5\n", "in order"),
+        (HEAD + "0,-1,50,.5\n1,-1,50,.5\n", "in order"),
         ("round,replica,success_rate\n0,0,.5\n", "must have the column dialogues, got round, "),
         (HEAD, "has no complete round"),
         ("", "must have the column round"),
