@@ -21,7 +21,10 @@ _NEEDED = ("round", "replica", "dialogues", "success_rate")
 
 def _number(text: str, column: str) -> float:
     """Returns a value of metrics.csv: NaN for an empty one, which no needed column may have."""
-    return math.nan if text == "" and column not in _NEEDED else float(text)
+    value = float(text or "nan")
+    if column in _NEEDED and not math.isfinite(value):
+        raise ValueError(f"{column} must be a number")
+    return value
 
 
 class Metrics:

@@ -222,6 +222,8 @@ def read_result(folder: Path) -> RunResult:
         if not isinstance(plain, dict) or not isinstance(plain.get("per_replica"), list):
             raise ValueError("it must be a mapping with the list per_replica")
         of_replicas = tuple(_made(ReplicaResult, item) for item in plain["per_replica"])
+        if len(of_replicas) != plain.get("replicas"):
+            raise ValueError("per_replica must have an entry for each of the replicas")
         skipped = tuple(plain.get("skipped", ()))
         return _made(RunResult, plain | {"per_replica": of_replicas, "skipped": skipped})
     except RecursionError:

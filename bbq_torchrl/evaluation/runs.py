@@ -178,7 +178,8 @@ def read_run(folder: Path) -> Run:
         reason = "it is nested too deeply" if deep else sentence(error)
         raise ValueError(f"{folder / CONFIG} cannot be read: {reason}") from error
     groups = [config.get(name) for name in _NAMED] if isinstance(config, dict) else [None]
-    if not all(isinstance(group, dict) and "name" in group for group in groups):
+    named = all(isinstance(group, dict) and "name" in group for group in groups)
+    if not named or not isinstance(config.get("replicas", 1), int):
         raise ValueError(f"{folder / CONFIG} is not the configuration of a run")
     return Run(folder, config, result, metrics)
 

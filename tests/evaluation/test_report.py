@@ -102,7 +102,10 @@ def test_metrics_and_result_must_be_of_one_run(tmp_path):
         read_groups([run])
 
 
-@pytest.mark.parametrize("text", [None, "- 1\n", "seed: 1\n"])
+MANY = "agent: {name: dqn}\nexplore: {name: greedy}\nreplicas: many\n"
+
+
+@pytest.mark.parametrize("text", [None, "- 1\n", "seed: 1\n", MANY])
 def test_a_configuration_that_is_none_is_refused(tmp_path, text):
     file = make_run(tmp_path / "run", [0.5]) / "config.yaml"
     if text is None:

@@ -83,10 +83,11 @@ def test_a_folder_without_the_file_is_no_run_folder(tmp_path, read):
         lambda text: text.replace('"env": "full"', '"env": null'),
         lambda text: text.replace('"references": {}', '"references": null'),
         lambda text: text.replace('"values": {}', '"values": {"agent.lr": [1]}'),
+        lambda text: text.replace('"replicas": 1', '"replicas": 2'),
     ],
     ids=[
         *("truncated", "a list", "without replicas", "without rates", "no number"),
-        *("no text", "no mapping", "no mapping to numbers"),
+        *("no text", "no mapping", "no mapping to numbers", "a replica less"),
     ],
 )
 def test_a_damaged_result_is_refused_by_name(tmp_path, damage):
@@ -138,6 +139,7 @@ HEAD = "round,replica,dialogues,success_rate\n"
         (HEAD + "0,0,50,half\n", r"metrics\.csv, line 2, is damaged"),
         (HEAD + "0,0,50,.5\n1,0,50\n2,0,50,.5\n", r"metrics\.csv, line 3, is damaged"),
         (HEAD + "0,0,50,\n", r"metrics\.csv, line 2, is damaged"),
+        (HEAD + "0,0,nan,.5\n", r"metrics\.csv, line 2, is damaged"),
         (HEAD + "0,0,50,.5,7\n", r"metrics\.csv, line 2, is damaged"),
         (HEAD + "0,0,50,.5\n0,1,50,.5\n1,1,50,.5\n1,0,50,.5\n", "in order"),
         (HEAD + "0,0,50,.5\n2,0,50,.5\n", "in order"),
