@@ -84,7 +84,7 @@ def _check_spike(config: Config, domain: Domain | None) -> None:
     if count >= capacity:
         raise ConfigError(
             f"protocol.capacity must be more than the transitions of spike.dialogues="
-            f"{spike.dialogues}, which are {count}, got {capacity}"
+            f"{spike.dialogues}, which are at least {count}, got {capacity}"
         )
 
 
