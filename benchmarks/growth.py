@@ -136,7 +136,8 @@ def measure(what: str, size: int) -> tuple[float, float]:
 
 def _cell(what: str, size: int) -> tuple[float, int]:
     before = _peak()
-    with one_thread(), tempfile.TemporaryDirectory() as folder:
+    one_thread()
+    with tempfile.TemporaryDirectory() as folder:
         took = GROWTH[what][0](size, Path(folder) / "run")
     return took, max(_peak() - before, 1)
 

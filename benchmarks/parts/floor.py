@@ -16,7 +16,8 @@ import torch
 
 from bbq_torchrl.bayes.noise import fill_normal_
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.envs import DialogueEnv
+from bbq_torchrl.envs import DialogueEnv, scripted_policy
+from bbq_torchrl.trainers import rollout
 from benchmarks.parts.rows import Row
 from benchmarks.parts.timing import seconds
 from benchmarks.parts.yardstick import ACTIONS, BATCH, FEATURES, HIDDEN, bare_block
@@ -103,9 +104,7 @@ def valid_share(env: DialogueEnv) -> float:
     """Returns the share of a random policy's turns in lockstep that are before a dialogue's end."""
     env.set_seed(0)
     torch.manual_seed(0)
-    rollout = env.rollout(env.max_agent_turns, break_when_any_done=False, break_when_all_done=True)
-    done = rollout["next", "done"].squeeze(-1)
-    return ((done.cumsum(-1) - done.long()) == 0).float().mean().item()
+    return rollout(env, scripted_policy("random", env))["valid"].float().mean().item()
 
 
 def rates() -> Work:

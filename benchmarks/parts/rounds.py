@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -31,14 +30,12 @@ def watched_round(trainer: RoundTrainer) -> tuple[float, float]:
     is storing and checking transitions, shuffling, batching, sums of what the losses report,
     metrics, log files.
     """
-    with ExitStack() as stack:
-
-        def watch(owner: object, name: str) -> list[float]:
-            return stack.enter_context(stopwatch(owner, name))
-
-        played = watch(trainer.env, "rollout")
-        computed = watch(trainer.learner, "compute_targets")
-        updated, sums = watch(Update, "__call__"), watch(LossSums, "add")
+    with (
+        stopwatch(trainer.env, "rollout") as played,
+        stopwatch(trainer.learner, "compute_targets") as computed,
+        stopwatch(Update, "__call__") as updated,
+        stopwatch(LossSums, "add") as sums,
+    ):
         total = seconds(trainer.train_round)
     return total, total - sum([*played, *computed, *updated]) + sum(sums)
 

@@ -72,14 +72,8 @@ def stopwatch(owner: object, name: str) -> Iterator[list[float]]:
         yield took
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
+def one_thread() -> None:
     """Has a process measure as a run works: on one thread, keeping its memory, without a word."""
-    threads = torch.get_num_threads()
     torch.set_num_threads(1)
     keep_freed_memory()
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
