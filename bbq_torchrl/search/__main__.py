@@ -35,7 +35,11 @@ All keys of a search: docs/scale.md; those of train.py: docs/configuration.md
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line. Returns the exit code: 1 if no trial was completed, 2 if refused."""
+    """Runs the command line.
+
+    Returns:
+        the exit code: 1 if no trial was completed or a file could not be written, 2 if refused.
+    """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     interruption.tell(lambda: "in a search", lambda: "the same command goes on with the search")
     if not arguments or {"-h", "--help"} & set(arguments):
@@ -62,6 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return end.exit_code
     except ConfigError as error:
         return _refused(error)
+    except (OSError, optuna.exceptions.StorageInternalError) as error:
+        output.complain(f"error: {sentence(error)}; the same command goes on with the search")
+        return 1
     if best is None:
         output.complain(f"error: no trial was completed; {search.folder} has the reasons")
         return 1

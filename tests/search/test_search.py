@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import errno
 import json
 import math
+import os
 import shlex
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +20,7 @@ from tiny import rows
 from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.search.__main__ import main
 from bbq_torchrl.search.definition import Search, compose_search
 from bbq_torchrl.trainers import TrainingError
 
@@ -247,6 +250,17 @@ def test_a_database_is_not_used_for_another_search_of_another_folder(tmp_path):
     with pytest.raises(ConfigError, match=r"choose another search\.storage") as refused:
         run_search(search(tmp_path / "b", shared, "env=domain_ext", trials=1), Training())
     assert "search.storage holds a search with fixed=" in str(refused.value)
+
+
+def test_a_full_disk_ends_the_command_in_a_sentence(tmp_path, monkeypatch, capsys):
+    def full(config, folder, callbacks, *, domain):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+
+    monkeypatch.setattr("bbq_torchrl.run.run", full)
+    space = Path(__file__).with_name("dqn.yaml")
+    assert main([f"search={space}", "search.trials=2", f"search.folder={tmp_path}"]) == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith(f"error: {tmp_path / 'trial_0000'}: No space left on device; ")
 
 
 def test_nobody_looks_for_a_trial_while_another_is_told(tmp_path, monkeypatch):
