@@ -25,7 +25,7 @@ from bbq_torchrl.cli.folders import quoted, refuse_other_folder, run_folder, run
 from bbq_torchrl.cli.messages import too_large
 from bbq_torchrl.cli.resume import resumed_config
 from bbq_torchrl.cli.store import compose_raw, register_options, searched, session, to_config
-from bbq_torchrl.cli.sweeps import Check, Sweep, prepare_sweep
+from bbq_torchrl.cli.sweeps import Check, Sweep, prepare_sweep, refuse_unswept
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.options.settings import ConfigError
@@ -103,6 +103,7 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
         _refuse_unread(parsed)
         composed = None if parsed.multirun else _compose_single(hydra_session, parsed.overrides)
         if composed is not None:
+            refuse_unswept(composed, parsed.overrides)
             refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
             folder = _resumed_folder(composed.resume)
             if folder is not None:

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import re
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from bbq_torchrl.cli.store import compose_raw, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import RESULT
+from bbq_torchrl.run_folder import CONFIG, RESULT
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
@@ -36,7 +37,14 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["FULL_ERROR", "Check", "Sweep", "prepare_sweep", "table_of_runs"]
+__all__ = [
+    "FULL_ERROR",
+    "Check",
+    "Sweep",
+    "prepare_sweep",
+    "refuse_unswept",
+    "table_of_runs",
+]
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
 
@@ -106,11 +114,13 @@ def prepare_sweep(hydra_session: Any, overrides: Sequence[str], check: Check) ->
             raise ConfigError("resume cannot be combined with --multirun")
         configs.append(to_config(job, Config))
         check(configs[-1])
-    folder = _sweep_folder(composed, overrides, len(jobs))
+    subfolders = [_job_subfolder(job, number) for number, job in enumerate(jobs)]
+    _check_subfolders(composed, subfolders)
+    folder = _sweep_folder(composed, overrides)
     if (folder / SWEEP_CONFIG).is_file():
         # Hydra writes into a job's folder before the job can refuse it.
-        for number, (job, config) in enumerate(zip(jobs, configs, strict=True)):
-            restarted_config(config, folder / _job_subfolder(job, number))
+        for config, subfolder in zip(configs, subfolders, strict=True):
+            restarted_config(config, folder / subfolder)
     return Sweep(folder, len(jobs), launcher)
 
 
@@ -151,13 +161,33 @@ def _composed(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig,
             "(globs of a folder of options stand behind its name: '+experiment/agents=glob(*)')"
         )
     composed_jobs = [compose_raw(job) for job in jobs]
+    for composed, job in zip(composed_jobs, jobs, strict=True):
+        refuse_unswept(composed, job)
     return composed_jobs[0], composed_jobs
 
 
-def _sweep_folder(composed: DictConfig, overrides: Sequence[str], jobs: int) -> Path:
+def refuse_unswept(composed: DictConfig, overrides: Sequence[str]) -> None:
+    """Refuses one run of what is a sweep, such as an experiment that varies a key.
+
+    Args:
+        composed: the configuration of the run, with Hydra's part.
+        overrides: those of the run.
+
+    Raises:
+        ConfigError: a key that is swept is not among the overrides.
+    """
+    given = {item.lstrip("+").partition("=")[0] for item in overrides}
+    left = [key for key in composed.hydra.sweeper.get("params") or {} if key not in given]
+    if left:
+        raise ConfigError(
+            f"what is chosen is a sweep over {', '.join(left)}; add --multirun, and choose one "
+            "experiment, or several at once by +experiment=[one,another]"
+        )
+
+
+def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
     """The folder of a sweep: the one given, new or of a sweep to go on with, or of a free name."""
     folder = named_folder(composed, "sweep")
-    _check_jobs_folder(composed, jobs)
     if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
         return reserve(folder)
     try:
@@ -183,14 +213,16 @@ def _job_subfolder(composed: DictConfig, number: int) -> str:
         return str(composed.hydra.sweep.subdir)
 
 
-def _check_jobs_folder(composed: DictConfig, jobs: int) -> None:
+def _check_subfolders(composed: DictConfig, subfolders: Sequence[str]) -> None:
     """Refuses folders of jobs that are not each job's own, in that of the sweep."""
     name = str(composed.hydra.sweep._get_node("subdir")._value())  # with what is known in a job
     parts = Path(name).parts
-    if not parts or Path(name).is_absolute() or ".." in parts or (jobs > 1 and "${" not in name):
+    shared = [folder for folder, count in Counter(subfolders).items() if count > 1]
+    if not parts or Path(name).is_absolute() or ".." in parts or shared:
+        several = f", which is {shared[0]} of several" if shared and shared[0] != name else ""
         raise ConfigError(
             "hydra.sweep.subdir must name a folder of its own for each job, in that of the sweep, "
-            f"such as ${{hydra.job.num}}, got {shown(name)}"
+            f"such as ${{hydra.job.num}}, got {shown(name)}{several}"
         )
 
 
@@ -203,7 +235,9 @@ def table_of_runs(sweep: Path, jobs: int) -> str:
         sweep: the sweep's folder.
         jobs: how many jobs it has; 0 where only the sweeper knows.
     """
-    folders = sorted((item.parent for item in sweep.rglob(".hydra")), key=_numbers_in_order)
+    configs = (item.parent for item in sweep.rglob(CONFIG))
+    begun = {folder.parent if folder.name == ".hydra" else folder for folder in configs}
+    folders = sorted(begun, key=_numbers_in_order)
     overrides = [_overrides(folder) for folder in folders]
     shared = set(overrides[0]).intersection(*overrides) if len(overrides) > 1 else set()
     rows = [

@@ -25,7 +25,7 @@ from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import quoted
 from bbq_torchrl.cli.messages import explain, train_command
 from bbq_torchrl.cli.preparation import prepare
-from bbq_torchrl.cli.resume import restarted_config
+from bbq_torchrl.cli.resume import is_finished, restarted_config
 from bbq_torchrl.cli.store import to_config
 from bbq_torchrl.cli.sweeps import FULL_ERROR
 from bbq_torchrl.options import Config
@@ -104,12 +104,17 @@ def _train(config: Config, folder: Path, domain: Domain | None) -> float:
 
 
 def _job_of_a_sweep(composed: DictConfig) -> float:
+    from bbq_torchrl.evaluation.results import read_result
+
     folder = _told_folder()
     try:
         config = to_config(composed, Config)
         interruption.listen()
         interruption.check()
-        return _train(restarted_config(config, folder), folder, None)
+        config = restarted_config(config, folder)
+        if is_finished(folder, config.protocol.rounds):
+            return read_result(folder).success_rate
+        return _train(config, folder, None)
     except interruption.Interrupted:
         raise UsageError(interruption.line()) from None  # the other jobs end in good order
     except Exception as error:

@@ -126,7 +126,7 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
 
 
 def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_says(tmp_path):
-    train(
+    sweep = (
         "--multirun",
         "hydra/launcher=basic",  # the default is tested, slowly, in test_launchers.py
         "+experiment/table1=full_bbqn_map,full_dqn",
@@ -135,16 +135,25 @@ def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_say
         "replicas=1",
         "+hydra.callbacks.keep._target_=cli.returned.KeepReturned",
         f"hydra.sweep.dir={tmp_path / 'sweep'}",
-        cwd=tmp_path,
     )
+    train(*sweep, cwd=tmp_path)
     folders = [tmp_path / "sweep" / "full" / agent / "seed0" for agent in ("bbqn_map", "dqn")]
     results = [json.loads((folder / "result.json").read_text()) for folder in folders]
     assert [(item["agent"], item["explore"]) for item in results] == [
         ("bbqn", "thompson"),
         ("dqn", "epsilon_greedy"),
     ]
-    returned = [float((folder / "returned.txt").read_text()) for folder in folders]
-    assert returned == [item["success_rate"] for item in results]
+
+    def returned():
+        return [float((folder / "returned.txt").read_text()) for folder in folders]
+
+    assert returned() == [item["success_rate"] for item in results]
+    made = [(folder / "config.yaml").stat().st_mtime_ns for folder in folders]
+    for folder in folders:
+        (folder / "returned.txt").unlink()
+    train(*sweep, cwd=tmp_path)  # what is finished is left as it is
+    assert [(folder / "config.yaml").stat().st_mtime_ns for folder in folders] == made
+    assert returned() == [item["success_rate"] for item in results]
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
