@@ -16,7 +16,7 @@ from bbq_torchrl.hooks import modules_with
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import collect_dialogues
-from bbq_torchrl.trainers.errors import CheckpointDamagedError, NonFiniteLossError
+from bbq_torchrl.trainers.errors import CheckpointDamagedError, NonFiniteLossError, TrainingError
 from bbq_torchrl.trainers.hooks import enter_round
 from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
@@ -86,7 +86,8 @@ class RoundTrainer:
         evaluator (EvaluationHook, optional): evaluates the policy at the end of a round, without a
             trace in the training: metrics and weights are bitwise those of one without it.
         round_metrics (mapping): metrics read at the start of each round, such as an exploration
-            rate: each returns one number, or a tensor [replicas].
+            rate: each returns one number, or a tensor [replicas]. A name that another column has
+            is an error at the end of the first round.
         described (mapping): what the training is, as JSON values by name; stands in every
             checkpoint, and one that says otherwise is refused.
         progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
@@ -285,19 +286,20 @@ class RoundTrainer:
         learned_at = time.perf_counter()
         evaluated = {} if self.evaluator is None else self.evaluator(round_number)
         ended = time.perf_counter()
-        return {
-            "dialogues": self.dialogues,
-            **collected,
-            **evaluated,
-            **learned,
-            "buffer": self.replay.lengths,
-            "updates": self.learner.updates,
-            **metrics,
+        seconds = {
             "seconds": ended - started,
             "seconds_collect": collected_at - started,
             "seconds_learn": learned_at - collected_at,
             **({} if self.evaluator is None else {"seconds_eval": ended - learned_at}),
         }
+        return _merged(
+            ("the trainer", {"dialogues": self.dialogues, **collected}),
+            ("the evaluator", evaluated),
+            ("the loss", learned),
+            ("the trainer", {"buffer": self.replay.lengths, "updates": self.learner.updates}),
+            ("the policy", metrics),
+            ("the trainer", seconds),
+        )
 
     def _collect(self, round_number: int) -> dict[str, Tensor]:
         """Plays the round's dialogues and stores them. Returns mean statistics, [replicas] each."""
@@ -338,3 +340,25 @@ class RoundTrainer:
         if name is None:
             self.rounds_saved = self.rounds_done
         return saved
+
+
+def _merged(
+    *parts: tuple[str, Mapping[str, float | Tensor | Sequence[float]]],
+) -> dict[str, float | Tensor | Sequence[float]]:
+    """Returns the columns of all owners in one mapping.
+
+    Raises:
+        TrainingError: if two owners have a column of one name.
+    """
+    owners = dict.fromkeys(("round", "replica"), "the trainer")
+    columns: dict[str, float | Tensor | Sequence[float]] = {}
+    for owner, part in parts:
+        for name in part:
+            if name in owners:
+                raise TrainingError(
+                    f"{name!r} is a metric of {owners[name]} and of {owner}: one of the two needs "
+                    "another name"
+                )
+            owners[name] = owner
+        columns.update(part)
+    return columns

@@ -11,7 +11,7 @@ import torch
 from trainer_parts import GuessEnv, make_trainer, random_policy
 
 from bbq_torchrl.options import ProtocolOption
-from bbq_torchrl.trainers import NonFiniteLossError, Spike
+from bbq_torchrl.trainers import NonFiniteLossError, Spike, TrainingError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,6 +65,27 @@ def test_metrics_are_what_was_played_and_learned(tmp_path):
         assert trainer.loss.num_data[0][replica] == own[0]["buffer"]
         assert int(trainer.replay.buffers[replica][:]["next", "done"].sum()) == 3 * 8
     assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
+
+
+@pytest.mark.parametrize("name", ["round", "success_rate", "buffer", "td_error", "seconds"])
+def test_a_metric_of_the_policy_takes_no_column_of_another(tmp_path, name):
+    trainer = make_trainer(tmp_path, rounds=1)
+    trainer.round_metrics = {name: lambda: 3.0}
+
+    with pytest.raises(TrainingError, match=f"'{name}' is a metric of .*the policy"):
+        trainer.train()
+
+    assert not (tmp_path / "metrics.csv").exists()
+
+
+@pytest.mark.parametrize("name", ["replica", "reward", "updates"])
+def test_an_entry_of_the_loss_takes_no_column_of_another(tmp_path, name):
+    trainer = make_trainer(tmp_path, rounds=1)
+    forward = trainer.loss.forward
+    trainer.loss.forward = lambda batch: forward(batch).set(name, torch.ones(3))
+
+    with pytest.raises(TrainingError, match=f"'{name}' is a metric of .*the loss"):
+        trainer.train()
 
 
 def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path):
