@@ -89,11 +89,22 @@ class ProtocolOption(Option):
         return min(dialogues, max(1, self.eval_batch // replicas))
 
     def check(self, config: Config) -> None:
-        """Refuses a buffer smaller than a batch, and evaluations longer than the training."""
+        """Refuses a small buffer, step sizes that do not fall as asked, and long evaluations."""
         if self.capacity < self.batch_size:
             raise ConfigError(
                 f"protocol.capacity must be at least protocol.batch_size ({self.batch_size}), "
                 f"got {self.capacity}"
+            )
+        if self.lr_final == 1 and self.lr_decay_from != type(self).lr_decay_from:
+            raise ConfigError(
+                f"protocol.lr_decay_from must be {type(self).lr_decay_from} with "
+                f"protocol.lr_final={self.lr_final}, where step sizes stay, got "
+                f"{self.lr_decay_from}"
+            )
+        if self.lr_final != 1 and self.lr_decay_from == 1:
+            raise ConfigError(
+                f"protocol.lr_decay_from must be below 1 with protocol.lr_final={self.lr_final}: "
+                "no round would be left in which step sizes fall"
             )
         _check_evaluation(config)
 

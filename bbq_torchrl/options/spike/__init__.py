@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.base import Option
@@ -16,6 +17,7 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from bbq_torchrl.options.root import Config
@@ -41,7 +43,14 @@ class SpikeOption(Option):
     drop_window: int = setting(5, COUNT, "rounds that drop_above takes the mean success of")
 
     def check(self, config: Config) -> None:
-        """Refuses to drop by a threshold what leaves by itself."""
+        """Refuses keys without effect: of no dialogues, and a threshold of what leaves by itself."""
+        for item in fields(SpikeOption):
+            value, default = getattr(self, item.name), getattr(type(self), item.name)
+            if not self.dialogues and item.name != "dialogues" and value != default:
+                raise ConfigError(
+                    f"spike.{item.name} must be {json.dumps(default)} with spike.dialogues=0, where "
+                    f"nothing is spiked, got {shown(value)}"
+                )
         if self.drop_above is not None and not self.protect:
             raise ConfigError(
                 "spike.drop_above cannot be combined with spike.protect=false: transitions that "
