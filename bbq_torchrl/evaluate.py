@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import sys
 import time
@@ -12,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.resume import run_config
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.options import Config, ConfigError, EvaluateConfig
+from bbq_torchrl.cli.store import compose, run_of
+from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.shipped import run_folder
 from bbq_torchrl.text import shown
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.envs import DialogueEnv
 
-__all__ = ["evaluation", "main"]
+__all__ = ["composed", "evaluation", "main"]
 
 USAGE = """\
 usage: python -m bbq_torchrl.evaluate policy=<policy> [<key>=<value> ...]
@@ -38,7 +37,8 @@ dialogues, turns_per_second.
                agent that comes with the package
   dialogues=   how many; for each replica of a run folder
   batch=       how many run side by side
-  env=, domain=  as in train.py; a run folder's own unless given, where env.<key>= changes a key
+  env=, domain=  as in train.py; a run folder's own unless given, where env.<key>= or
+               domain.<key>= changes a key
   env.level=   text: users speak in sentences, which are understood (docs/language.md)
   mode=        mean, average, draw or thompson, for a Bayesian agent
   weights=     last, or best: each replica's at its best evaluation while training
@@ -59,18 +59,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         output.write(USAGE)
         return 0
     arguments = take_config_dir(arguments)
-    line = evaluation(compose(arguments, EvaluateConfig), arguments)
+    line = evaluation(composed(arguments))
     output.write(json.dumps(line) + "\n")
     return 0
 
 
-def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[str, Any]:
+def composed(overrides: Sequence[str]) -> EvaluateConfig:
+    """The configuration of a command line, on the environment and domain of the run it names.
+
+    Raises:
+        ConfigError: a key or value that is wrong, or a folder that is no run folder.
+    """
+    policy = run_of(overrides, "policy")
+    folder = run_folder(policy) if policy else None
+    run = run_config(folder) if folder is not None and folder.is_dir() else None
+    return compose(overrides, EvaluateConfig, run)
+
+
+def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     """Plays the dialogues of a configuration. Returns what is printed.
 
     Args:
         config: what to play.
-        overrides: the command line; a run folder's own environment and domain are taken where it
-            gives none, with the keys of them that it gives.
 
     Raises:
         ValueError or OSError: a policy, corpus or device that is not there.
@@ -90,10 +100,6 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
     keep_freed_memory()
     folder = run_folder(config.policy)
     run = run_config(folder) if folder.is_dir() else None
-    if run is not None:
-        keys = [override.lstrip("+~").partition("=")[0] for override in overrides]
-        config.env = _of_run("env", run, config, keys)
-        config.domain = _of_run("domain", run, config, keys)
     domain = make_domain(config)
     if run is None:
         names = (*config.env.policies(domain), RANDOM_POLICY, *config.env.references(domain))
@@ -152,21 +158,6 @@ def evaluation(config: EvaluateConfig, overrides: Sequence[str] = ()) -> dict[st
         **({"values_per_replica": values} if any(values) else {}),
         **({"skipped": domain.skipped} if domain is not None and domain.skipped else {}),
     }
-
-
-def _of_run(group: str, run: Config, config: EvaluateConfig, keys: Sequence[str]) -> Any:
-    """Returns a run's own option with what is given of its keys, or the one that is chosen."""
-    chosen = getattr(config, group)
-    if group in keys:
-        return chosen
-    own = copy.copy(getattr(run, group))
-    for key in keys:
-        within, _, name = key.partition(".")
-        if within == group:
-            if not hasattr(own, name):
-                raise ConfigError(f"{key} is not a key of the run's {group}={own.name}")
-            setattr(own, name, getattr(chosen, name))
-    return own
 
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:

@@ -20,9 +20,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.evaluate import evaluation
-from bbq_torchrl.options import EvaluateConfig
+from bbq_torchrl.evaluate import composed, evaluation
 
 FILE = Path(__file__).resolve().parent.parent / "results" / "ladder.json"
 
@@ -43,7 +41,7 @@ RUNGS = {
 def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
     """Returns what a policy does on a rung, with the command."""
     arguments = f"policy={policy} {RUNGS[rung]} dialogues={dialogues}".split()
-    result = evaluation(compose(arguments, EvaluateConfig), arguments)
+    result = evaluation(composed(arguments))
     del result["turns_per_second"]  # of the machine, not of the agent
     command = f"bbq evaluate {' '.join(arguments)}"
     return {"policy": policy, "rung": rung, "command": command, "result": result}

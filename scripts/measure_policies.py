@@ -15,9 +15,7 @@ import json
 import sys
 from pathlib import Path
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.evaluate import evaluation
-from bbq_torchrl.options import EvaluateConfig
+from bbq_torchrl.evaluate import composed, evaluation
 
 FILE = Path(__file__).resolve().parent.parent / "results" / "policies.json"
 
@@ -73,7 +71,7 @@ def main() -> None:
             continue
         command = f"policy={policy} {overrides}"
         arguments = command.replace(PLACE, str(given.miulab)).split()
-        result = evaluation(compose(arguments, EvaluateConfig), arguments)
+        result = evaluation(composed(arguments))
         sys.stdout.write(f"{corpus}, {setting}, {policy}: {result}\n")
         known[key] = {
             "corpus": corpus,

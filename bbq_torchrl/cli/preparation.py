@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 from bbq_torchrl import output
 from bbq_torchrl.cli.folders import quoted, refuse_other_folder, run_folder, run_lock
 from bbq_torchrl.cli.messages import too_large
-from bbq_torchrl.cli.resume import resumed_config
+from bbq_torchrl.cli.resume import resumed_config, run_to_resume
 from bbq_torchrl.cli.store import compose_raw, register_options, searched, session, to_config
 from bbq_torchrl.cli.sweeps import Check, Sweep, prepare_sweep, refuse_unswept
 from bbq_torchrl.options import Config
@@ -143,7 +143,7 @@ def _resumed_folder(resume: str | None) -> Path | None:
 def _compose_single(hydra_session: Any, overrides: Sequence[str]) -> DictConfig | None:
     """The configuration of a single run with Hydra's part, None where a sweep is asked for."""
     try:
-        composed = compose_raw(overrides)
+        composed = compose_raw(overrides, run=run_to_resume(overrides))
     except ConfigError:
         # Values of a sweep cannot be composed; an experiment, too, may ask for one.
         if hydra_session.get_mode("config", searched(overrides)) is RunMode.MULTIRUN:

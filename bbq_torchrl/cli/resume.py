@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.cli.store import read_config
+from bbq_torchrl.cli.store import read_config, run_of
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
@@ -30,17 +30,23 @@ __all__ = [
     "result_of",
     "resumed_config",
     "run_config",
+    "run_to_resume",
     "save_config",
 ]
 
-CHANGEABLE = ("protocol.rounds", "protocol.keep_checkpoints", "logger", "device")
+CHANGEABLE = (
+    "protocol.rounds",
+    "protocol.keep_checkpoints",
+    "logger",
+    "device",
+    "domain.path",  # a folder may be moved
+)
 """What may be given beside ``resume``; the rest is the run's own."""
 
 _NOT_OF_THE_TRAINING = (
     *CHANGEABLE,
     "resume",
     "threads",
-    "domain.path",  # a folder may be moved
     "protocol.checkpoint_every",
     "protocol.eval_dialogues",
     "protocol.eval_batch",
@@ -130,11 +136,32 @@ def load_config(file: Path) -> Config:
         raise ConfigError(f"{file}: {sentence(error)}") from error
 
 
+def run_to_resume(overrides: Sequence[str]) -> Config | None:
+    """The configuration of ``resume=<run folder>``, on whose values a command line is read.
+
+    None where there is none, and where another option or an experiment is given: that is
+    refused by :func:`resumed_config`, whatever the combination.
+    """
+    given = run_of(overrides, "resume")
+    folder = Path(given).expanduser().resolve() if given else None
+    if folder is None or not (folder / CONFIG).is_file():
+        return None
+    run = run_config(folder)
+    for override in overrides:
+        key, _, value = override.lstrip("+~").partition("=")
+        if key.partition("/")[0] == EXPERIMENT:
+            return None
+        own = getattr(run, key, None) if key not in CHANGEABLE else None
+        if dataclasses.is_dataclass(own) and value.strip("'\"") != _value(run, key):
+            return None
+    return run
+
+
 def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
     """The configuration of the run ``given.resume``, with the changes that are allowed.
 
     Args:
-        given: the configuration that the command line alone stands for.
+        given: the configuration that the command line stands for, on the run's values.
         overrides: the command line.
 
     Raises:
@@ -149,11 +176,11 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
         key = override.lstrip("+~").partition("=")[0]
         if key == "resume":
             continue
-        if key in ("protocol.rounds", "protocol.keep_checkpoints"):
-            name = key.partition(".")[2]
-            setattr(config.protocol, name, getattr(given.protocol, name))
-        elif (name := key.partition(".")[0]) in ("logger", "device"):
-            setattr(config, name, getattr(given, name))
+        group, _, name = key.partition(".")
+        if group in CHANGEABLE:
+            setattr(config, group, getattr(given, group))
+        elif key in CHANGEABLE:
+            setattr(getattr(config, group), name, getattr(getattr(given, group), name))
         elif (
             key.partition("/")[0] == EXPERIMENT
             or key == "hydra.run.dir"

@@ -16,6 +16,7 @@ from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import (
@@ -36,6 +37,7 @@ from bbq_torchrl.options import (
     validate,
 )
 from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, options_folder
+from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.text import shown
 
@@ -48,6 +50,7 @@ __all__ = [
     "explorations_table",
     "read_config",
     "register_options",
+    "run_of",
     "searched",
     "session",
     "to_config",
@@ -124,10 +127,13 @@ def session() -> Iterator[Any]:
         hydra.hydra = before
 
 
-def compose_raw(overrides: Sequence[str], root: type = Config) -> DictConfig:
+def compose_raw(
+    overrides: Sequence[str], root: type = Config, run: Config | None = None
+) -> DictConfig:
     """Composes YAML files and overrides inside a :func:`session`, Hydra's own part too.
 
-    Values have the types of their keys, but are not yet checked.
+    Values have the types of their keys, but are not yet checked. With ``run``, what is not given
+    is that run's: its options, and their keys.
 
     Raises:
         ConfigError: an unknown group, option or key, or a value of the wrong type.
@@ -135,8 +141,17 @@ def compose_raw(overrides: Sequence[str], root: type = Config) -> DictConfig:
     refusal = too_large(overrides) or not_an_option(overrides, root)
     if refusal is not None:
         raise ConfigError(refusal)
+    given = {_key(override) for override in overrides}
+    own = [] if run is None else [group for group in _groups(root) if group not in given]
+    chosen = [f"{group}={getattr(run, group).name}" for group in own]
     try:
-        return hydra_compose(ROOTS[root], searched(overrides), return_hydra_config=True)
+        composed = hydra_compose(
+            ROOTS[root], searched([*chosen, *overrides]), return_hydra_config=True
+        )
+        for key, _, value in () if run is None else walk(run):
+            if key.partition(".")[0] in own and key not in given:
+                OmegaConf.update(composed, key, value)
+        return composed
     # The last three: very long or deep texts, and numbers of thousands of digits.
     except (
         HydraException,
@@ -147,6 +162,26 @@ def compose_raw(overrides: Sequence[str], root: type = Config) -> DictConfig:
         RecursionError,
     ) as error:
         raise ConfigError(explain(error, overrides, root)) from error
+
+
+def run_of(overrides: Sequence[str], key: str) -> str | None:
+    """The text that a command line has for the key of a run folder; None if it has none."""
+    given = [override for override in overrides if _key(override) == key]
+    if not given or too_large(given):
+        return None
+    try:
+        value = OverridesParser.create().parse_override(given[-1]).value()
+    except (HydraException, ValueError):  # refused when it is composed
+        return None
+    return value if isinstance(value, str) else None
+
+
+def _key(override: str) -> str:
+    return override.lstrip("+~").partition("=")[0]
+
+
+def _groups(root: type) -> list[str]:
+    return [item.name for item in fields(root) if item.name in schemas()]
 
 
 def searched(overrides: Sequence[str]) -> list[str]:
@@ -237,12 +272,17 @@ def _typed_group(group: str, plain: DictConfig) -> DictConfig:
     return typed
 
 
-def compose(overrides: Sequence[str] = (), root: type[Root] = Config) -> Root:  # type: ignore[assignment]
+def compose(
+    overrides: Sequence[str] = (),
+    root: type[Root] = Config,  # type: ignore[assignment]
+    run: Config | None = None,
+) -> Root:
     """The checked configuration that a command line of overrides stands for.
 
     Args:
         overrides: as on the command line, such as ``["agent=dqn", "protocol.rounds=20"]``.
         root: :class:`Config` for a training run, :class:`EvaluateConfig` for an evaluation.
+        run: whose options and keys are taken where the command line gives none.
 
     Raises:
         ConfigError: one sentence that says which key is wrong and what it may be.
@@ -254,4 +294,4 @@ def compose(overrides: Sequence[str] = (), root: type[Root] = Config) -> Root:  
         200
     """
     with session():
-        return to_config(compose_raw(overrides, root), root)
+        return to_config(compose_raw(overrides, root, run), root)

@@ -93,7 +93,9 @@ def check_run(overrides: list[str], evaluation: EvaluateConfig, tmp_path: Path) 
     for name in columns:
         assert (read_metrics(whole)[name] == read_metrics(parts)[name]).all(), name
 
-    line = evaluate.evaluation(dataclasses.replace(evaluation, policy=str(parts)))
+    line = evaluate.evaluation(
+        dataclasses.replace(evaluation, policy=str(parts), env=config.env, domain=config.domain)
+    )
     assert line["dialogues"] == 12
     assert 0 <= line["success_rate"] <= 1
 

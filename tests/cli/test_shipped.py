@@ -11,7 +11,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from bbq_torchrl import evaluate, load_run, shipped
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.run import run
 from scripts import ship_agent
 
@@ -35,7 +34,7 @@ def finished(tmp_path_factory, without_curves):
 
 
 def evaluated(*given):
-    return evaluate.evaluation(compose(given, EvaluateConfig), given)
+    return evaluate.evaluation(evaluate.composed(given))
 
 
 @pytest.mark.parametrize("name", shipped.shipped_agents())

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from bbq_torchrl.cli.resume import load_config, resumed_config, save_config
+from bbq_torchrl.cli.resume import load_config, resumed_config, run_to_resume, save_config
 from bbq_torchrl.cli.store import compose
+from bbq_torchrl.evaluate import composed
 from bbq_torchrl.options import ConfigError
 
 
@@ -51,6 +52,36 @@ def test_a_resumed_run_has_its_own_configuration_but_for_what_may_change(tmp_pat
         "mine",
         "cuda",
     )
+
+
+EXTENDED = ("env=domain_ext", "env.slot_error_prob=0", "domain=folder", "domain.path=old")
+
+
+def resumed(folder, *more):
+    command = [f"resume={folder}", *more]
+    return resumed_config(compose(command, run=run_to_resume(command)), command)
+
+
+def test_keys_beside_resume_are_read_on_the_values_of_the_run(tmp_path):
+    save_config(compose(["agent=dqn", *EXTENDED]), tmp_path / "config.yaml")
+    assert resumed(tmp_path, "protocol.rounds=${env.paper_rounds}").protocol.rounds == 200
+    moved = resumed(tmp_path, f"domain.path={tmp_path}", "env.slot_error_prob=0")
+    assert (moved.domain.path, moved.env.slot_error_prob) == (str(tmp_path), 0)
+    for given in ("explore.eps_init=.5", "agent=bootstrap", "+experiment=paper_start"):
+        with pytest.raises(ConfigError) as error:
+            resumed(tmp_path, given)
+        assert str(error.value).startswith(f"{given} contradicts the run in")
+    with pytest.raises(ConfigError, match="the keys of explore=epsilon_greedy are"):
+        resumed(tmp_path, "explore.epsilon=.04")
+
+
+def test_keys_beside_the_policy_of_a_run_are_read_on_its_values(tmp_path):
+    save_config(compose(["agent=dqn", *EXTENDED]), tmp_path / "config.yaml")
+    config = composed([f"policy={tmp_path}", "env.start=3", "domain.path=/moved"])
+    assert (config.env.name, config.env.start, config.env.slot_error_prob) == ("domain_ext", 3, 0)
+    assert config.domain.path == "/moved"
+    chosen = composed([f"policy={tmp_path}", "env=full"])
+    assert (chosen.env.name, chosen.domain.name) == ("full", "folder")
 
 
 @pytest.mark.parametrize(

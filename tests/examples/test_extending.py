@@ -21,7 +21,7 @@ from bbq_torchrl.cli.store import compose, explorations_table
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import report
 from bbq_torchrl.evaluation.metrics import read_metrics
-from bbq_torchrl.options import ConfigError, EvaluateConfig, registry
+from bbq_torchrl.options import ConfigError, registry
 from bbq_torchrl.run import run
 from bbq_torchrl.search.definition import compose_search
 
@@ -89,7 +89,7 @@ def test_its_runs_are_evaluated_and_reported(finished, capsys):
     folders = [str(folder) for folder in finished.values()]
     for policy in (*folders, "random"):
         given = [f"policy={policy}", "env=chain", "env.length=5", "dialogues=6", "batch=3"]
-        line = evaluate.evaluation(compose(given, EvaluateConfig), given)
+        line = evaluate.evaluation(evaluate.composed(given))
         assert line["turns"] == 14
         assert "domain" not in line
     assert "states_seen" in read_metrics(finished["strategy and intrinsic reward"]).columns
