@@ -26,6 +26,7 @@ __all__ = [
     "LAUNCHER",
     "explain",
     "not_an_option",
+    "refuse_second_folder",
     "take_config_dir",
     "too_large",
     "train_command",
@@ -75,8 +76,10 @@ def take_config_dir(arguments: Sequence[str]) -> list[str]:
     """Returns a command line without ``--config-dir <folder>``, whose options are loaded.
 
     Raises:
-        ConfigError: any other flag, no folder behind this one, or one that cannot be loaded.
+        ConfigError: any other flag, this one twice, no folder behind it, or one that cannot be
+            loaded.
     """
+    refuse_second_folder(arguments)
     rest: list[str] = []
     given = iter(arguments)
     for argument in given:
@@ -88,6 +91,13 @@ def take_config_dir(arguments: Sequence[str]) -> list[str]:
         else:
             rest.append(argument)
     return rest
+
+
+def refuse_second_folder(arguments: Sequence[str]) -> None:
+    """Refuses a command line with two folders of options, of which Hydra would take the last."""
+    # Hydra's parser also takes -cd and a flag that is cut short.
+    if sum(argument.startswith(("--config-d", "-cd")) for argument in arguments) > 1:
+        raise ConfigError("--config-dir can be given once only: one folder holds all options")
 
 
 def too_large(overrides: Sequence[str]) -> str | None:

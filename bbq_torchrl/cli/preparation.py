@@ -22,7 +22,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from bbq_torchrl import output
 from bbq_torchrl.cli.folders import quoted, refuse_other_folder, run_folder, run_lock
-from bbq_torchrl.cli.messages import too_large
+from bbq_torchrl.cli.messages import refuse_second_folder, too_large
 from bbq_torchrl.cli.resume import resumed_config, run_to_resume
 from bbq_torchrl.cli.store import compose_raw, register_options, searched, session, to_config
 from bbq_torchrl.cli.sweeps import Check, Sweep, prepare_sweep, refuse_unswept
@@ -91,6 +91,7 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
     parser = get_args_parser()
     parser.error = _refuse_flag  # type: ignore[method-assign]
     parsed = parser.parse_args(list(arguments))
+    refuse_second_folder(arguments)
     if parsed.config_dir is not None:
         load_folder(Path(parsed.config_dir))
     register_options()
