@@ -112,7 +112,8 @@ def load_folder(folder: Path | str) -> None:
     The folder is put in front of the module path, so that a sweep's workers find them too.
 
     Raises:
-        ConfigError: no such folder, or a file that cannot be imported.
+        ConfigError: no such folder, a file that cannot be imported, or one that has the name of an
+            option or a file of ours.
     """
     folder = Path(folder).expanduser().resolve()
     if not folder.is_dir():
@@ -130,6 +131,13 @@ def load_folder(folder: Path | str) -> None:
                 f"{file} must have a name that no other module has, got {file.stem}, which is "
                 f"{module.__file__}"
             )
+    ours = conf_folder()
+    for group in sorted({*GROUPS, *(place.name for place in ours.iterdir() if place.is_dir())}):
+        for file in sorted((folder / group).rglob("*.yaml")):
+            name = file.relative_to(folder / group).with_suffix("").as_posix()
+            # Hydra would take ours without a word, or fail to merge the two.
+            if name in _OPTIONS.get(group, ()) or (ours / group / f"{name}.yaml").is_file():
+                raise ConfigError(f"{file} must have another name: {group}={name} is there already")
     os.environ[FOLDER_VARIABLE] = str(folder)
 
 

@@ -216,6 +216,18 @@ def test_a_file_that_cannot_be_used_is_named(name, text, said, tmp_path):
         load(folder_with(tmp_path / "own", **{name: text}))
 
 
+@pytest.mark.parametrize(
+    "name", ["explore/greedy", "experiment/quick", "experiment/agents/dqn", "search/dqn"]
+)
+def test_a_yaml_file_that_has_a_name_of_ours_is_refused(name, tmp_path):
+    file = tmp_path / f"{name}.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text("seed: 7\n")
+    said = f"{file} must have another name: {name.replace('/', '=', 1)} is there already"
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        load(tmp_path)
+
+
 def test_a_run_whose_option_is_not_there_is_refused_with_the_way_to_it(tmp_path):
     load(folder_with(tmp_path / "own", narrow_saved=STRATEGY))
     save_config(compose(["explore=narrow"]), tmp_path / "config.yaml")
