@@ -89,7 +89,7 @@ def reserve(folder: Path) -> Path:
             return candidate
 
 
-def quoted(path: Path) -> str:
+def quoted(path: Path | str) -> str:
     """Returns a path as a value that Hydra reads as it is."""
     text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
     return f"'{text}'"

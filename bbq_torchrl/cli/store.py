@@ -25,6 +25,7 @@ from omegaconf.errors import (
     ValidationError,
 )
 
+from bbq_torchrl.cli.folders import quoted
 from bbq_torchrl.cli.messages import explain, not_an_option, too_large, unknown_key
 from bbq_torchrl.options import (
     AgentOption,
@@ -187,7 +188,9 @@ def _groups(root: type) -> list[str]:
 def searched(overrides: Sequence[str]) -> list[str]:
     """Overrides by which the YAML files of a folder of options are found beside ours."""
     folder = options_folder()
-    return [*([] if folder is None else [f"hydra.searchpath=['file://{folder}']"]), *overrides]
+    if folder is None:
+        return list(overrides)
+    return [f"hydra.searchpath=[{quoted(f'file://{folder}')}]", *overrides]
 
 
 def to_config(typed: DictConfig, root: type[Root]) -> Root:

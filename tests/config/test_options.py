@@ -168,8 +168,9 @@ def test_an_option_of_a_folder_is_checked_and_paired_like_ours(tmp_path):
             compose(command.split())
 
 
-def test_a_yaml_file_of_a_folder_is_an_option_with_other_defaults(tmp_path):
-    folder = folder_with(tmp_path / "own", narrow_other=STRATEGY)
+@pytest.mark.parametrize("name", ["own", "o'b"])
+def test_a_yaml_file_of_a_folder_is_an_option_with_other_defaults(name, tmp_path):
+    folder = folder_with(tmp_path / name, narrow_other=STRATEGY)
     (folder / "explore").mkdir()
     (folder / "explore" / "patient.yaml").write_text("defaults: [narrow, _self_]\npatience: 9\n")
     load(folder)
