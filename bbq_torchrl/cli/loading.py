@@ -103,11 +103,12 @@ def trained_policy(
     if weights == "best":
         if is_shipped(folder):
             raise ConfigError(f"weights must be last for shipped:{folder.name}, got 'best'")
+        not_evaluated = ConfigError(
+            f"weights must be last for {folder}, which was not evaluated while it was trained "
+            f"(protocol.eval_every={config.protocol.eval_every}), got 'best'"
+        )
         if not config.protocol.eval_every:
-            raise ConfigError(
-                f"weights must be last for {folder}, which was not evaluated while it was trained "
-                "(protocol.eval_every=0), got 'best'"
-            )
+            raise not_evaluated
         best = BestWeights(policy, config.replicas)
     saved: dict[str, Any] = {"loss": agent.loss} if best is None else {"best": best}
     if is_shipped(folder):
@@ -117,5 +118,7 @@ def trained_policy(
         raise ConfigError(f"{folder} has no checkpoint yet")
     enter_round(env, max(int(found[1]["round"]) - 1, 0))
     if best is not None:
+        if bool((best.round < 0).any()):
+            raise not_evaluated
         best.put_back()
     return policy, name

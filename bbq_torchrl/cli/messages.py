@@ -203,11 +203,15 @@ def _removed(overrides: Sequence[str]) -> str | None:
 
 
 def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> str | None:
-    match = re.match(r"(?:Could not (?:\w+) |Key )[^']*'([^']+)'", _first_line(error))
+    match = re.match(r"(?:Could not (\w+) |Key )[^']*'([^']+)'", _first_line(error))
     if match is None:
         return None
-    key = match.group(1).lstrip("+~").partition("=")[0]
+    key = match[2].lstrip("+~").partition("=")[0]
+    if match[1] == "append":
+        return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
     schema = getattr(cause, "object_type", None)
+    if key.startswith("hydra.") and not is_dataclass(schema):  # a mapping, which takes any key
+        return unreadable(key, f"a key of Hydra that is not there is added by a plus, +{key}=...")
     return unknown_key(key, schema if is_dataclass(schema) else root)
 
 
@@ -217,8 +221,6 @@ def unknown_key(key: str, schema: Any) -> str:
     keys = [item.name for item in fields(schema)]
     if schema in (Config, EvaluateConfig, CalibrateConfig):  # a group that there is not, too
         parent = ""
-    if name in keys:
-        return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
     close = get_close_matches(name, keys, n=1)
     hint = f" (did you mean {f'{parent}.' if parent else ''}{close[0]}?)" if close else ""
     place = _place(parent, schema)

@@ -119,6 +119,10 @@ def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
     Raises:
         ConfigError: one sentence that names the key, its value and what is allowed.
     """
+    if isinstance(config, Config):
+        # First, so that an error names the key that was given: others take its values over.
+        check_settings(config.env, "env.")
+        check_settings(config.protocol, "protocol.")
     check_settings(config)
     if not isinstance(config, Config):
         return
