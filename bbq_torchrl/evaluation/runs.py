@@ -136,7 +136,7 @@ def telling(keys: Iterable[str]) -> list[str]:
 
 
 def find_results(places: Iterable[Path]) -> list[Path]:
-    """Returns the result folders that are, or lie anywhere below, the given folders.
+    """Returns the folders of finished runs that are, or lie anywhere below, the given folders.
 
     Raises:
         ValueError: there is none in one of them.
@@ -147,16 +147,34 @@ def find_results(places: Iterable[Path]) -> list[Path]:
             folders = [place]
         else:
             folders = sorted(file.parent for file in place.rglob(RESULT))
-        if not folders:
-            raise ValueError(f"{place} holds no finished run: no {RESULT} is in or below it")
-        found.update(dict.fromkeys(folder.resolve() for folder in folders))
+        finished = [folder.resolve() for folder in folders if not _is_extended(folder)]
+        if not finished:
+            reason = f"no {RESULT} is in or below it"
+            if folders:
+                reason = f"the {RESULT} in {folders[0]} is of fewer rounds than {CONFIG} asks for"
+            raise ValueError(f"{place} holds no finished run: {reason}")
+        found.update(dict.fromkeys(finished))
     return list(found)
 
 
 def find_unfinished(places: Iterable[Path]) -> list[Path]:
-    """Returns the run folders in or below the given folders that have metrics and no result yet."""
+    """Returns the run folders in or below the given folders that have metrics and no result yet.
+
+    The result of a run that goes on to more rounds is none yet.
+    """
     folders = {file.parent.resolve() for place in places for file in place.rglob(METRICS)}
-    return sorted(folder for folder in folders if not (folder / RESULT).is_file())
+    return sorted(
+        folder for folder in folders if not (folder / RESULT).is_file() or _is_extended(folder)
+    )
+
+
+def _is_extended(folder: Path) -> bool:
+    """Whether a run with a result goes on to more rounds; not where a file is damaged."""
+    try:
+        rounds = yaml.safe_load((folder / CONFIG).read_text(encoding="utf-8"))["protocol"]["rounds"]
+        return bool(read_result(folder).rounds < rounds)
+    except (OSError, ValueError, TypeError, LookupError, yaml.YAMLError, RecursionError):
+        return False  # reading the run says what is wrong
 
 
 def read_run(folder: Path) -> Run:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from result_folders import make_run
+from result_folders import make_run, metrics_text
 from scipy import stats
 from tiny import rows
 
@@ -194,4 +194,15 @@ def test_a_run_that_is_not_finished_is_named(tmp_path, capsys):
     assert main([str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert f"\n\nLeft out, since not finished: {tmp_path / 'killed'}.\n\n| agent |" in text
+    assert "| BBQN-MAP | thompson | 5 |" in text
+
+
+def test_a_run_that_goes_on_to_more_rounds_is_named_and_breaks_no_report(tmp_path, capsys):
+    make_run(tmp_path / "done", GOOD)
+    make_run(tmp_path / "extended", GOOD, seed=1, changes={"protocol.rounds": 5})
+    # The training is on its way: metrics of a round more than the result is of.
+    (tmp_path / "extended" / "metrics.csv").write_text(metrics_text(GOOD, rounds=4))
+    assert main([str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert f"Left out, since not finished: {tmp_path / 'extended'}." in text
     assert "| BBQN-MAP | thompson | 5 |" in text
