@@ -13,7 +13,6 @@ from bbq_torchrl import evaluate
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.run import run
 
 if TYPE_CHECKING:
@@ -131,9 +130,7 @@ def test_results_say_which_replica_had_which_value(finished):
         values = per_replica[int(row["replica"])]["values"]
         assert {key: float(row[key]) for key in values} == values
 
-    line = evaluate.evaluation(
-        compose([f"policy={finished}", "dialogues=6", "batch=3"], EvaluateConfig)
-    )
+    line = evaluate.evaluation(evaluate.composed([f"policy={finished}", "dialogues=6", "batch=3"]))
     assert line["values_per_replica"] == [entry["values"] for entry in per_replica]
     groups = read_groups([finished])
     assert [len(group.final) for group in groups] == [1] * 4

@@ -19,7 +19,7 @@ from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.rollouts import evaluate
-from bbq_torchrl.options import ConfigError, EvaluateConfig
+from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 from bbq_torchrl.trainers import derive_seed
 
@@ -110,9 +110,8 @@ def test_a_row_has_what_the_policy_does_at_the_end_of_its_round(small, tmp_path,
 def test_the_best_network_plays_as_it_did(small, tmp_path):
     config = small("agent=dqn", "protocol.rounds=7", "protocol.eval_every=1")
     run(config, tmp_path)
-    line = command.evaluation(
-        compose([f"policy={tmp_path}", "dialogues=15", "weights=best"], EvaluateConfig)
-    )
+    given = [f"policy={tmp_path}", "dialogues=15", "weights=best"]
+    line = command.evaluation(command.composed(given))
     assert line["weights"] == "best"
 
     # The best weights, put back, do with the users of their round what they did then.
@@ -170,7 +169,7 @@ def test_a_run_says_that_it_is_not_evaluated_while_training(small, tmp_path, cap
     if said is not None:
         with pytest.raises(ConfigError, match=rf"weights must be last for {tmp_path}.*got 'best'"):
             command.evaluation(
-                compose([f"policy={tmp_path}", "dialogues=5", "weights=best"], EvaluateConfig)
+                command.composed([f"policy={tmp_path}", "dialogues=5", "weights=best"])
             )
 
 
@@ -190,9 +189,7 @@ def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_pat
     assert "privileged clairvoyant ." in line
     for name, rate in result.scripted.items():
         given = [f"policy={name}", "dialogues=1000", "seed=5", "domain=folder"]
-        alone = command.evaluation(
-            compose([*given, f"domain.path={config.domain.path}"], EvaluateConfig)
-        )
+        alone = command.evaluation(command.composed([*given, f"domain.path={config.domain.path}"]))
         # 400 dialogues and 1,000 others: at most five standard errors apart.
         spread = math.sqrt(0.25 / 400 + 0.25 / 1000)
         assert rate == pytest.approx(alone["success_rate"], abs=5 * spread)

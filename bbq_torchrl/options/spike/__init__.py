@@ -43,13 +43,13 @@ class SpikeOption(Option):
     drop_window: int = setting(5, COUNT, "rounds that drop_above takes the mean success of")
 
     def check(self, config: Config) -> None:
-        """Refuses keys without effect: of no dialogues, and a threshold of what leaves by itself."""
+        """Refuses keys without effect: of no dialogues, a threshold of what leaves by itself."""
         for item in fields(SpikeOption):
             value, default = getattr(self, item.name), getattr(type(self), item.name)
             if not self.dialogues and item.name != "dialogues" and value != default:
                 raise ConfigError(
-                    f"spike.{item.name} must be {json.dumps(default)} with spike.dialogues=0, where "
-                    f"nothing is spiked, got {shown(value)}"
+                    f"spike.{item.name} must be {json.dumps(default)} with spike.dialogues=0, "
+                    f"where nothing is spiked, got {shown(value)}"
                 )
         if self.drop_above is not None and not self.protect:
             raise ConfigError(
