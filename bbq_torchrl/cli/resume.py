@@ -12,6 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.store import read_config, run_of
 from bbq_torchrl.options.registry import EXPERIMENT
+from bbq_torchrl.options.root import validate
 from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
 from bbq_torchrl.text import sentence
@@ -165,7 +166,8 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
         overrides: the command line.
 
     Raises:
-        ConfigError: no run folder, a finished run, or an override that contradicts the run.
+        ConfigError: no run folder, a finished run, an override that contradicts the run, or a run
+            that cannot be gone on with so.
     """
     assert given.resume is not None
     folder = Path(given.resume).expanduser().resolve()
@@ -202,6 +204,7 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
             f"the run in {folder} is finished ({config.protocol.rounds} rounds): "
             f"protocol.rounds=<more> goes on beyond the end{extended}"
         )
+    validate(config)  # more rounds may reach an evaluation that the saved ones did not
     return config
 
 

@@ -84,6 +84,14 @@ def test_keys_beside_the_policy_of_a_run_are_read_on_its_values(tmp_path):
     assert (chosen.env.name, chosen.domain.name) == ("full", "folder")
 
 
+def test_a_run_is_not_extended_to_an_evaluation_longer_than_its_training(tmp_path):
+    evaluations = ["protocol.eval_every=3", "protocol.eval_every_dialogues=100000"]
+    tiny = ["protocol.dialogues=4", "spike.dialogues=4", "protocol.rounds=2"]
+    save_config(compose(["agent=dqn", *tiny, *evaluations]), tmp_path / "config.yaml")
+    with pytest.raises(ConfigError, match=r"protocol.eval_every must be 0 or at least \d+ with"):
+        resumed(tmp_path, "protocol.rounds=3")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
