@@ -9,7 +9,7 @@ from unittest.mock import MagicMock
 import pytest
 from trainer_parts import make_trainer
 
-from bbq_torchrl.options import ConfigError, schemas
+from bbq_torchrl.options import ConfigError, LoggerOption, schemas
 
 
 def options():
@@ -47,6 +47,15 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, name):
 
     with pytest.raises(ConfigError, match=rf"needs the package {name}: pip install .*\[{name}\]'"):
         options()[name]().check_package()
+
+
+def test_a_missing_package_of_a_logger_of_ones_own_is_named_without_an_extra():
+    class Own(LoggerOption):
+        name = "own"
+        package = "not_installed_anywhere"
+
+    with pytest.raises(ConfigError, match=r": pip install not_installed_anywhere$"):
+        Own().check_package()
 
 
 def test_a_resumed_run_goes_on_as_the_same_wandb_run(tmp_path, monkeypatch):

@@ -30,7 +30,7 @@ class LoggerOption(Option):
     group: ClassVar[str] = "logger"
 
     package: ClassVar[str] = ""
-    """What has to be installed, and the extra that brings it; empty: nothing."""
+    """What has to be installed, and for ours the extra that brings it; empty: nothing."""
 
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
         """Makes TorchRL's loggers of a run.
@@ -42,9 +42,8 @@ class LoggerOption(Option):
         raise NotImplementedError
 
     def check_package(self) -> None:
-        """Raises ConfigError, which names the extra to install, where the package is missing."""
+        """Raises ConfigError, which says what to install, where the package is missing."""
         if self.package and importlib.util.find_spec(self.package) is None:
-            raise ConfigError(
-                f"logger={self.name} needs the package {self.package}: "
-                f"{install_command(self.package)}"
-            )
+            is_ours = type(self).__module__.startswith(f"{__name__}.")
+            command = install_command(self.package) if is_ours else f"pip install {self.package}"
+            raise ConfigError(f"logger={self.name} needs the package {self.package}: {command}")
