@@ -33,6 +33,9 @@ MIN_BAND = 5
 WINDOW = 10
 """Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
 
+LEGEND_HEIGHT = 1.0
+"""Inches of a figure's height that its legend may take; for a higher one the figure grows."""
+
 # Okabe and Ito's colors, told apart by color-blind readers too.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
@@ -63,7 +66,8 @@ def draw_run(
     """Draws the learning curve of one run into a PNG file.
 
     The main line is that of the evaluations while training, with training success lighter behind
-    it; of a run without them it is training success.
+    it; of a run without them it is training success. Of several groups each has one entry in the
+    legend, with its final evaluation.
 
     Args:
         file: the file.
@@ -76,19 +80,22 @@ def draw_run(
     figure, axes = _axes()
     end = groups[0].first.rounds
     for group, color in zip(groups, _colors(len(groups)), strict=True):
+        mean = float(np.mean(group.final))
+        # Of one group the final evaluation stands out, of several it belongs to the group.
+        final, ending, label = COLORS[1], "", f"final evaluation: {mean:.3f}"
+        if len(groups) > 1:
+            final, ending, label = color, f", final {mean:.3f}", None
         if group.evaluation is None:
-            _draw_training(axes, group, color)
+            _draw_training(axes, group, color, ending=ending)
         else:
             training = moving_average(group.success).mean(1)
-            label = f"training, with exploration (mean of {WINDOW} rounds)"
-            axes.plot(training, color=color, lw=1, alpha=0.4, label=label)
-            label = f"{group.label} ({_seeds(group)}, evaluated)"
-            _draw_evaluated(axes, group.evaluation, color, "o-", label=label)
-        # Of one group the final evaluation stands out, of several it belongs to the group.
-        final = COLORS[1] if len(groups) == 1 else color
-        mean = float(np.mean(group.final))
+            explored = f"training, with exploration (mean of {WINDOW} rounds)"
+            explored = explored if group is groups[0] else None
+            axes.plot(training, color=color, lw=1, alpha=0.4, label=explored)
+            evaluated = f"{group.label} ({_seeds(group)}, evaluated){ending}"
+            _draw_evaluated(axes, group.evaluation, color, "o-", label=evaluated)
         axes.plot([end] * len(group.final), group.final, "o", ms=5, color=final)
-        axes.axhline(mean, color=final, lw=1, ls="--", label=f"final evaluation: {mean:.3f}")
+        axes.axhline(mean, color=final, lw=1, ls="--", label=label)
     if spiked is not None:
         axes.plot([0], [0], "^", color=COLORS[2], ms=8, clip_on=False, label=spiked, zorder=5)
     for start, slot in (extensions or {}).items():
@@ -228,11 +235,13 @@ def _seeds(group: Group) -> str:
     return "1 seed" if len(group.final) == 1 else f"{len(group.final)} seeds"
 
 
-def _draw_training(axes: Any, group: Group, color: str, *, band: bool = False) -> None:
+def _draw_training(
+    axes: Any, group: Group, color: str, *, band: bool = False, ending: str = ""
+) -> None:
     success, smooth = group.success, moving_average(group.success)
     # A single run shows its raw rounds; several seeds would hide each other that way.
     thin = success if success.shape[1] == 1 else smooth
-    label = f"{group.label} ({_seeds(group)}, mean of {WINDOW} rounds)"
+    label = f"{group.label} ({_seeds(group)}, mean of {WINDOW} rounds){ending}"
     rounds = np.arange(len(success))
     _draw_seeds(axes, rounds, smooth, color, "-", band=band, thin=thin, label=label)
 
@@ -275,10 +284,24 @@ def _finished(figure: Figure, panels: Sequence[Any], *, legend: bool = True) -> 
     for axes in panels:
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
-    # Below the axes: inside, some curve would always be behind it.
     if legend:
-        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+        _add_legend(figure)
     return figure
+
+
+def _add_legend(figure: Figure) -> None:
+    """Adds the legend below the axes: inside, some curve would always be behind it.
+
+    Two columns, or one where they are too wide; a figure that is too small for it grows.
+    """
+    for columns in (2, 1):
+        legend = figure.legend(loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+        width, height = legend.get_window_extent().size / figure.dpi
+        if width <= figure.get_figwidth() or columns == 1:
+            break
+        legend.remove()
+    figure.set_figwidth(max(figure.get_figwidth(), width))
+    figure.set_figheight(figure.get_figheight() + max(0.0, height - LEGEND_HEIGHT))
 
 
 def save(figure: Figure, file: Path) -> None:

@@ -110,6 +110,31 @@ def test_a_run_with_several_values_has_a_color_for_each(tmp_path, drawn, count):
     assert len(set.union(*colors)) == count
 
 
+@pytest.mark.parametrize("evaluated", [{}, {"eval_success_rate": np.full((30, 1), 0.5)}])
+@pytest.mark.parametrize("count", [2, 8, 20])
+def test_the_legend_has_an_entry_for_each_group_and_place_in_the_figure(
+    tmp_path, drawn, count, evaluated
+):
+    keys = "explore.temperature_init={}, explore.temperature_end={}"
+    names = [f"DQN, {keys.format(n, n / 10)}, agent.dropout=0.25" for n in range(count)]
+    groups = [group(1, label=name, **evaluated) for name in names]
+    draw_run(tmp_path / "curve.png", groups, title="a run")
+
+    (figure,) = drawn
+    (legend,), (axes,) = figure.legends, figure.axes
+    figure.draw_without_rendering()  # a text's size in inches depends on the dots per inch
+    for name in names:
+        (entry,) = [text for text in labels(figure) if text.startswith(f"{name} (")]
+        assert entry.endswith(", final 0.400")
+    assert len(labels(figure)) == count + len(evaluated)
+    box, curves = legend.get_window_extent(), axes.get_tightbbox()
+    assert (box.min >= 0).all()
+    assert (box.max <= figure.bbox.max).all()
+    assert box.y1 <= curves.y0
+    assert curves.y1 <= figure.bbox.y1
+    assert curves.height > 3 * figure.dpi
+
+
 def test_a_run_of_one_replica_shows_its_raw_rounds(tmp_path, drawn):
     run = group(1)
     draw_run(tmp_path / "curve.png", [run], title="a run")
