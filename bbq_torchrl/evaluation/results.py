@@ -36,8 +36,8 @@ class TrainingEvaluation:
         last: of the last of them.
         last_five: mean of the last five, or of as many as there are.
         best: of the best one: the largest of many noisy rates, so rather too high.
-        best_round: the round at whose end that was, from 0. With domain extension only rounds
-            since the domain last grew count.
+        best_round: the round at whose end that was, from 0. With domain extension a best from
+            before the domain grew counts only until the next evaluation.
     """
 
     last: float

@@ -39,8 +39,8 @@ class RoundEvaluator:
         changes: the rounds in which the environment becomes another one.
 
     Attributes:
-        best: each replica's weights at its best evaluation. Where the domain has grown, what was
-            before does not count any more.
+        best: each replica's weights at its best evaluation. What was before the domain grew counts
+            only until the next evaluation.
     """
 
     def __init__(
