@@ -82,20 +82,21 @@ def draw_run(
     for group, color in zip(groups, _colors(len(groups)), strict=True):
         mean = float(np.mean(group.final))
         # Of one group the final evaluation stands out, of several it belongs to the group.
-        final, ending, label = COLORS[1], "", f"final evaluation: {mean:.3f}"
         if len(groups) > 1:
-            final, ending, label = color, f", final {mean:.3f}", None
+            final, ending, label = color, f", final {mean:.3f}", ""
+        else:
+            final, ending, label = COLORS[1], "", f"final evaluation: {mean:.3f}"
         if group.evaluation is None:
             _draw_training(axes, group, color, ending=ending)
         else:
             training = moving_average(group.success).mean(1)
-            explored = f"training, with exploration (mean of {WINDOW} rounds)"
-            explored = explored if group is groups[0] else None
-            axes.plot(training, color=color, lw=1, alpha=0.4, label=explored)
+            is_first = group is groups[0]
+            explored = f"training, with exploration (mean of {WINDOW} rounds)" if is_first else ""
+            axes.plot(training, color=color, lw=1, alpha=0.4, label=explored or None)
             evaluated = f"{group.label} ({_seeds(group)}, evaluated){ending}"
             _draw_evaluated(axes, group.evaluation, color, "o-", label=evaluated)
         axes.plot([end] * len(group.final), group.final, "o", ms=5, color=final)
-        axes.axhline(mean, color=final, lw=1, ls="--", label=label)
+        axes.axhline(mean, color=final, lw=1, ls="--", label=label or None)
     if spiked is not None:
         axes.plot([0], [0], "^", color=COLORS[2], ms=8, clip_on=False, label=spiked, zorder=5)
     for start, slot in (extensions or {}).items():
@@ -296,7 +297,8 @@ def _add_legend(figure: Figure) -> None:
     """
     for columns in (2, 1):
         legend = figure.legend(loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
-        width, height = legend.get_window_extent().size / figure.dpi
+        box = legend.get_window_extent()
+        width, height = box.width / figure.dpi, box.height / figure.dpi
         if width <= figure.get_figwidth() or columns == 1:
             break
         legend.remove()
