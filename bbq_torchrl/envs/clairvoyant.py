@@ -115,19 +115,21 @@ class ClairvoyantPolicy(TensorDictModuleBase):
             Long ``[*B, S]``: how many records match what is held after the answer and have a value
             of every other slot in question; -1 where there is no answer to look at.
         """
+        shape, n_slots = held.shape, held.shape[-1]
+        held, is_open, answers = (part.reshape(-1, n_slots) for part in (held, is_open, answers))
         left = torch.full_like(held, -1)
-        *places, slot = answers.nonzero(as_tuple=True)
+        row, slot = answers.nonzero(as_tuple=True)
         if slot.numel() == 0:
-            return left
-        held, others = held[tuple(places)], is_open[tuple(places)]
+            return left.view(shape)
+        held, others = held[row], is_open[row]
         value, _ = self._knowledge_base.fill(held, slot)
         held = held.scatter(-1, slot[:, None], value[:, None])
         others = others.scatter(-1, slot[:, None], False)
         records = self._knowledge_base.matching(held)
         for is_other, with_slot in zip(others.unbind(-1), self._records_with, strict=True):
             records = torch.where(is_other[:, None], records & with_slot, records)
-        left[(*places, slot)] = popcount(records)
-        return left
+        left[row, slot] = popcount(records)
+        return left.view(shape)
 
 
 def _actions_of_slots(names: tuple[str, ...], act: str, slots: tuple[str, ...]) -> torch.Tensor:

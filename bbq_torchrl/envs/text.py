@@ -88,8 +88,8 @@ class TextChannel:
         if agent is not None:
             parts += [agent.act[..., None], agent.informs, agent.requests]
         words = index_below(draws["words"], VARIANTS)
-        # Value ids and variants fit into 32 bits.
-        rows = torch.cat([words[..., None], *parts], -1).flatten(0, -2).int().cpu()
+        row = torch.cat([words[..., None], *parts], -1)
+        rows = row.reshape(-1, row.shape[-1]).int().cpu()  # value ids and variants fit into 32 bits
         found = torch.zeros(len(rows), 2 + 2 * n_slots, dtype=torch.long)
         for number in (~is_silent).flatten().nonzero().flatten().tolist():
             found[number] = self._recall(rows[number], n_slots)

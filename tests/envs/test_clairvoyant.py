@@ -36,6 +36,16 @@ def test_without_errors_exactly_the_goals_that_a_record_meets_are_booked(corpus,
     assert torch.equal(success, expected)
 
 
+def test_it_plays_one_dialogue_as_a_batch_of_one(movie):
+    actions = []
+    for batch in ((), (1,)):
+        env = DialogueEnv(movie, batch_size=batch, seed=0, slot_error_prob=0.3)
+        policy = ClairvoyantPolicy(env)
+        plays = [env.rollout(env.max_agent_turns, policy)["action"].flatten() for _ in range(20)]
+        actions.append(torch.cat(plays))
+    assert torch.equal(*actions)
+
+
 @pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed"])
 def test_what_was_misheard_is_asked_again(movie, mode):
     env = DialogueEnv(movie, batch_size=(500,), seed=0, slot_error_prob=0.2, slot_error_mode=mode)

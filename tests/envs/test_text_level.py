@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import Goal, tensorize
-from bbq_torchrl.envs import DialogueEnv, SequencePolicy, measured
+from bbq_torchrl.envs import DialogueEnv, SequencePolicy, measured, scripted_policy
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.language import Frame, Understood
 from bbq_torchrl.simulator import MeasuredErrors
@@ -137,6 +137,15 @@ def test_another_spelling_of_a_value_is_the_value_that_was_said(movie):
     heard = channel._hear(Frame("inform", {"starttime": said}), None, 0)
     assert heard[2 + slot] == texts.ids({"starttime": said})[slot]
     assert heard[2 + slot] != texts.ids({"starttime": other})[slot]
+
+
+def test_one_dialogue_is_heard_as_a_batch_of_one_is(movie):
+    states = []
+    for batch in ((), (1,)):
+        env = DialogueEnv(movie, batch_size=batch, channel=channel_of(movie)[0], seed=1)
+        env.rollout(4, scripted_policy("rule", env))
+        states.append(env.dialogues.reshape(-1))
+    assert (states[0] == states[1]).all()
 
 
 @pytest.mark.parametrize("action", ["greeting", "request(city)"])
