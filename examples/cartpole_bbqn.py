@@ -55,7 +55,7 @@ def make_agent(agent: Agent, env: TransformedEnv, frames: int) -> tuple[Any, Any
     """Returns the Q-value actor, the policy that explores, and the loss.
 
     Args:
-        agent: "bbqn" explores by Thompson sampling, one weight draw an episode; "dqn", the same
+        agent: "bbqn" explores by Thompson sampling, one weight draw a step; "dqn", the same
             network without uncertainty, by ε from 1 to .05 in a quarter of the frames.
         env: whose actions there are.
         frames: to learn from.
@@ -93,7 +93,7 @@ def train(agent: Agent, frames: int, seed: int, *, every: int = 2000) -> float:
         explore,
         frames_per_batch=FRAMES_PER_BATCH,
         total_frames=frames,
-        auto_register_policy_transforms=True,  # marks where episodes begin, as per="episode" needs
+        auto_register_policy_transforms=True,  # what a policy needs of its environment
     )
     policy = EvaluationPolicy(actor)  # the mean network
     seen = 0
