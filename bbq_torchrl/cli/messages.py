@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LAUNCHER",
     "explain",
+    "key_of",
     "not_an_option",
     "refuse_second_folder",
     "take_config_dir",
@@ -91,6 +92,11 @@ def take_config_dir(arguments: Sequence[str]) -> list[str]:
         else:
             rest.append(argument)
     return rest
+
+
+def key_of(override: str) -> str:
+    """Returns the key or group of an override, without the marks in front of it."""
+    return override.lstrip("+~").partition("=")[0]
 
 
 def refuse_second_folder(arguments: Sequence[str]) -> None:
@@ -206,7 +212,7 @@ def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> s
     match = re.match(r"(?:Could not (\w+) |Key )[^']*'([^']+)'", _first_line(error))
     if match is None:
         return None
-    key = match[2].lstrip("+~").partition("=")[0]
+    key = key_of(match[2])
     if match[1] == "append":
         return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
     schema = getattr(cause, "object_type", None)

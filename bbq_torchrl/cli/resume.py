@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from bbq_torchrl.cli.messages import key_of
 from bbq_torchrl.cli.store import read_config, run_of
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.root import validate
@@ -149,7 +150,7 @@ def run_to_resume(overrides: Sequence[str]) -> Config | None:
         return None
     run = run_config(folder)
     for override in overrides:
-        key, _, value = override.lstrip("+~").partition("=")
+        key, value = key_of(override), override.partition("=")[2]
         if key.partition("/")[0] == EXPERIMENT:
             return None
         own = getattr(run, key, None) if key not in CHANGEABLE else None
@@ -175,7 +176,7 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
     config = copy.deepcopy(saved)
     config.resume = str(folder)
     for override in overrides:
-        key = override.lstrip("+~").partition("=")[0]
+        key = key_of(override)
         if key == "resume":
             continue
         group, _, name = key.partition(".")

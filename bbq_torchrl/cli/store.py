@@ -26,7 +26,7 @@ from omegaconf.errors import (
 )
 
 from bbq_torchrl.cli.folders import quoted
-from bbq_torchrl.cli.messages import explain, not_an_option, too_large, unknown_key
+from bbq_torchrl.cli.messages import explain, key_of, not_an_option, too_large, unknown_key
 from bbq_torchrl.options import (
     AgentOption,
     CalibrateConfig,
@@ -142,7 +142,7 @@ def compose_raw(
     refusal = too_large(overrides) or not_an_option(overrides, root)
     if refusal is not None:
         raise ConfigError(refusal)
-    given = {_key(override) for override in overrides}
+    given = {key_of(override) for override in overrides}
     own = [] if run is None else [group for group in _groups(root) if group not in given]
     chosen = [f"{group}={getattr(run, group).name}" for group in own]
     try:
@@ -167,7 +167,7 @@ def compose_raw(
 
 def run_of(overrides: Sequence[str], key: str) -> str | None:
     """The text that a command line has for the key of a run folder; None if it has none."""
-    given = [override for override in overrides if _key(override) == key]
+    given = [override for override in overrides if key_of(override) == key]
     if not given or too_large(given):
         return None
     try:
@@ -175,10 +175,6 @@ def run_of(overrides: Sequence[str], key: str) -> str | None:
     except (HydraException, ValueError):  # refused when it is composed
         return None
     return value if isinstance(value, str) else None
-
-
-def _key(override: str) -> str:
-    return override.lstrip("+~").partition("=")[0]
 
 
 def _groups(root: type) -> list[str]:

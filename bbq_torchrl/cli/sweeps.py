@@ -21,7 +21,7 @@ from omegaconf import open_dict, read_write
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import named_folder, refuse_other_folder, reserve
-from bbq_torchrl.cli.messages import LAUNCHER, explain
+from bbq_torchrl.cli.messages import LAUNCHER, explain, key_of
 from bbq_torchrl.cli.resume import is_finished, restarted_config, run_config
 from bbq_torchrl.cli.store import compose_raw, to_config
 from bbq_torchrl.options import Config
@@ -176,7 +176,7 @@ def refuse_unswept(composed: DictConfig, overrides: Sequence[str]) -> None:
     Raises:
         ConfigError: a key that is swept is not among the overrides.
     """
-    given = {item.lstrip("+").partition("=")[0] for item in overrides}
+    given = {key_of(item) for item in overrides}
     left = [key for key in composed.hydra.sweeper.get("params") or {} if key not in given]
     if left:
         raise ConfigError(

@@ -92,11 +92,11 @@ def draw_run(
             training = moving_average(group.success).mean(1)
             is_first = group is groups[0]
             explored = f"training, with exploration (mean of {WINDOW} rounds)" if is_first else ""
-            axes.plot(training, color=color, lw=1, alpha=0.4, label=explored or None)
+            axes.plot(training, color=color, lw=1, alpha=0.4, label=explored)
             evaluated = f"{group.label} ({_seeds(group)}, evaluated){ending}"
             _draw_evaluated(axes, group.evaluation, color, "o-", label=evaluated)
         axes.plot([end] * len(group.final), group.final, "o", ms=5, color=final)
-        axes.axhline(mean, color=final, lw=1, ls="--", label=label or None)
+        axes.axhline(mean, color=final, lw=1, ls="--", label=label)
     if spiked is not None:
         axes.plot([0], [0], "^", color=COLORS[2], ms=8, clip_on=False, label=spiked, zorder=5)
     for start, slot in (extensions or {}).items():
