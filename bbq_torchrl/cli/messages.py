@@ -11,7 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException, ValidationError
+from omegaconf.errors import (
+    ConfigKeyError,
+    InterpolationResolutionError,
+    OmegaConfBaseException,
+    ValidationError,
+)
 
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import CalibrateConfig, Config, ConfigError, EvaluateConfig, schemas
@@ -55,7 +60,9 @@ def explain(error: Exception, overrides: Sequence[str], root: type = Config) -> 
         overrides: the command line it was composed from.
         root: the schema of the whole configuration.
     """
-    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
+    cause: BaseException | None = error
+    if not isinstance(error, OmegaConfBaseException):
+        cause = error.__cause__ or error.__context__  # the latter where a YAML file is at fault
     if isinstance(error, OverrideParseException):
         return unreadable(str(error.override), "write key=value, and quote special characters")
     if isinstance(error, MissingConfigException):
@@ -209,6 +216,9 @@ def _removed(overrides: Sequence[str]) -> str | None:
 
 
 def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> str | None:
+    if (file := re.match(r"In '([^']+)'", str(error))) and isinstance(cause, ConfigKeyError):
+        place = _place(str(cause.full_key).rpartition(".")[0], cause.object_type)
+        return f"{file[1]} sets {cause.full_key}, which {place} does not have"
     match = re.match(r"(?:Could not (\w+) |Key )[^']*'([^']+)'", _first_line(error))
     if match is None:
         return None
@@ -252,6 +262,8 @@ def not_an_option(overrides: Sequence[str], root: type) -> str | None:
             return f"{EXPERIMENT} is for training only: write the keys of {value} one by one"
         if re.match(r"[+~]*hydra[./]", group) and root is not Config:
             return f"{shown(override)} is for training only: this command has no such key"
+        if key_of(override).startswith("hydra.sweeper.params."):
+            return unreadable(override, "give a key its values, as --multirun seed=1,2")
         if equals and group == EXPERIMENT:
             return f"{EXPERIMENT} is added with a plus: write +{EXPERIMENT}={value}"
         if group.startswith("+") and group.lstrip("+") in groups:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import os
 import textwrap
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -18,6 +19,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
+from hydra.utils import to_absolute_path
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import (
     InterpolationResolutionError,
@@ -223,7 +225,9 @@ def to_config(typed: DictConfig, root: type[Root]) -> Root:
                 f"{group}.name must be {type(option).name!r}, got {option.name!r}: "
                 f"choose by {group}={option.name}"
             )
-    config.domain.resolve_path()
+    if path := getattr(config.domain, "path", ""):
+        # Of the folder that the command began in: with hydra.job.chdir=true a job is elsewhere.
+        config.domain.path = os.path.abspath(to_absolute_path(os.path.expanduser(path)))  # type: ignore[attr-defined]
     validate(config)
     return config
 

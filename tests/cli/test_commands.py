@@ -7,6 +7,7 @@ Training runs in children of this process; processes of their own are in the slo
 from __future__ import annotations
 
 import json
+import shutil
 
 import forked
 import pytest
@@ -154,6 +155,24 @@ def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_say
     train(*sweep, cwd=tmp_path)  # what is finished is left as it is
     assert [(folder / "config.yaml").stat().st_mtime_ns for folder in folders] == made
     assert returned() == [item["success_rate"] for item in results]
+
+
+def test_jobs_find_a_domain_from_where_the_sweep_began(restaurant_folder, tmp_path):
+    shutil.copytree(restaurant_folder, tmp_path / "restaurant")
+    train(
+        "--multirun",
+        "hydra/launcher=basic",
+        "hydra.job.chdir=true",
+        "domain=folder",
+        "domain.path=restaurant",
+        "agent=dqn",
+        *TINY,
+        "protocol.rounds=1",
+        "hydra.sweep.dir=sweep",
+        "hydra.sweep.subdir=job",
+        cwd=tmp_path,
+    )
+    assert read_result(tmp_path / "sweep" / "job").domain == "restaurant"
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,11 +18,6 @@ class DomainOption(Option):
     """What the dialogues are about."""
 
     group: ClassVar[str] = "domain"
-
-    def resolve_path(self) -> None:
-        """Makes the key ``path`` absolute, where there is one: a run may go on elsewhere."""
-        if path := getattr(self, "path", ""):
-            self.path = os.path.abspath(os.path.expanduser(path))
 
     def make(self) -> Domain:
         """Loads the domain.

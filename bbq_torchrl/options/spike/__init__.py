@@ -51,6 +51,11 @@ class SpikeOption(Option):
                     f"spike.{item.name} must be {json.dumps(default)} with spike.dialogues=0, "
                     f"where nothing is spiked, got {shown(value)}"
                 )
+        if self.drop_above is None and self.drop_window != type(self).drop_window:
+            raise ConfigError(
+                f"spike.drop_window must be {type(self).drop_window} with spike.drop_above=null, "
+                f"which it is the window of, got {self.drop_window}"
+            )
         if self.drop_above is not None and not self.protect:
             raise ConfigError(
                 "spike.drop_above cannot be combined with spike.protect=false: transitions that "
