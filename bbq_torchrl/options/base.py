@@ -8,7 +8,6 @@ torch: making it does.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -29,13 +28,11 @@ class Option:
 
     Attributes:
         group: the group that it belongs to; set by the base class of the group.
-        order: which place it has where ours are listed; those of others follow as they come.
     """
 
     name: str = REQUIRED
 
     group: ClassVar[str]
-    order: ClassVar[float] = math.inf
 
     def check(self, config: Config) -> None:
         """Refuses what cannot be combined; each value alone has been checked by then.

@@ -90,8 +90,7 @@ def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
             package = importlib.import_module(f"{__package__}.{group}")
             for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
                 importlib.import_module(module.name)
-            ours = sorted(_OPTIONS[group].items(), key=lambda item: item[1].order)
-            _OPTIONS[group] = dict(ours)
+            _OPTIONS[group] = dict(sorted(_OPTIONS[group].items()))
         for point in entry_points(group=ENTRY_POINTS):
             try:
                 point.load()

@@ -73,7 +73,6 @@ class BBQN(AgentOption):
     )
     evaluate_draws: int = setting(10, SIZE, "draws that evaluate=average takes the mean of")
 
-    order: ClassVar[float] = 1
     offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES

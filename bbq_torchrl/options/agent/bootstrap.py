@@ -49,7 +49,6 @@ class Bootstrap(AgentOption):
     )
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
 
-    order: ClassVar[float] = 3
     # Its greedy action is what most heads vote for: there is no value to put into a softmax.
     offers: ClassVar[tuple[str, ...]] = ("heads",)
     explores_by: ClassVar[str] = "bootstrap"

@@ -32,7 +32,6 @@ class DQN(AgentOption):
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online network")
     noisy: bool = setting(False, BOOLEAN, "NoisyNet layers in the place of dropout")
 
-    order: ClassVar[float] = 2
     offers: ClassVar[tuple[str, ...]] = ("values", "noise")
 
     def check(self, config: Config) -> None:

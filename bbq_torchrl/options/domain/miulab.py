@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import DomainOption, register
 from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, option, setting
@@ -29,8 +29,6 @@ class MiuLabDomain(DomainOption):
         BOOLEAN,
         "goals, rows and slots that cannot be used are left out and named, or refused",
     )
-
-    order: ClassVar[float] = 2
 
     def make(self) -> Domain:
         """Reads the files."""

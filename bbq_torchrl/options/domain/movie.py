@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import DomainOption, register
 from bbq_torchrl.options.settings import option
@@ -20,8 +20,6 @@ class MovieDomain(DomainOption):
     """The movie-booking corpus that ships with the package."""
 
     name: str = option("movie")
-
-    order: ClassVar[float] = 1
 
     def make(self) -> Domain:
         """Loads it."""

@@ -29,7 +29,6 @@ class DomainExtension(FullDomain):
     every: int = setting(10, COUNT, "rounds between two new slots")
     paper_rounds: int = other_default(FullDomain, "paper_rounds", 200)
 
-    order: ClassVar[float] = 2
     extends: ClassVar[bool] = True
 
     def schedule(self) -> ExtensionSchedule:

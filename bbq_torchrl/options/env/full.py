@@ -71,7 +71,6 @@ class FullDomain(EnvOption):
         False, BOOLEAN, "turns are compiled by torch.compile, which takes up to a minute"
     )
 
-    order: ClassVar[float] = 1
     has_domain: ClassVar[bool] = True
 
     def check(self, config: Config) -> None:

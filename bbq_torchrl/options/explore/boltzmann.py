@@ -41,7 +41,6 @@ class BoltzmannActing(ExploreOption):
         0.5, PROBABILITY, "share of the rounds over which the temperature falls, linearly"
     )
 
-    order: ClassVar[float] = 4
     needs: ClassVar[tuple[str, ...]] = ("values",)
 
     def check(self, config: Config) -> None:

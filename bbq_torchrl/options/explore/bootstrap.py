@@ -27,7 +27,6 @@ class BootstrapActing(ExploreOption):
         "episode", one_of("step", "episode", "round"), "how long one draw of a head is kept"
     )
 
-    order: ClassVar[float] = 6
     needs: ClassVar[tuple[str, ...]] = ("heads",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:

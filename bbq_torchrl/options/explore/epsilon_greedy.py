@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import ExploreOption, register
 from bbq_torchrl.options.settings import PROBABILITY, Values, option, per_replica, setting
@@ -31,8 +31,6 @@ class EpsilonGreedy(ExploreOption):
     anneal_fraction: float = setting(
         0.5, PROBABILITY, "share of the rounds over which epsilon falls, linearly"
     )
-
-    order: ClassVar[float] = 2
 
     def check(self, config: Config) -> None:
         """Refuses an epsilon that rises."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import ExploreOption, register
 from bbq_torchrl.options.settings import option
@@ -23,8 +23,6 @@ class GreedyActing(ExploreOption):
     """The action of the highest Q-value; no exploration."""
 
     name: str = option("greedy")
-
-    order: ClassVar[float] = 5
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The agent's policy without exploration."""

@@ -25,7 +25,6 @@ class NoisyActing(ExploreOption):
     name: str = option("noisy")
     shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
 
-    order: ClassVar[float] = 7
     needs: ClassVar[tuple[str, ...]] = ("noise",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:

@@ -28,7 +28,6 @@ class Thompson(ExploreOption):
     )
     shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
 
-    order: ClassVar[float] = 1
     needs: ClassVar[tuple[str, ...]] = ("posterior",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:

@@ -26,7 +26,6 @@ class ThompsonEpsilon(EpsilonGreedy, Thompson):
 
     name: str = option("thompson_epsilon")
 
-    order: ClassVar[float] = 3
     needs: ClassVar[tuple[str, ...]] = Thompson.needs
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from bbq_torchrl.options import SpikeOption, register
 from bbq_torchrl.options.settings import option
@@ -17,5 +16,3 @@ class RuleSpike(SpikeOption):
     """Replay-buffer spiking: dialogues of a scripted policy."""
 
     name: str = option("rule")
-
-    order: ClassVar[float] = 1
