@@ -34,7 +34,8 @@ and prints the line to write into domain.yaml, with standard errors.
   policy=     a scripted policy of the domain; rule by default
   success=    the wanted success rate; 0.183 by default, that of the paper's rule agent
   dialogues=  how many are played for each probability that is tried
-  env=, env.<key>=  turn limit, error mode and the like, as in train.py
+  env=, env.<key>=  turn limit, error mode and the like, as in train.py; with env=domain_ext the
+              essential slots alone, as in round 0
   batch=, seed=, device=, threads=
 
 Meaning and allowed values of a key: docs/environment.md

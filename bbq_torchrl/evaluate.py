@@ -34,7 +34,8 @@ dialogues, turns_per_second.
 
   policy=      random, a scripted policy of the domain (rule, careful, ...), clairvoyant (it is
                privileged: it reads the user's hidden goal), a run folder, or shipped:<name>, an
-               agent that comes with the package
+               agent that comes with the package (what has not been trained plays in round 0 of
+               env=domain_ext, a trained agent in the round that it was saved in)
   dialogues=   how many; for each replica of a run folder
   batch=       how many run side by side
   env=, domain=  as in train.py; a run folder's own unless given, where env.<key>= or

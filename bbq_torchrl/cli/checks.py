@@ -35,7 +35,8 @@ def check(config: Config) -> Domain | None:
         ConfigError: the device is absent, the logger's package is not installed, the domain has
             no such scripted policy, or the spike would fill the replay buffer.
         TrainingError: the run to resume has nothing that it can go on from.
-        ValueError or OSError: the corpus is damaged or not there.
+        ValueError or OSError: the corpus is damaged or not there, or the spike cannot be played
+            in the first round.
     """
     check_device(config.device)
     config.logger.check_package()
@@ -51,6 +52,8 @@ def check(config: Config) -> Domain | None:
             f"spike.policy must be one of {', '.join(policies)}, got {shown(spike.policy)}"
         )
     config.env.check_domain(domain)
+    if spike.dialogues and config.env.extends:  # a script may need a slot that comes later
+        config.env.make_policy(spike.policy, config.env.make(domain, (1,)))
     _check_spike(config, domain)
     if config.resume is not None:
         _check_resumable(Path(config.resume), config)

@@ -111,14 +111,20 @@ def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]
     dialogues = min(config.protocol.eval_dialogues, OTHERS_DIALOGUES)
     env = _last_env(config, domain, 1, dialogues)
 
-    def rate(name: str) -> float:
-        played = _played(config, env, config.env.make_policy(name, env), dialogues)
-        return played.success.double().mean().item()
+    def rates(*names: str) -> dict[str, float]:
+        found = {}
+        for name in names:
+            try:
+                policy = config.env.make_policy(name, env)
+            except ValueError:  # a script that needs a slot which has not come yet
+                continue
+            played = _played(config, env, policy, dialogues)
+            found[name] = played.success.double().mean().item()
+        return found
 
-    scripted = (*config.env.policies(domain), RANDOM_POLICY)
     return {
-        "scripted": {name: rate(name) for name in scripted},
-        "references": {name: rate(name) for name in config.env.references(domain)},
+        "scripted": rates(*config.env.policies(domain), RANDOM_POLICY),
+        "references": rates(*config.env.references(domain)),
     }
 
 

@@ -163,7 +163,8 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
         env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms.
 
     Raises:
-        ValueError: if there is no such policy.
+        ValueError: if there is no such policy, or a step of its script is illegal in the
+            environment's round.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain
@@ -184,7 +185,16 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
     specification = domain.policies[name]
     policy: TensorDictModuleBase
     if specification.kind == "script":
-        policy = SequencePolicy([domain.action_index(step) for step in specification.steps])
+        steps = [domain.action_index(step) for step in specification.steps]
+        is_legal = env.simulator.action_mask(env.active_slots)
+        for step in steps:
+            if not is_legal[step]:
+                action = domain.actions[step]
+                raise ValueError(
+                    f"policy {name} cannot be played in round {env.round}: the slot "
+                    f"{action.slot} of its step {action} comes later"
+                )
+        policy = SequencePolicy(steps)
     else:
         policy = CarefulPolicy(env, specification.steps)
     return policy.to(env.device)

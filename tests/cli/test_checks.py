@@ -34,3 +34,15 @@ def test_a_slot_with_actions_that_domain_extension_would_never_activate_is_refus
     with pytest.raises(ValueError, match="domain extension would never activate restaurant"):
         check(compose([*where, "env=domain_ext"]))
     check(compose([*where, "env=full"]))
+
+
+def test_a_spike_that_needs_a_slot_of_a_later_round_is_refused(restaurant_folder, tmp_path):
+    folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
+    file = folder / "domain.yaml"
+    script = "steps: [request(cuisine), "
+    file.write_text(file.read_text().replace(script, f"{script}request(price_range), "))
+    where = ("domain=folder", f"domain.path={folder}")
+    with pytest.raises(ValueError, match="rule cannot be played in round 0: the slot price_range"):
+        check(compose([*where, "env=domain_ext"]))
+    check(compose([*where, "env=domain_ext", "spike.policy=careful"]))
+    check(compose([*where, "env=full"]))

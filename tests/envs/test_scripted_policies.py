@@ -8,9 +8,11 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from bbq_torchrl.domains import ScriptedPolicySpec
 from bbq_torchrl.envs import (
     CarefulPolicy,
     DialogueEnv,
+    ExtensionSchedule,
     SequencePolicy,
     UniformPolicy,
     scripted_policy,
@@ -133,3 +135,14 @@ def test_a_policy_without_answers_offers_at_once(movie):
     rollout = env.rollout(3, CarefulPolicy(env, ["price"]), break_when_any_done=False)
     names = [mute.action_names[action] for action in rollout["action"][0]]
     assert names == ["request(price)", "inform(taskcomplete)", "thanks"]
+
+
+def test_a_script_that_needs_a_slot_of_a_later_round_is_refused_until_then(movie):
+    script = ScriptedPolicySpec("script", ("request(city)", "request(genre)", "thanks"))
+    domain = replace(movie, policies={"early": script})
+    env = DialogueEnv(domain, batch_size=(2,), schedule=ExtensionSchedule(start=3))
+    message = r"early cannot be played in round 0: the slot genre of its step request\(genre\)"
+    with pytest.raises(ValueError, match=message):
+        scripted_policy("early", env)
+    env.set_round(3)
+    assert played(env, scripted_policy("early", env)) == [list(script.steps)] * 2
