@@ -317,7 +317,10 @@ class _CompiledPlay:
 
     def __init__(self, simulator: Simulator) -> None:
         self._simulator = simulator
-        self._play = torch.compile(simulator.play, fullgraph=True, dynamic=False)
+        # Else all environments of a process together have the 8 programs that torch allows a turn.
+        self._play = torch.compile(
+            simulator.play, fullgraph=True, dynamic=False, isolate_recompiles=True
+        )
 
     def __call__(self, *state_and_action: Any) -> tuple[TensorDict, torch.Tensor]:
         return self._play(*state_and_action)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 from host_waits import NeverWaits
@@ -68,3 +70,12 @@ def test_a_compiled_turn_is_the_turn(restaurant):
     compiled = turns(make_env(restaurant, compile_turns=True))
     for one, other in zip(compiled, turns(make_env(restaurant)), strict=True):
         assert (one == other).all()
+
+
+@pytest.mark.slow
+def test_environments_are_compiled_each_for_itself(restaurant, monkeypatch):
+    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="eager"))
+    with torch._dynamo.config.patch(recompile_limit=2):  # one for the first turn, one for others
+        for max_turn in (10, 12):
+            env = DialogueEnv(restaurant, batch_size=(2,), max_turn=max_turn, compile_turns=True)
+            assert env.rollout(4, break_when_any_done=False).shape == (2, 4)
