@@ -138,9 +138,12 @@ def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
 def _drawn(
     weights: Mapping[str, float], rng: random.Random, count: int, but: Sequence[str]
 ) -> list[str]:
-    """Returns slots drawn by their weights, one perhaps several times, but none of some."""
+    """Returns slots drawn by their weights, one perhaps several times, but none of some.
+
+    None at all where there are no others.
+    """
     slots = [slot for slot in weights if slot not in but]
-    return rng.choices(slots, [weights[slot] for slot in slots], k=count)
+    return rng.choices(slots, [weights[slot] for slot in slots], k=count) if slots else []
 
 
 class _Frames:

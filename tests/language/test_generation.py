@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.domains import Goal, movie_domain
 from bbq_torchrl.language import (
     ANY,
     Frame,
@@ -125,6 +125,25 @@ def test_an_act_without_phrases_of_its_own_is_said_by_those_that_inform(speak):
 def test_no_sentence_of_the_grammar_tells_what_it_asks_for(lexicon):
     for example in make_examples(lexicon, 500, seed=0):
         assert set(example.frame.requests).isdisjoint(example.frame.informs), example
+
+
+@pytest.mark.parametrize("n_slots", [1, 2])
+def test_a_domain_of_few_slots_has_sentences(restaurant, n_slots):
+    few = ("cuisine", "area")[:n_slots]
+    slots = (*few, "table", "booking")
+    domain = replace(
+        restaurant,
+        slots=slots,
+        actions=tuple(a for a in restaurant.actions if a.slot is None or a.slot in slots),
+        essential=slots,
+        extension_order=(),
+        free_slots=("table", "booking"),
+        policies={},
+        records=({"cuisine": "thai"}, {"cuisine": "french"}),
+        goals=(Goal({"cuisine": "thai"}),),
+        error_values={slot: ("thai", "north") for slot in few},
+    )
+    assert len(make_examples(Lexicon(domain), 1_000, seed=0)) == 1_000
 
 
 def test_generic_phrases_ask_several_things_at_once():
