@@ -23,7 +23,8 @@ class FaultsError(ValueError):
         faults: one sentence or more.
 
     Attributes:
-        faults: the same.
+        subject: the same.
+        faults: the same, as a tuple.
 
     Examples:
         >>> print(FaultsError("a.csv", ["line 2 is empty", "line 7 is empty"]))
@@ -33,14 +34,16 @@ class FaultsError(ValueError):
     """
 
     def __init__(self, subject: str, faults: Sequence[str]) -> None:
-        self.faults = tuple(faults)
+        # `args` stay what was given, which an error that is unpickled is made of.
+        self.subject, self.faults = subject, tuple(faults)
+
+    def __str__(self) -> str:
         if len(self.faults) == 1:
-            super().__init__(f"{subject}: {self.faults[0]}")
-            return
-        lines = [f"{subject} has {len(self.faults)} faults:", *self.faults[:_FAULTS]]
+            return f"{self.subject}: {self.faults[0]}"
+        lines = [f"{self.subject} has {len(self.faults)} faults:", *self.faults[:_FAULTS]]
         if len(self.faults) > _FAULTS:
             lines.append(f"and {len(self.faults) - _FAULTS} more")
-        super().__init__("\n  ".join(lines))
+        return "\n  ".join(lines)
 
 
 def shown(value: object) -> str:

@@ -134,6 +134,14 @@ def test_all_faults_are_refused_at_once(restaurant: Domain):
         assert text in str(caught.value)
 
 
+def test_an_error_with_all_its_faults_survives_pickling(restaurant: Domain):
+    for change in ({"goals": ()}, {"goals": (), "name": ""}):
+        with pytest.raises(ValueError, match="there are no goals") as caught:
+            replace(restaurant, **change)
+        other = pickle.loads(pickle.dumps(caught.value))
+        assert (str(other), other.found) == (str(caught.value), caught.value.found)
+
+
 def test_a_user_may_not_care(restaurant: Domain):
     goal = Goal({"area": "i do NOT care"})
     assert replace(restaurant, goals=(goal,)).goals == (goal,)
