@@ -151,7 +151,9 @@ class Features:
         self.layout = FeatureLayout(domain)
         self._knowledge_base = knowledge_base
         self._n_acts = domain.n_acts
-        self._turn_onehot = torch.eye(domain.turn_width, device=domain.records.device)
+        self._turn_onehot = torch.eye(
+            domain.turn_width, dtype=torch.float32, device=domain.records.device
+        )
 
     def __call__(self, state: TensorDictBase, active: torch.Tensor) -> torch.Tensor:
         """Returns the features, float32 ``[*B, F]``.
@@ -182,7 +184,7 @@ class Features:
         return torch.cat(
             [
                 flags.float(),
-                acts[..., None] / TURN_SCALE,
+                acts[..., None].float() / TURN_SCALE,
                 rows(self._turn_onehot, acts.clamp(max=self._turn_onehot.shape[0] - 1)),
                 counts.clamp(max=1.0),
                 counts / COUNT_SCALE,

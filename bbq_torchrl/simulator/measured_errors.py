@@ -177,7 +177,7 @@ class MeasuredErrors(Movable):
             for said in ("unsaid", "said")
             for context in CONTEXTS
         ]
-        self._request_rate = torch.tensor(rates).flatten()
+        self._request_rate = torch.tensor(rates, dtype=torch.float32).flatten()
 
 
 def questions_of(acts: Sequence[str], slots: Sequence[str]) -> tuple[str, ...]:

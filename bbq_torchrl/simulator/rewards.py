@@ -34,4 +34,5 @@ class Rewards:
             success: bool ``[*B]``, where it ends in success.
         """
         at_end = torch.where(success, self.success, self.failure)
-        return torch.where(was_done, 0.0, torch.where(is_done, at_end, self.turn))
+        reward = torch.where(was_done, 0.0, torch.where(is_done, at_end, self.turn))
+        return reward.float()  # numbers alone have torch's default dtype

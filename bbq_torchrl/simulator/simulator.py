@@ -174,7 +174,11 @@ class Simulator:
         n_slots = self.domain.n_slots
         width = len(per_slot) * n_slots
         uniform = torch.rand(
-            *batch_shape, width + len(per_dialogue), generator=generator, device=self.device
+            *batch_shape,
+            width + len(per_dialogue),
+            generator=generator,
+            dtype=torch.float32,
+            device=self.device,
         )
         by_slot = uniform[..., :width].unflatten(-1, (len(per_slot), n_slots)).unbind(-2)
         scalars = uniform[..., width:].unbind(-1)
@@ -255,7 +259,7 @@ class Simulator:
         if heard.repeats is not None:
             repeats = repeats + heard.repeats
             unpaid = torch.where(state["agent_act"] < 0, repeats, heard.repeats)
-            reward = torch.where(was_done, reward, reward + self.rewards.turn * unpaid)
+            reward = torch.where(was_done, reward, reward + self.rewards.turn * unpaid.float())
         is_kept = was_done[..., None]
         held = self.tracker.hear(self.tracker.hold(state["held"], agent), heard.informs)
         asked = open_ = heard.requests

@@ -11,6 +11,7 @@ import torch
 from torchrl.envs import check_env_specs
 
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
+from bbq_torchrl.envs.measured import load_errors
 
 
 def step(env, action):
@@ -81,6 +82,24 @@ def test_the_seed_decides_everything_but_the_policy(movie):
     assert not torch.equal(one["observation"], rollout(env)["observation"])
     assert env.set_seed(5) != 5
     assert (one == rollout(env)).all()
+
+
+@pytest.mark.parametrize("channel", [None, load_errors])
+def test_dialogues_do_not_depend_on_the_default_dtype(movie, channel):
+    def rollout():
+        own = None if channel is None else channel(movie)
+        env = DialogueEnv(movie, batch_size=(8,), channel=own, seed=5)
+        return env.rollout(10, scripted_policy("rule", env), break_when_any_done=False)
+
+    expected = rollout()
+    torch.set_default_dtype(torch.float64)
+    try:
+        found = rollout()
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert (found == expected).all()
+    for key in ("observation", ("next", "reward")):
+        assert found[key].dtype == torch.float32
 
 
 def test_without_a_seed_torch_manual_seed_decides(movie):
