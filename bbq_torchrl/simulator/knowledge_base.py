@@ -40,8 +40,9 @@ class KnowledgeBase(Movable):
     kept once more for each slot the agent can inform or offer, with the records ordered by that
     slot's value and every value starting a new byte. The counts are then differences of one
     running sum over bytes. Only values that a record has are counted: what a turn costs depends on
-    the records, however long the lists of values. Memory: ``(1 + informable slots) * values *
-    records`` bits.
+    the records, however long the lists of values. Memory: a bit for each value and record, and as
+    much again for each slot the agent can inform or offer; there the records of one value fill
+    whole bytes, so that where no two records share a value it is a byte for each value and record.
 
     Args:
         domain: the domain's tensors, on the CPU: it is built from many small pieces, which an
