@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ACTION_KINDS",
     "MAX_TURN_WIDTH",
+    "PRIVILEGED_POLICY",
+    "RANDOM_POLICY",
     "REQUIRED_ACTS",
     "check_domain",
     "repeated",
@@ -41,6 +43,12 @@ ACTION_KINDS = ("act", "request", "inform", "multiple_choice")
 
 MAX_TURN_WIDTH = 1_000
 """The widest one-hot turn: a feature each, in every observation."""
+
+RANDOM_POLICY = "random"
+"""The name of the policy that every domain has besides its own."""
+
+PRIVILEGED_POLICY = "clairvoyant"
+"""The name of the policy that reads the user's hidden goal, to set a ceiling beside agents."""
 
 _RESERVED = {fold(text): key for key, text in RESERVED_TEXT.items()}
 
@@ -85,6 +93,13 @@ def _names(domain: Domain) -> Iterator[Fault]:
         yield Fault(("acts",), f"acts must contain {list(REQUIRED_ACTS)}, {missing} are missing")
     for key in ("essential", "extension_order", "free_slots"):
         yield from _unknown(domain, (key,), getattr(domain, key), f"{key} names ")
+    told = [action.slot for action in domain.actions if action.kind in ACTION_KINDS[2:]]
+    known = {*told, *domain.error_values, *(slot for record in domain.records for slot in record)}
+    if known <= {*domain.free_slots}:
+        yield Fault(
+            ("free_slots",),
+            "free_slots must leave a slot to constrain the records by, got all that have values",
+        )
     if both := [slot for slot in domain.extension_order if slot in domain.essential]:
         yield Fault(
             ("extension_order",),
@@ -166,6 +181,12 @@ def _actions(domain: Domain) -> Iterator[Fault]:
 def _policies(domain: Domain) -> Iterator[Fault]:
     for name, policy in domain.policies.items():
         key, place = f"policies.{name}", ("policies", name)
+        if name in ("", RANDOM_POLICY, PRIVILEGED_POLICY):
+            yield Fault(
+                place,
+                f"policies must have names of their own, not empty, {RANDOM_POLICY} or "
+                f"{PRIVILEGED_POLICY}, got {name!r}",
+            )
         if policy.kind not in ("script", "careful"):
             yield Fault(
                 place, f"{key} must be of kind 'script' or 'careful', got {shown(policy.kind)}"

@@ -318,7 +318,8 @@ class _CompiledPlay:
     def __init__(self, simulator: Simulator) -> None:
         self._simulator = simulator
         # Else all environments of a process together have the 8 programs that torch allows a turn.
-        self._play = torch.compile(
+        # (Torch's overloads lack the keyword.)
+        self._play = torch.compile(  # type: ignore[call-overload]
             simulator.play, fullgraph=True, dynamic=False, isolate_recompiles=True
         )
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict.nn import TensorDictModuleBase
 
+from bbq_torchrl.domains.validate import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
 
 if TYPE_CHECKING:
@@ -25,12 +26,6 @@ __all__ = [
     "UniformPolicy",
     "scripted_policy",
 ]
-
-RANDOM_POLICY = "random"
-"""The name of the policy that every domain has besides its own."""
-
-PRIVILEGED_POLICY = "clairvoyant"
-"""The name of the policy that reads the user's hidden goal, to set a ceiling beside agents."""
 
 
 class SequencePolicy(TensorDictModuleBase):

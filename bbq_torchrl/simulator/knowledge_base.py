@@ -47,9 +47,6 @@ class KnowledgeBase(Movable):
     Args:
         domain: the domain's tensors, on the CPU: it is built from many small pieces, which an
             accelerator would be slow at.
-
-    Raises:
-        ValueError: if the domain has no slot that could constrain its records.
     """
 
     def __init__(self, domain: DomainTensors) -> None:
@@ -60,9 +57,6 @@ class KnowledgeBase(Movable):
         decides = domain.constrains & (domain.n_values > FIRST_VALUE)
         decides[listed] = domain.constrains[listed]
         self.slots = decides.nonzero().squeeze(-1)
-        if self.slots.numel() == 0:
-            raise ValueError("at least one slot must constrain the knowledge base, got none")
-
         allowed = _allowed_records(domain, self.slots.tolist())
         sizes = domain.n_values[self.slots]
         self.first_set = sizes.cumsum(0) - sizes

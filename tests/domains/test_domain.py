@@ -82,6 +82,10 @@ def test_a_domain_survives_pickling(restaurant: Domain):
 
 
 ACTIONS = tuple(map(Action.parse, ["thanks", "request(area)", "inform(booking)"]))
+SLOTS = (
+    *("table", "party_size", "cuisine", "area", "day", "hour", "price_range", "restaurant"),
+    *("phone", "terrace", "booking"),
+)
 FAULTS = {
     "act not a word": ({"acts": ("a b",)}, "identifiers.*a b"),
     "ticket not free": ({"free_slots": ("booking",)}, "ticket_slot must be among free_slots"),
@@ -111,6 +115,22 @@ FAULTS = {
             "policies": {"x": ScriptedPolicySpec("careful", ("area",))},
         },
         "needs the action 'thanks'",
+    ),
+    "policy random": (
+        {"policies": {"random": ScriptedPolicySpec("script", ("thanks",))}},
+        "got 'random'",
+    ),
+    "policy clairvoyant": (
+        {"policies": {"clairvoyant": ScriptedPolicySpec("script", ("thanks",))}},
+        "policies must have names of their own.*got 'clairvoyant'",
+    ),
+    "policy without name": (
+        {"policies": {"": ScriptedPolicySpec("script", ("thanks",))}},
+        "policies must have names of their own.*got ''",
+    ),
+    "all slots free": (
+        {"slots": SLOTS, "free_slots": SLOTS},
+        "free_slots must leave a slot to constrain the records by",
     ),
     "record slot": ({"records": ({"zip": "1"},)}, "record 0.*unknown slot 'zip'"),
     "record number": ({"records": ({"area": 3},)}, "record 0.*area.*3"),

@@ -141,7 +141,7 @@ def test_a_domain_of_few_slots_has_sentences(restaurant, n_slots):
         policies={},
         records=({"cuisine": "thai"}, {"cuisine": "french"}),
         goals=(Goal({"cuisine": "thai"}),),
-        error_values={slot: ("thai", "north") for slot in few},
+        error_values=dict.fromkeys(few, ("thai", "north")),
     )
     assert len(make_examples(Lexicon(domain), 1_000, seed=0)) == 1_000
 

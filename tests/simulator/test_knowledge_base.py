@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -136,9 +135,3 @@ def test_a_look_up_does_not_grow_with_values_that_no_record_has(restaurant):
     short, grown = (shelf.counts_by_value(held, slot)[0] for shelf in shelves)
     assert short.shape == grown.shape
     assert torch.equal(short, grown)
-
-
-def test_a_knowledge_base_without_deciding_slots_is_refused():
-    domain = tensorize(small_domain(Goal({})))
-    with pytest.raises(ValueError, match="at least one slot must constrain"):
-        KnowledgeBase(replace(domain, constrains=torch.zeros(len(SLOTS), dtype=torch.bool)))
