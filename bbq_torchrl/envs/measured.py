@@ -52,7 +52,8 @@ def load_errors(domain: Domain) -> MeasuredErrors:
         domain: whose folder has :data:`ERRORS_FILE`.
 
     Raises:
-        ValueError: there are none, or they are of another domain.
+        ValueError: there are none, or they are of another domain, or of this one when it had other
+            slots.
     """
     file = None if domain.folder is None else domain.folder / ERRORS_FILE
     if file is None or not file.is_file():
@@ -62,7 +63,11 @@ def load_errors(domain: Domain) -> MeasuredErrors:
             f"makes {ERRORS_FILE} in the folder of a domain"
         )
     try:
-        return MeasuredErrors(tensorize(domain), json.loads(file.read_text(encoding="utf-8")))
+        counts = json.loads(file.read_text(encoding="utf-8"))
+        counted = {slot for row in counts["requests"].values() for slot in row}
+        if counted != {*domain.slots}:  # in every turn each slot is asked for or not
+            raise ValueError(f"its slots are {', '.join(sorted(counted))}")
+        return MeasuredErrors(tensorize(domain), counts)
     except Exception as error:  # JSON nested too deeply, rows too short, counts of nothing
         raise ValueError(
             f"{file} is damaged, or counts the errors of another domain ({error!r}): make it anew "
