@@ -68,7 +68,8 @@ class Transcript:
         """Returns the user's last act: ``"request(theater) inform(moviename=zootopia)"``."""
         meant = str(self._frame(state, "user_act", "meant_informs", "pending"))
         heard = str(self._frame(state, "heard_act", "user_informs", "heard_requests"))
-        return meant if meant == heard else f"{meant} [heard: {heard}]"
+        is_over = bool(state["done"])  # the end is heard as it is; the tracker keeps questions
+        return meant if is_over or meant == heard else f"{meant} [heard: {heard}]"
 
     def goal(self, state: TensorDictBase) -> str:
         """Returns what the user wants: ``"request(ticket) inform(moviename=zootopia)"``."""

@@ -8,6 +8,7 @@ from oracle.small import ACTS, SLOTS, draws, small_domain
 from tensordict import TensorDict
 
 from bbq_torchrl.domains import Goal, tensorize
+from bbq_torchrl.envs.measured import load_errors
 from bbq_torchrl.simulator import ErrorModel, Simulator, Transcript
 
 GOAL = Goal({"city": "boston", "date": "today"}, ("theater",))
@@ -77,6 +78,19 @@ def test_a_question_that_was_not_heard_is_not_shown_as_heard(scene):
     said = "request(theater) inform(city=boston)"
     heard = "request inform(city=boston)"
     assert scene.transcript.user(scene.state) == f"{said} [heard: {heard}]"
+
+
+def test_a_question_left_open_is_not_misheard_at_the_end(movie):
+    simulator = Simulator(tensorize(movie), errors=load_errors(movie))
+    active = torch.ones(len(movie.slots), dtype=torch.bool)
+    generator = torch.Generator().manual_seed(0)
+    state = simulator.reset(simulator.draw_reset((50,), generator), active)
+    thanks = torch.full((50,), movie.action_index("thanks"))
+    state = simulator.turn(state, thanks, simulator.draw_turn((50,), generator), active)
+    assert (state["pending"] != state["heard_requests"]).any()
+    transcript = Transcript(simulator.domain)
+    assert all(transcript.user(one).startswith("closing") for one in state)
+    assert not any("heard" in transcript.user(one) for one in state)
 
 
 def test_a_transcript_is_of_one_dialogue(scene):
