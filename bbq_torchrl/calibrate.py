@@ -109,6 +109,11 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
             f"env must be one of full, domain_ext, whose error level can be set, got "
             f"{option.name!r}"
         )
+    if option.level != "act" or option.errors != "drawn":
+        raise ConfigError(
+            f"env.level must be act and env.errors drawn, whose probability is looked for, got "
+            f"{option.level!r} and {option.errors!r}"
+        )
     if option.slot_error_prob is not None:
         raise ConfigError(
             "env.slot_error_prob must be null: it is what is looked for, got "
@@ -138,13 +143,12 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     def error(rate: float) -> float:
         return binomial_standard_error(rate, config.dialogues)
 
-    for end, is_beyond in ((0.0, "at most"), (1.0, "at least")):
+    for end, beyond in ((0.0, "more"), (1.0, "less")):
         rate = success(end, config.seed)
-        if (rate <= config.success) if end == 0 else (rate >= config.success):
+        if (rate < config.success) if end == 0 else (rate > config.success):
             raise ConfigError(
                 f"success={config.success} cannot be reached: with slot_error_prob={end:g}, "
-                f"{config.policy} succeeds in {rate:.4f} ± {error(rate):.4f}, and that is "
-                f"{is_beyond} what it does"
+                f"{config.policy} succeeds in no {beyond} than {rate:.4f} ± {error(rate):.4f}"
             )
     root = brentq(lambda p: success(p, config.seed) - config.success, 0, 1, xtol=_PRECISION)
     probability = round(float(root), 4)

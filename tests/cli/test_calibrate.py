@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 
 import pytest
 
@@ -47,14 +48,32 @@ def test_at_the_probability_found_the_policy_succeeds_as_often_as_wanted(capsys,
     assert abs(rate - wanted) < 4 * (2 * 0.25 / 2000) ** 0.5 + 0.01
 
 
-@pytest.mark.parametrize(("success", "end"), [(0.99, 0), (0.0, 1)])
-def test_a_rate_that_cannot_be_reached_is_refused(capsys, restaurant_folder, success, end):
+def test_the_rate_at_an_end_can_be_reached(capsys, restaurant_folder):
     where = ("domain=folder", f"domain.path={restaurant_folder}", "dialogues=200")
+    assert calibrate.main(["calibrate", "success=0.99", *where]) == 2
+    most = re.search(r"in no more than (\S+) ±", capsys.readouterr().err).group(1)
+    assert calibrate.main(["calibrate", f"success={most}", *where]) == 0
+    assert capsys.readouterr().out.startswith("reference_slot_error_prob: 0 ")
+
+
+@pytest.mark.parametrize(
+    ("success", "said"),
+    [(0.99, "slot_error_prob=0, rule succeeds in no more"), (0.0, "=1, rule succeeds in no less")],
+)
+def test_a_rate_that_cannot_be_reached_is_refused(
+    capsys, restaurant_folder, tmp_path, success, said
+):
+    folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
+    if success == 0:  # users without a wish, whose area alone is misheard
+        (folder / "goals.jsonl").write_text('{"constraints": {}, "requests": []}\n')
+        (folder / "values.json").write_text('{"area": ["north"]}\n')
+    where = ("domain=folder", f"domain.path={folder}", "dialogues=200")
     assert calibrate.main(["calibrate", f"success={success}", *where]) == 2
     out, err = capsys.readouterr()
     assert not out
-    message = f"error: success={success} cannot be reached: with slot_error_prob={end}, rule"
-    assert err.splitlines()[-1].startswith(message)
+    message = err.splitlines()[-1]
+    assert message.startswith(f"error: success={success} cannot be reached: with ")
+    assert said in message
 
 
 def test_help_says_what_there_is(capsys):
