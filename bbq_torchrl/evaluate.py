@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,7 +167,7 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
     from bbq_torchrl.evaluation.transcripts import transcripts
 
     assert config.log is not None
-    file = Path(config.log).expanduser()
+    file = Path(expanduser(config.log))
     dialogues = min(config.log_dialogues, config.dialogues)
     texts = transcripts(env, policy, dialogues, seed=config.seed)
     try:

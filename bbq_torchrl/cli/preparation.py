@@ -10,6 +10,7 @@ of that folder.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -137,7 +138,7 @@ def _resumed_folder(resume: str | None) -> Path | None:
     """The run folder to go on in, if it is one."""
     if resume is None:
         return None
-    folder = Path(resume).expanduser().resolve()
+    folder = Path(expanduser(resume)).resolve()
     return folder if (folder / CONFIG).is_file() else None
 
 

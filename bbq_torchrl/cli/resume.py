@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,7 +146,7 @@ def run_to_resume(overrides: Sequence[str]) -> Config | None:
     refused by :func:`resumed_config`, whatever the combination.
     """
     given = run_of(overrides, "resume")
-    folder = Path(given).expanduser().resolve() if given else None
+    folder = Path(expanduser(given)).resolve() if given else None
     if folder is None or not (folder / CONFIG).is_file():
         return None
     run = run_config(folder)
@@ -171,7 +172,7 @@ def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
             that cannot be gone on with so.
     """
     assert given.resume is not None
-    folder = Path(given.resume).expanduser().resolve()
+    folder = Path(expanduser(given.resume)).resolve()
     saved = run_config(folder)
     config = copy.deepcopy(saved)
     config.resume = str(folder)

@@ -14,6 +14,7 @@ import csv
 import functools
 import io
 import json
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,7 +62,7 @@ def load_domain(path: str | Path) -> Domain:
         DomainError: a ``ValueError``, if a file is damaged or the files do not fit together: every
             fault with its file, its line, and what is allowed.
     """
-    folder = Path(path).expanduser()
+    folder = Path(expanduser(path))
     names = (SPECIFICATION_FILE, RECORDS_FILE, GOALS_FILE, VALUES_FILE)
     if missing := [name for name in names if not (folder / name).is_file()]:
         raise FileNotFoundError(f"the domain folder {folder} lacks {', '.join(missing)}")

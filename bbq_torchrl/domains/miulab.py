@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import pickle
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -79,7 +80,7 @@ def load_miulab(
         ValueError: if a file is damaged or holds anything but plain data of the expected form, if
             no entry is left, or, without ``skip_unusable``, if one cannot be used.
     """
-    folder = Path(path).expanduser()
+    folder = Path(expanduser(path))
     if missing := [name for name in (goals, kb, values) if not (folder / name).is_file()]:
         raise FileNotFoundError(f"the MiuLab folder {folder} lacks {missing}")
     specification = read_specification(MOVIE_FOLDER / SPECIFICATION_FILE).content

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from os.path import expanduser
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -102,7 +103,7 @@ def _count(given: argparse.Namespace, domain: Domain) -> None:
     torch.set_num_threads(1)
     trained = {name: _agent(name, domain) for name in given.trained}
     counts = count_errors(domain, given.turns, seed=given.seed, trained=trained)
-    file = given.domain.expanduser() / ERRORS_FILE
+    file = Path(expanduser(given.domain)) / ERRORS_FILE
     file.write_text(errors_text(counts), encoding="utf-8")
     output.write(f"{counts['turns']} turns counted: {file}\n")
 

@@ -11,6 +11,7 @@ import pkgutil
 import sys
 from dataclasses import fields, is_dataclass
 from importlib.metadata import entry_points
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -114,7 +115,7 @@ def load_folder(folder: Path | str) -> None:
         ConfigError: no such folder, a file that cannot be imported, or one that has the name of an
             option or a file of ours.
     """
-    folder = Path(folder).expanduser().resolve()
+    folder = Path(expanduser(folder)).resolve()
     if not folder.is_dir():
         raise ConfigError(f"--config-dir must be a folder, got {folder}")
     schemas()  # ours first: of two options of one name the folder's is refused

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -100,7 +101,7 @@ class Search:
     def folder(self) -> Path:
         """Where the search is kept."""
         chosen = self.settings.folder or f"runs/search_{self.name}"
-        return Path(chosen).expanduser().resolve()
+        return Path(expanduser(chosen)).resolve()
 
     def overrides(self, values: Mapping[str, Any]) -> list[str]:
         """The command line of ``train.py`` for a trial's values."""
@@ -209,7 +210,7 @@ def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
             f"got {shown(chosen)}"
         )
     places = [folder / SEARCH / f"{chosen}.yaml" for folder in config_folders()]
-    file = Path(chosen).expanduser() if own else next(place for place in places if place.is_file())
+    file = Path(expanduser(chosen)) if own else next(place for place in places if place.is_file())
     try:
         loaded = OmegaConf.load(file)
         plain = OmegaConf.to_container(loaded, resolve=False)

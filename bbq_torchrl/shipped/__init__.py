@@ -7,6 +7,7 @@ command line, and a checkpoint that holds nothing but the Q-network's weights, i
 
 from __future__ import annotations
 
+from os.path import expanduser
 from pathlib import Path
 
 from bbq_torchrl.options.settings import ConfigError
@@ -41,7 +42,7 @@ def run_folder(place: Path | str, base: Path | None = None) -> Path:
     """
     text = str(place)
     if not text.startswith(PREFIX):
-        return (base or Path()) / Path(place).expanduser()
+        return (base or Path()) / Path(expanduser(place))
     name, known = text.removeprefix(PREFIX), shipped_agents()
     if name not in known:
         raise ConfigError(f"{PREFIX}<name> must name one of {', '.join(known)}, got {shown(text)}")

@@ -6,6 +6,7 @@ import importlib
 import sys
 from contextlib import closing
 from dataclasses import replace
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _path(text: str) -> Path:
     """Reads a path; in ``--out=~/report`` the shell leaves the tilde as it is."""
-    return Path(text).expanduser()
+    return Path(expanduser(text))
 
 
 def _serve(given: argparse.Namespace) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,7 +116,7 @@ def load_study(path: str | Path) -> Study:
         OSError: the file cannot be read.
         StudyError: with every fault: key, value and what is allowed.
     """
-    file = Path(path).expanduser()
+    file = Path(expanduser(path))
     try:
         content = _content(file)
     except RecursionError:
@@ -187,7 +188,7 @@ class _Reader:
 
         allowed = f"{key} must be {_MOVIE} or a domain's folder"
         _expect(_is_text(name), allowed, name)
-        folder = self._file.parent / Path(name).expanduser()
+        folder = self._file.parent / Path(expanduser(name))
         try:
             return movie_domain() if name == _MOVIE else load_domain(folder)
         except FileNotFoundError as error:
