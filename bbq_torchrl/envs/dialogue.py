@@ -41,7 +41,8 @@ class DialogueEnv(EnvBase):
     ================  =============  =======================================================
 
     The environment keeps the state of its dialogues (``env.dialogues``) and the generator of all
-    its random choices; ``state_dict`` holds both. A dialogue that has ended stays as it is until it
+    its random choices; its ``state_dict`` holds both (that of a ``TransformedEnv`` around it does not:
+    save and load its ``base_env``). A dialogue that has ended stays as it is until it
     is reset. Each turn draws numbers for the whole batch, and so does each reset: what one dialogue
     does in a turn never shifts the random numbers of another.
 
@@ -230,21 +231,21 @@ class DialogueEnv(EnvBase):
             self.dialogues, tensordict["action"], draws, self._active
         )
         emitted = self._emit(self._dialogues, observation)
-        emitted["reward"] = self._dialogues["reward"][..., None]
+        emitted["reward"] = self._dialogues["reward"][..., None].clone()
         return emitted
 
     def _emit(self, state: TensorDict, observation: torch.Tensor) -> TensorDict:
-        """Returns what the agent is told of the dialogues."""
+        """Returns what the agent is told of the dialogues, none of it memory of their state."""
         done = state["done"][..., None]
         return TensorDict(
             {
                 "observation": observation,
                 "action_mask": self._action_mask.clone(),
-                "success": state["success"][..., None],
+                "success": state["success"][..., None].clone(),
                 # The simulator counts the acts of both sides.
                 "turns": state["turn"][..., None] // 2,
-                "goal_id": state["goal_id"][..., None],
-                "done": done,
+                "goal_id": state["goal_id"][..., None].clone(),
+                "done": done.clone(),
                 "terminated": done.clone(),
                 "truncated": torch.zeros_like(done),
             },
@@ -277,6 +278,7 @@ class DialogueEnv(EnvBase):
         """Returns what ``state_dict`` saves: the dialogues, the generator and the round."""
         dialogues = self._dialogues
         return {
+            "domain": self.domain.name,
             "dialogues": None
             if dialogues is None
             else {key: value.clone() for key, value in dialogues.items()},
@@ -288,15 +290,18 @@ class DialogueEnv(EnvBase):
         """Goes on from what :meth:`get_extra_state` returned.
 
         Raises:
-            ValueError: if the dialogues saved are another batch than this environment's.
+            ValueError: if the dialogues saved are of another domain or batch than this
+                environment's.
         """
         saved = state["dialogues"]
         if saved is not None:
-            batch = saved["done"].shape
-            if batch != self.batch_size:
+            batch, slots = saved["done"].shape, saved["held"].shape[-1]
+            name = state.get("domain", self.domain.name)  # older states lack it
+            if (batch, name, slots) != (self.batch_size, self.domain.name, len(self.domain.slots)):
                 raise ValueError(
-                    f"the saved dialogues have batch size {list(batch)}, "
-                    f"the environment has {list(self.batch_size)}"
+                    f"the saved dialogues have batch size {list(batch)} and are of domain {name} "
+                    f"with {slots} slots, the environment has {list(self.batch_size)} and is of "
+                    f"{self.domain.name} with {len(self.domain.slots)}"
                 )
             # Saved before the tracker kept requests: then they were what the user waited for.
             # Saved before users were asked again: then they never were.

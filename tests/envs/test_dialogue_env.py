@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -151,6 +152,26 @@ def test_dialogues_of_another_batch_are_refused(movie):
     other = DialogueEnv(movie, batch_size=(4,), seed=0)
     with pytest.raises(ValueError, match=r"saved dialogues have batch size \[3\]"):
         other.load_state_dict(env.state_dict())
+
+
+def test_dialogues_of_another_domain_are_refused(movie, restaurant):
+    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+    env.reset()
+    other = replace(movie, name="cinema")
+    for domain in (restaurant, other):
+        with pytest.raises(ValueError, match="are of domain movie with 29 slots, the environment"):
+            DialogueEnv(domain, batch_size=(3,)).load_state_dict(env.state_dict())
+
+
+def test_what_is_told_is_not_memory_of_the_state(movie):
+    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+    greeting = torch.full((3,), movie.action_index("greeting"))
+    for tell in (env.reset, lambda: step(env, greeting)):
+        told, before = tell(), env.dialogues.clone()
+        for key in ("success", "turns", "goal_id", "done", "terminated", "truncated", "reward"):
+            if key in told:
+                told[key].fill_(1)
+        assert (env.dialogues == before).all()
 
 
 def test_a_copy_and_a_pickle_go_on_alike(movie):
