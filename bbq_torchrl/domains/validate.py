@@ -84,10 +84,12 @@ def _names(domain: Domain) -> Iterator[Fault]:
         if not act.isidentifier():
             yield Fault(("acts",), f"acts must be identifiers, got {shown(act)}")
     for slot in domain.slots:
-        if not re.fullmatch(r"\w+", slot):
+        # The features have names of their own: "all", and "0", "1", ... of the turn.
+        if not re.fullmatch(r"\w+", slot) or slot == "all" or slot.isdigit():
             yield Fault(
                 ("slots",),
-                f"slots must consist of letters, digits and underscores, got {shown(slot)}",
+                f"slots must consist of letters, digits and underscores, not of digits alone, and "
+                f"must not be 'all', got {shown(slot)}",
             )
     if missing := [act for act in REQUIRED_ACTS if act not in domain.acts]:
         yield Fault(("acts",), f"acts must contain {list(REQUIRED_ACTS)}, {missing} are missing")

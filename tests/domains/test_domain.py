@@ -128,6 +128,8 @@ FAULTS = {
         {"policies": {"": ScriptedPolicySpec("script", ("thanks",))}},
         "policies must have names of their own.*got ''",
     ),
+    "slot all": ({"slots": (*SLOTS, "all")}, "slots must consist of letters.*got 'all'"),
+    "slot of digits": ({"slots": (*SLOTS, "0")}, "slots must consist of letters.*got '0'"),
     "all slots free": (
         {"slots": SLOTS, "free_slots": SLOTS},
         "free_slots must leave a slot to constrain the records by",
