@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
 __all__ = ["REQUIRED_ACTS", "Action", "Domain", "Goal", "ScriptedPolicySpec"]
 
 PolicyKind = Literal["script", "careful"]
-
-_ACTION_TEXT = re.compile(r"(?P<act>[A-Za-z_]\w*)(\((?P<slot>\w+)\))?")
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,6 @@ class Action:
     Examples:
         >>> str(Action("request", "moviename"))
         'request(moviename)'
-        >>> Action.parse("thanks")
-        Action(act='thanks', slot=None)
     """
 
     act: str
@@ -55,18 +50,6 @@ class Action:
 
     def __str__(self) -> str:
         return self.act if self.slot is None else f"{self.act}({self.slot})"
-
-    @classmethod
-    def parse(cls, text: str) -> Action:
-        """Returns the action written as ``act`` or ``act(slot)``.
-
-        Raises:
-            ValueError: if ``text`` is neither, or if its act cannot carry a slot.
-        """
-        match = _ACTION_TEXT.fullmatch(text)
-        if match is None:
-            raise ValueError(f"an action is written 'act' or 'act(slot)', got {text!r}")
-        return cls(match["act"], match["slot"])
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from bbq_torchrl.domains.domain import Domain, Goal
 from bbq_torchrl.domains.faults import DomainError, tell
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
+from bbq_torchrl.domains.tables import NEEDS_VALUES
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -222,10 +223,7 @@ def _values(path: Path) -> dict[str, tuple[str, ...]]:
     """Returns slot to values; a value that is listed twice stays so and is drawn twice as often."""
     lists = _expect_mapping(path, read_plain_pickle(path), str)
     if not lists:
-        raise ValueError(
-            f"{path} must list the values of at least one slot: without any, an error of mode "
-            "'value' changes nothing"
-        )
+        raise ValueError(f"{path} {NEEDS_VALUES}")
     values = {
         slot: [_expect_text(f"{path}: {slot}", text) for text in _expect(f"{path}: {slot}", entry)]
         for slot, entry in lists.items()

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GOALS_FILE",
+    "NEEDS_VALUES",
     "RECORDS_FILE",
     "VALUES_FILE",
     "read_goals",
@@ -30,6 +31,12 @@ __all__ = [
 RECORDS_FILE = "knowledge_base.csv"
 GOALS_FILE = "goals.jsonl"
 VALUES_FILE = "values.json"
+
+NEEDS_VALUES = (
+    "must list the values of at least one slot: without any, an error of mode 'value' changes "
+    "nothing"
+)
+"""What is said of an empty file of values."""
 
 
 def read_records(path: Path) -> Source:
@@ -104,10 +111,7 @@ def read_values(path: Path) -> Source:
         if not isinstance(values, dict):
             raise ValueError(f"it must map slots to lists of values, got {shown(values)}")
         if not values:
-            raise ValueError(
-                "it must list the values of at least one slot: without any, an error of mode "
-                "'value' changes nothing"
-            )
+            raise ValueError(f"it {NEEDS_VALUES}")
     except ValueError as error:
         table.fault(str(error))
         return table

@@ -43,13 +43,19 @@ ALMOST_ONE = 1 - 2**-24
 GOAL = {"moviename": "deadpool", "city": "seattle", "numberofpeople": "2"}
 
 
+def action(text: str) -> Action:
+    """Returns the action that is written ``act`` or ``act(slot)``."""
+    act, _, slot = text.removesuffix(")").partition("(")
+    return Action(act, slot or None)
+
+
 def small_domain(*goals: Goal, records: Sequence[Mapping[str, str]] = RECORDS) -> Domain:
     """Returns the small cinema with these goals."""
     return Domain(
         name="small",
         acts=ACTS,
         slots=SLOTS,
-        actions=tuple(Action.parse(text) for text in ACTIONS),
+        actions=tuple(map(action, ACTIONS)),
         essential=("city", "numberofpeople", "ticket", "taskcomplete"),
         extension_order=("moviename", "date", "theater", "genre"),
         free_slots=("numberofpeople", "ticket", "taskcomplete"),
@@ -104,5 +110,5 @@ def start(
 
 def say(dialogue: Dialogue, *actions: str, **chosen: Any) -> None:
     """Plays agent acts; the draws are those of every one of the turns."""
-    for action in actions:
-        dialogue.turn(Action.parse(action), draws(**chosen))
+    for text in actions:
+        dialogue.turn(action(text), draws(**chosen))
