@@ -48,7 +48,7 @@ class DialogueEnv(EnvBase):
 
     Args:
         domain: what the dialogues are about.
-        batch_size: the shape of the batch of dialogues.
+        batch_size: the shape of the batch of dialogues, of numbers above 0.
         slot_error_prob: probability that an informed slot is misunderstood; ``None`` for the
             domain's reference difficulty.
         slot_error_mode: what becomes of it, see :class:`~bbq_torchrl.simulator.ErrorModel`.
@@ -98,6 +98,10 @@ class DialogueEnv(EnvBase):
         compile_turns: bool = False,
         channel: Channel | None = None,
     ) -> None:
+        if isinstance(batch_size, int) or any(size < 1 for size in batch_size):
+            raise ValueError(
+                f"batch_size must be a sequence of numbers above 0, such as (50,), got {batch_size}"
+            )
         super().__init__(device=_present(device), batch_size=torch.Size(batch_size))
         if slot_error_prob is None:
             slot_error_prob = domain.reference_slot_error_prob

@@ -40,7 +40,8 @@ class TextChannel:
     A value in another spelling of the domain's ("7:30pm", "7:30 pm") is the one that was said: that
     corpora spell values in several ways is no misunderstanding. What was understood once of the
     same act after the same act of the agent in the same words is remembered and not understood
-    again. A loop over the dialogues: for evaluation.
+    again. A loop over the dialogues: for evaluation. It cannot be pickled, nor can an environment
+    with it: a process of its own is given the function that makes them.
 
     Args:
         domain: the domain's tensors.

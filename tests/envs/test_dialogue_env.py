@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 from dataclasses import replace
 from functools import partial
 
@@ -215,6 +216,15 @@ def test_settings_reach_the_simulator(movie):
 def test_dialogues_before_the_first_reset_are_refused(movie):
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
         _ = DialogueEnv(movie).dialogues
+
+
+@pytest.mark.parametrize("batch_size", [5, (0,), (3, 0), (-1,)])
+def test_a_batch_of_no_dialogues_is_refused(movie, batch_size):
+    message = (
+        f"batch_size must be a sequence of numbers above 0, .* got {re.escape(str(batch_size))}"
+    )
+    with pytest.raises(ValueError, match=message):
+        DialogueEnv(movie, batch_size=batch_size)
 
 
 def test_an_unknown_device_is_refused(movie):
