@@ -8,6 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 
 from bbq_torchrl.exploration.base import check_batch, explores, schedule
+from bbq_torchrl.networks.q_actor import legal_actions
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -114,7 +115,7 @@ class Boltzmann(TensorDictModuleBase):
         logits = tensordict.get(self.action_value_key).detach() / temperature
         # argmax(logit - log E), E ~ Exp(1), is a draw from the softmax (the Gumbel trick)
         logits = logits - torch.empty_like(logits).exponential_().log_()
-        if self.action_mask_key is not None:
-            mask = tensordict.get(self.action_mask_key)
+        mask = legal_actions(tensordict, self.action_mask_key)
+        if mask is not None:
             logits = torch.where(mask, logits, float("-inf"))
         return tensordict.set(self.action_key, logits.argmax(-1))

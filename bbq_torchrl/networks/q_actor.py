@@ -11,12 +11,13 @@ from torchrl.modules import QValueActor
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from tensordict import TensorDictBase
     from tensordict.nn import TensorDictModuleBase
     from tensordict.utils import NestedKey
     from torch import Tensor, nn
     from torchrl.data import TensorSpec
 
-__all__ = ["masked", "q_actor", "split_actor"]
+__all__ = ["legal_actions", "masked", "q_actor", "split_actor"]
 
 
 def q_actor(
@@ -60,6 +61,23 @@ def q_actor(
         action_value_key=action_value_key,
         action_mask_key=action_mask_key,
     )
+
+
+def legal_actions(tensordict: TensorDictBase, key: NestedKey | None) -> Tensor | None:
+    """Returns the mask of legal actions, bool [*batch, N]; None where there is no key for one.
+
+    Raises:
+        KeyError: if the mask is missing.
+    """
+    if key is None:
+        return None
+    mask: Tensor | None = tensordict.get(key, None)
+    if mask is None:
+        raise KeyError(
+            f"{key!r} is missing, the mask of legal actions; if all of them always are, make actor "
+            "and exploration with action_mask_key=None"
+        )
+    return mask
 
 
 def masked(values: Tensor, mask: Tensor | None) -> Tensor:

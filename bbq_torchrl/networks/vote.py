@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.data import Categorical, Composite, OneHot
 from torchrl.modules import QValueActor
 
-from bbq_torchrl.networks.q_actor import masked
+from bbq_torchrl.networks.q_actor import legal_actions, masked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,7 +89,7 @@ class VoteModule(TensorDictModuleBase):
 
     def vote(self, tensordict: TensorDictBase, head_values: Tensor) -> TensorDictBase:
         """Writes what :meth:`forward` does; head_values has shape [*batch, K, N]."""
-        mask = self._mask(tensordict)
+        mask = legal_actions(tensordict, self.action_mask_key)
         ballots = masked(head_values, None if mask is None else mask.unsqueeze(-2)).argmax(-1)
         shape = (*head_values.shape[:-2], head_values.shape[-1])
         votes = ballots.new_zeros(shape).scatter_add_(-1, ballots, torch.ones_like(ballots))
@@ -100,11 +100,8 @@ class VoteModule(TensorDictModuleBase):
 
     def act_greedily(self, tensordict: TensorDictBase, values: Tensor) -> TensorDictBase:
         """Writes the legal action of greatest value; values has shape [*batch, N]."""
-        values = masked(values, self._mask(tensordict))
+        values = masked(values, legal_actions(tensordict, self.action_mask_key))
         return self._write(tensordict, values, values.argmax(-1, keepdim=True))
-
-    def _mask(self, tensordict: TensorDictBase) -> Tensor | None:
-        return None if self.action_mask_key is None else tensordict.get(self.action_mask_key)
 
     def _write(self, tensordict: TensorDictBase, values: Tensor, index: Tensor) -> TensorDictBase:
         spec = self._action_spec

@@ -123,7 +123,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         if mask is not None and mask.shape != values.shape[:-1]:
             raise self._wrong_mask(mask, list(values.shape[:-1]))
         with torch.no_grad():
-            td_target = self._td_target(tensordict.get("next"), online, target)
+            td_target = self._td_target(tensordict, online, target)
             index = self._beside_values(self._action_index(tensordict.get(keys.action), reward))
             heads = values.shape[:-1]
             rows = None if weight is None else self._by_head(weight.expand(heads).unsqueeze(-1))

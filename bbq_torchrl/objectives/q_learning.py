@@ -12,7 +12,7 @@ from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import replica_values, replicas_of
-from bbq_torchrl.networks.q_actor import masked
+from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
@@ -66,6 +66,8 @@ class OneStepQLoss(DQNLoss):
 
     Raises:
         ValueError: for an argument outside of what is listed.
+        KeyError: when called, if the input lacks what the actor reads, a mask of legal actions
+            under "next" included unless the actor's ``action_mask_key`` is None.
     """
 
     @dataclass
@@ -174,7 +176,7 @@ class OneStepQLoss(DQNLoss):
         if not self.has_fixed_targets:
             raise RuntimeError("next_state_values needs targets that are the same for every batch")
         online, target = self._tensors()
-        return self._next_values(tensordict.get("next"), online, target)
+        return self._next_values(tensordict, online, target)
 
     # -- forward ----------------------------------------------------------------------------
 
@@ -207,7 +209,7 @@ class OneStepQLoss(DQNLoss):
         online, target = self._tensors()
         values, out = self._predict(online, self._function.inputs(tensordict))
         with torch.no_grad():
-            td_target = self._td_target(tensordict.get("next"), online, target)
+            td_target = self._td_target(tensordict, online, target)
             weight = self._row_weights(tensordict, td_target)
             index = self._action_index(tensordict.get(keys.action), values)
         loss_value, out["td_error"], out["q_value"], square = td_loss(
@@ -240,13 +242,13 @@ class OneStepQLoss(DQNLoss):
         return action if action.ndim == values.ndim else action.unsqueeze(-1)
 
     def _td_target(
-        self, following: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
+        self, tensordict: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
     ) -> Tensor:
         """Returns r + γ max Q(s', ·) over legal actions, r at an end, [*replicas, *batch, 1]."""
-        keys = self.tensor_keys
+        keys, following = self.tensor_keys, tensordict["next"]
         value = following.get(keys.next_state_value, None)
         if value is None:
-            value = self._next_values(following, online, target)
+            value = self._next_values(tensordict, online, target)
         reward = self._beside_values(following.get(keys.reward))
         gamma = self.value_estimator.gamma
         if gamma.ndim:
@@ -255,14 +257,15 @@ class OneStepQLoss(DQNLoss):
         return torch.where(self._beside_values(following.get(keys.terminated)), reward, going_on)
 
     def _next_values(
-        self, following: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
+        self, tensordict: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
     ) -> Tensor:
         """Returns max Q(s', ·) over legal actions, [*replicas, *batch, 1]."""
         function = self._function
-        inputs = function.inputs(following)
-        mask = None
-        if function.action_mask_key is not None:
-            mask = self._beside_values(following.get(function.action_mask_key))
+        inputs = function.inputs(tensordict["next"])
+        key = function.action_mask_key
+        mask = legal_actions(tensordict, None if key is None else ("next", key))
+        if mask is not None:
+            mask = self._beside_values(mask)
         values = masked(self._target_values(target, inputs), mask)
         if not self.double_dqn:
             return values.amax(-1, keepdim=True)

@@ -115,6 +115,13 @@ def test_the_vote_is_what_the_actor_greedy_and_the_evaluation_do(exploration, re
             assert torch.equal(out[key], outs[0][key])
 
 
+@pytest.mark.parametrize("policy", [MajorityVote, BootstrapSampling, Greedy])
+def test_a_missing_mask_is_an_error_and_not_that_all_is_legal(policy):
+    with pytest.raises(KeyError, match=r"'action_mask' is missing.*action_mask_key=None"):
+        policy(fixed(action_mask_key="action_mask"))(bare(2))
+    assert policy(fixed())(bare(2))["action"].shape == (2,)
+
+
 # -- one head ------------------------------------------------------------------------------
 
 

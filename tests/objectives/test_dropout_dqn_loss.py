@@ -85,7 +85,7 @@ def test_dropout_is_on_in_the_prediction_and_off_in_the_targets(kind, training):
     HardUpdate(loss, value_network_update_interval=0)
     td = transitions()
     net.train(training)  # what acting does to the network must not matter
-    targets = [loss._td_target(td["next"], *loss._tensors()) for _ in range(2)]
+    targets = [loss._td_target(td, *loss._tensors()) for _ in range(2)]
     assert torch.equal(*targets)
     assert loss(td)["loss"] != loss(td)["loss"]
     assert all(module.training == training for module in net.modules())
@@ -143,8 +143,8 @@ def test_settings_outside_of_what_is_listed_are_refused():
 def test_without_a_frozen_copy_the_target_follows_the_network():
     loss = DropoutDQNLoss(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)), delay_value=False)
     td = transitions()
-    before = loss._td_target(td["next"], *loss._tensors())
+    before = loss._td_target(td, *loss._tensors())
     with torch.no_grad():
         flat(loss, "weight").mul_(2.0)
-    assert not torch.equal(loss._td_target(td["next"], *loss._tensors()), before)
+    assert not torch.equal(loss._td_target(td, *loss._tensors()), before)
     loss(td)["loss"].backward()

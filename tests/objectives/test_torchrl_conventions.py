@@ -179,6 +179,14 @@ def test_a_failing_network_leaves_its_parameters_in_place(case):
     result(loss, transitions())
 
 
+def test_a_missing_mask_is_an_error_and_not_that_all_is_legal(case):
+    loss, _ = case[0]()
+    td = transitions()
+    del td["next"]["action_mask"]
+    with pytest.raises(KeyError, match=r"'next', 'action_mask'.* is missing.*action_mask_key=None"):
+        loss(td)
+
+
 def everything(loss, td):
     """What a loss returns and writes, and its gradients."""
     torch.manual_seed(1)
