@@ -102,19 +102,11 @@ class BootstrapDQNLoss(OneStepQLoss):
             any row of the batch, so that their size does not depend on K.
         """
         keys = self.tensor_keys
-        function = self._function
         online, target = self._tensors()
-        inputs = function.inputs(tensordict)
         reward = tensordict.get(("next", keys.reward))
         mask = tensordict.get(keys.bootstrap_mask, None)
         weight = self._head_weights(tensordict, mask, reward)
-        if weight is not None:
-            unused = (weight == 0).all(-1)
-            if isinstance(inputs, TensorDictBase):
-                inputs = inputs.apply(lambda tensor: _blank(tensor, unused))
-            else:
-                inputs = [_blank(tensor, unused) for tensor in inputs]
-        values = function(online, inputs, "draw")
+        values = self._function(online, self._inputs(tensordict, weight), "draw")
         if values.shape[:-2] != reward.shape[:-1]:
             raise ValueError(
                 "the network must return values [*batch, heads, actions] with batch "
@@ -178,8 +170,3 @@ class BootstrapDQNLoss(OneStepQLoss):
         wanted = ", ".join(str(size) for size in shape)
         key = self.tensor_keys.bootstrap_mask
         return ValueError(f"{key!r} must have shape [{wanted}], got {list(mask.shape)}")
-
-
-def _blank(tensor: Tensor, rows: Tensor) -> Tensor:
-    """Returns [*batch, *features] with 0 in these rows, bool [*batch]: NaN · 0 would be NaN."""
-    return tensor.masked_fill(rows.reshape(rows.shape + (1,) * (tensor.ndim - rows.ndim)), 0)

@@ -13,6 +13,7 @@ from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import replica_values, replicas_of
 from bbq_torchrl.networks.q_actor import legal_actions, masked
+from bbq_torchrl.objectives.rows import row_entry, rows_that_count
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
@@ -38,7 +39,7 @@ class OneStepQLoss(DQNLoss):
     loss of its own, the mean over its batch; ``loss`` is their sum, so that no replica's
     gradient depends on another's data. Rows can be left out: ``loss_mask_key`` (TorchRL's
     attribute, here "valid" by default, an optional entry) names a bool [*replicas, *batch] entry
-    that is True for the rows that count.
+    that is True for the rows that count. States and rewards of the others may be anything, NaN too.
 
     Where the frozen network's values of the next states are at hand, computed by
     :meth:`next_state_values` once a freeze for many batches, the loss takes them from the entry
@@ -207,10 +208,10 @@ class OneStepQLoss(DQNLoss):
         """
         keys = self.tensor_keys
         online, target = self._tensors()
-        values, out = self._predict(online, self._function.inputs(tensordict))
+        weight = self._row_weights(tensordict, tensordict["next", keys.reward])
+        values, out = self._predict(online, self._inputs(tensordict, weight))
         with torch.no_grad():
             td_target = self._td_target(tensordict, online, target)
-            weight = self._row_weights(tensordict, td_target)
             index = self._action_index(tensordict.get(keys.action), values)
         loss_value, out["td_error"], out["q_value"], square = td_loss(
             self._rows(values),
@@ -228,6 +229,11 @@ class OneStepQLoss(DQNLoss):
         out["loss"] = loss_value.sum() if self.replicas else loss_value
         out["loss_value"] = loss_value.detach()
         return TensorDict(out)
+
+    def _inputs(self, tensordict: TensorDictBase, weight: Tensor | None) -> Inputs:
+        """Returns what the network reads, 0 in rows without weight: NaN · 0 would be NaN."""
+        ignored = None if weight is None else (weight == 0).all(-1)
+        return self._function.inputs(tensordict, ignored)
 
     def _rows(self, tensor: Tensor) -> Tensor:
         """Returns [*replicas, *batch, features] as [*replicas, B, features]."""
@@ -278,25 +284,15 @@ class OneStepQLoss(DQNLoss):
 
     def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
         """Returns row weights [*replicas, *batch, 1] that add up to 1, None if all are the same."""
-        keys = self._loss_mask_keys()
+        rows = like.shape[:-1]
+        weight = rows_that_count(self, tensordict, rows)
         if self.use_prioritized_weights in (True, "auto"):
-            keys = (self.tensor_keys.priority_weight, *keys)
-        weight: Tensor | None = None
-        for key in keys:
-            mask = tensordict.get(key, None)
-            if mask is None:
-                continue
-            if mask.ndim == like.ndim - 1:
-                mask = mask.unsqueeze(-1)
-            if mask.shape != like.shape:
-                raise ValueError(
-                    f"{key!r} must have the batch's shape {list(like.shape[:-1])}, got "
-                    f"{list(mask.shape)}"
-                )
-            mask = mask.to(like.dtype)
-            weight = mask if weight is None else weight * mask
+            priority = row_entry(tensordict, self.tensor_keys.priority_weight, rows)
+            if priority is not None:
+                weight = priority if weight is None else priority.where(weight, 0)
         if weight is None:
             return None
+        weight = weight.to(torch.result_type(like, 1.0))  # rewards may be whole numbers
         # 0 / tiny where no row counts at all: such a replica's data have no gradient
         tiny = torch.finfo(weight.dtype).tiny
         total = weight.sum(tuple(range(len(self.replicas), like.ndim)), keepdim=True)

@@ -83,11 +83,18 @@ class ValueFunction:
         """
         return [params.get(key) for key in self._keys]
 
-    def inputs(self, tensordict: TensorDictBase) -> Inputs:
-        """Returns what :meth:`__call__` takes of the states in a TensorDict [*batch]."""
+    def inputs(self, tensordict: TensorDictBase, ignored: Tensor | None = None) -> Inputs:
+        """Returns what :meth:`__call__` takes of the states in a TensorDict [*batch].
+
+        Args:
+            tensordict: the states.
+            ignored: bool [*batch], True for rows that are to be read as 0.
+        """
         if self._is_plain:
-            return [tensordict.get(key) for key in self.in_keys]
-        return tensordict.select(*self.in_keys, strict=False)
+            entries = [tensordict[key] for key in self.in_keys]
+            return entries if ignored is None else [_blank(entry, ignored) for entry in entries]
+        found = tensordict.select(*self.in_keys, strict=False)
+        return found if ignored is None else found.apply(lambda entry: _blank(entry, ignored))
 
     def __call__(
         self, tensors: Sequence[Tensor], inputs: Inputs, mode: WeightMode, **scope: Any
@@ -126,3 +133,8 @@ class ValueFunction:
         else:
             values = self._network.module(*inputs)
         return values
+
+
+def _blank(entry: Tensor, rows: Tensor) -> Tensor:
+    """Returns [*batch, *features] with 0 in these rows, bool [*batch]."""
+    return entry.masked_fill(rows.reshape(rows.shape + (1,) * (entry.ndim - rows.ndim)), 0)

@@ -13,6 +13,7 @@ from torchrl.objectives import LossModule
 
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
 from bbq_torchrl.objectives.num_data import NumData
+from bbq_torchrl.objectives.rows import rows_that_count
 
 if TYPE_CHECKING:
     from tensordict.utils import NestedKey
@@ -137,18 +138,20 @@ class DynamicsLoss(NumData, LossModule):
             RuntimeError: if N is not known.
         """
         self._check_num_data()
-        observation, action, following, terminated = (tensordict.get(k) for k in self.in_keys)
+        observation, action, following, terminated = (tensordict[key] for key in self.in_keys)
         rows = observation.shape[:-1]
-        predicted, counts = self._row_masks(tensordict, terminated.reshape(rows))
+        predicted = ~terminated.bool().reshape(*rows, 1)
+        counts = rows_that_count(self, tensordict, rows)
         inputs = self.dynamics.inputs(observation, action)
         if counts is not None:
+            predicted = predicted & counts
             # Select before anything is multiplied: a row that does not count may hold anything.
-            inputs = torch.where(counts.unsqueeze(-1), inputs, 0)
+            inputs = torch.where(counts, inputs, 0)
         kl_sum = KLSum()
         with weight_scope("draw", kl=kl_sum):
             output = self.dynamics.network(inputs)
         error = output - self.dynamics.standardize(following)
-        square = torch.where(predicted.unsqueeze(-1), error, 0).square().sum(-1)
+        square = torch.where(predicted, error, 0).square().sum(-1)
         sums = self._flat(square).sum(-1) * (0.5 / self.dynamics.noise_std**2)
         batch = self._flat(predicted if counts is None else counts)
         number = batch.shape[-1] if counts is None else batch.sum(-1).clamp_min(1)
@@ -157,23 +160,6 @@ class DynamicsLoss(NumData, LossModule):
         return TensorDict(
             {"loss": loss.sum(), "dynamics_loss": loss.detach(), "dynamics_kl": kl.detach()}
         )
-
-    def _row_masks(
-        self, tensordict: TensorDictBase, terminated: Tensor
-    ) -> tuple[Tensor, Tensor | None]:
-        """Returns which rows are predicted and which count, None if all do; bool like the input."""
-        counts = None
-        for key in self._loss_mask_keys():  # type: ignore[operator]
-            mask = tensordict.get(key, None)
-            if mask is not None:
-                if mask.numel() != terminated.numel():
-                    raise ValueError(
-                        f"{key!r} must have the batch's shape {list(terminated.shape)}, got "
-                        f"{list(mask.shape)}"
-                    )
-                mask = mask.reshape(terminated.shape)
-                counts = mask if counts is None else counts & mask
-        return ~terminated if counts is None else counts & ~terminated, counts
 
     def _flat(self, tensor: Tensor) -> Tensor:
         """Returns [*replicas, *batch] as [*replicas, B]."""

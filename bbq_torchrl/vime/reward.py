@@ -212,13 +212,13 @@ class VIMEReward(Transform):
             )
         batch = tensordict.batch_size
         observation, action, following, terminated = (
-            tensordict.get(key).to(self.dynamics.mean.device) for key in self.in_keys_inv
+            tensordict[key].to(self.dynamics.mean.device) for key in self.in_keys_inv
         )
-        is_going_on = ~terminated.reshape(batch)
+        is_going_on = ~terminated.bool().reshape(batch)
         valid = tensordict.get(self.valid_key, None)
         if valid is None:
             valid = torch.ones_like(is_going_on)
-        valid = valid.reshape(batch).to(is_going_on.device)
+        valid = valid.bool().reshape(batch).to(is_going_on.device)
         rows = [
             observation,
             self.dynamics.encode_action(action, batch),
