@@ -49,8 +49,11 @@ class OneStepQLoss(DQNLoss):
     :func:`~bbq_torchrl.networks.q_actor.split_actor`. A recurrent state is one of its in_keys: that
     of the next state is read under "next", as it was stored.
 
-    Differences from TorchRL's: the target is the one-step one (TD0) and computed without
-    TensorDicts in between; only index and one-hot actions; the network's dropout and weight
+    Where the input has TorchRL's entry ``steps_to_next_obs`` (its n-step transforms write it), the
+    value of the state n steps later is discounted by gamma ** n.
+
+    Differences from TorchRL's: the target is that of TD0 without ``average_rewards``, computed
+    without TensorDicts in between; only index and one-hot actions; the network's dropout and weight
     draws are set by the loss and not by the exploration type or the training flag.
 
     Args:
@@ -250,17 +253,27 @@ class OneStepQLoss(DQNLoss):
     def _td_target(
         self, tensordict: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
     ) -> Tensor:
-        """Returns r + γ max Q(s', ·) over legal actions, r at an end, [*replicas, *batch, 1]."""
+        """Returns r + γⁿ max Q(s', ·) over legal actions, r at an end, [*replicas, *batch, 1]."""
         keys, following = self.tensor_keys, tensordict["next"]
         value = following.get(keys.next_state_value, None)
         if value is None:
             value = self._next_values(tensordict, online, target)
-        reward = self._beside_values(following.get(keys.reward))
-        gamma = self.value_estimator.gamma
+        reward = following[keys.reward]
+        estimator = self.value_estimator
+        if estimator.average_rewards:
+            raise ValueError("average_rewards of the value estimator must be False, got True")
+        gamma = estimator.gamma
         if gamma.ndim:
-            gamma = gamma.reshape(gamma.shape + (1,) * (value.ndim - gamma.ndim))
+            gamma = gamma.reshape(gamma.shape + (1,) * (reward.ndim - gamma.ndim))
+        steps = row_entry(tensordict, estimator.tensor_keys.steps_to_next_obs, reward.shape[:-1])
+        if steps is not None:
+            gamma = gamma**steps
+        if gamma.ndim:
+            gamma = self._beside_values(gamma)
+        reward = self._beside_values(reward)
         going_on = torch.addcmul(reward, value, gamma)
-        return torch.where(self._beside_values(following.get(keys.terminated)), reward, going_on)
+        terminated = self._beside_values(following[keys.terminated].bool())
+        return torch.where(terminated, reward, going_on)
 
     def _next_values(
         self, tensordict: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]

@@ -16,6 +16,7 @@ from q_transitions import (
     plain_loss,
     transitions,
 )
+from torchrl.data import MultiStep
 from torchrl.objectives.utils import ValueEstimators
 
 LOSSES = {
@@ -112,6 +113,33 @@ def test_gamma_is_the_value_estimators(case):
     for other in (ValueEstimators.TD1, ValueEstimators.TDLambda):
         with pytest.raises(NotImplementedError, match="Supported value types"):
             loss.make_value_estimator(other)
+
+
+def test_targets_of_n_step_data_are_torchrls(case):
+    loss, _ = case[0](gamma=0.5)
+    td = MultiStep(gamma=0.5, n_steps=3)(transitions((4,), (8,)))
+    assert td["steps_to_next_obs"].unique().numel() > 1
+    value = torch.randn(4, 8, 1)
+    td["next", "next_state_value"] = loss._beside_values(value)
+    expected = loss.value_estimator.value_estimate(td, next_value=value)
+    target = loss._td_target(td, *loss._tensors()).reshape(expected.shape)
+    torch.testing.assert_close(target, expected)
+
+
+def test_the_discount_of_n_step_data_may_differ_between_replicas(case):
+    loss, _ = case[0]((2,), gamma=torch.tensor([0.5, 0.9]))
+    td = transitions((2,))
+    td["steps_to_next_obs"] = torch.full((2, 32), 2)
+    found = result(loss, td)
+    loss.make_value_estimator(ValueEstimators.TD0, gamma=[0.25, 0.81])
+    torch.testing.assert_close(found, result(loss, td.exclude("steps_to_next_obs")))
+
+
+def test_average_rewards_are_refused(case):
+    loss, _ = case[0]()
+    loss.make_value_estimator(ValueEstimators.TD0, average_rewards=True)
+    with pytest.raises(ValueError, match="average_rewards of the value estimator must be False"):
+        loss(transitions())
 
 
 def make_again(make, loss, **settings):
