@@ -103,7 +103,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         """
         keys = self.tensor_keys
         online, target = self._tensors()
-        reward = tensordict.get(("next", keys.reward))
+        reward, index = self._reward_and_index(tensordict)
         mask = tensordict.get(keys.bootstrap_mask, None)
         weight = self._head_weights(tensordict, mask, reward)
         values = self._function(online, self._inputs(tensordict, weight), "draw")
@@ -116,12 +116,11 @@ class BootstrapDQNLoss(OneStepQLoss):
             raise self._wrong_mask(mask, list(values.shape[:-1]))
         with torch.no_grad():
             td_target = self._td_target(tensordict, online, target)
-            index = self._beside_values(self._action_index(tensordict.get(keys.action), reward))
             heads = values.shape[:-1]
             rows = None if weight is None else self._by_head(weight.expand(heads).unsqueeze(-1))
         loss, td_error, q_value, square = td_loss(
             self._by_head(values),
-            self._by_head(index.expand(*heads, 1)),
+            self._by_head(self._beside_values(index).expand(*heads, 1)),
             self._by_head(td_target),
             rows,
             self.loss_function,

@@ -70,8 +70,9 @@ class OneStepQLoss(DQNLoss):
 
     Raises:
         ValueError: for an argument outside of what is listed.
-        KeyError: when called, if the input lacks what the actor reads, a mask of legal actions
-            under "next" included unless the actor's ``action_mask_key`` is None.
+        ValueError or KeyError: when called, for entries whose shape does not fit or that are
+            missing. A mask of legal actions may be missing only if the actor's
+            ``action_mask_key`` is None.
     """
 
     @dataclass
@@ -211,11 +212,11 @@ class OneStepQLoss(DQNLoss):
         """
         keys = self.tensor_keys
         online, target = self._tensors()
-        weight = self._row_weights(tensordict, tensordict["next", keys.reward])
+        reward, index = self._reward_and_index(tensordict)
+        weight = self._row_weights(tensordict, reward)
         values, out = self._predict(online, self._inputs(tensordict, weight))
         with torch.no_grad():
             td_target = self._td_target(tensordict, online, target)
-            index = self._action_index(tensordict.get(keys.action), values)
         loss_value, out["td_error"], out["q_value"], square = td_loss(
             self._rows(values),
             self._rows(index),
@@ -244,11 +245,30 @@ class OneStepQLoss(DQNLoss):
             return tensor
         return tensor.reshape(*self.replicas, -1, tensor.shape[-1])
 
-    def _action_index(self, action: Tensor, values: Tensor) -> Tensor:
-        """Returns the index of the action, [*replicas, *batch, 1]."""
+    def _reward_and_index(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Returns the reward and the index of the action, both [*replicas, *batch, 1].
+
+        Raises:
+            ValueError: if the shape of one of them, or of terminated, does not fit.
+        """
+        keys = self.tensor_keys
+        reward, terminated = (tensordict["next", key] for key in (keys.reward, keys.terminated))
+        if reward.shape[-1:] != (1,) or terminated.shape != reward.shape:
+            raise ValueError(
+                f"{keys.reward!r} and {keys.terminated!r} must have shape [*batch, 1], got "
+                f"{list(reward.shape)} and {list(terminated.shape)}"
+            )
+        action = tensordict[keys.action]
         if self.action_space == "one_hot":
-            return action.to(torch.uint8).argmax(-1, keepdim=True)
-        return action if action.ndim == values.ndim else action.unsqueeze(-1)
+            index = action.to(torch.uint8).argmax(-1, keepdim=True)
+        else:
+            index = action if action.ndim == reward.ndim else action.unsqueeze(-1)
+        if index.shape != reward.shape:
+            raise ValueError(
+                f"{keys.action!r} must be {self.action_space} with batch "
+                f"{list(reward.shape[:-1])}, as action_space says, got {list(action.shape)}"
+            )
+        return reward, index
 
     def _td_target(
         self, tensordict: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]

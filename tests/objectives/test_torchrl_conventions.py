@@ -215,6 +215,47 @@ def test_a_missing_mask_is_an_error_and_not_that_all_is_legal(case):
         loss(td)
 
 
+@pytest.mark.parametrize("key", ["action", "observation", ("next", "terminated")])
+def test_a_missing_entry_is_named(case, key):
+    loss, _ = case[0]()
+    name = key if isinstance(key, str) else key[-1]
+    with pytest.raises(KeyError, match=f'key "{name}" not found'):
+        loss(transitions().exclude(key))
+
+
+@pytest.mark.parametrize("key", ["reward", "terminated"])
+def test_a_reward_or_end_without_its_last_dimension_is_refused(case, key):
+    loss, _ = case[0]((2,))
+    td = transitions((2,))
+    td["valid"] = torch.ones(2, 32).bool()
+    td["next", key] = td["next", key].squeeze(-1)
+    with pytest.raises(
+        ValueError, match=r"'reward' and 'terminated' must have shape \[\*batch, 1\], got .*32\]"
+    ):
+        loss(td)
+
+
+def test_actions_of_the_other_action_space_are_refused(case):
+    loss, _ = case[0]()
+    td = transitions()
+    one_hot = td.clone().set("action", torch.nn.functional.one_hot(td["action"], 4))
+    with pytest.raises(ValueError, match=r"'action' must be categorical with batch \[32\]"):
+        loss(one_hot)
+    expected = result(loss, td)
+    loss.action_space = "one_hot"
+    with pytest.raises(ValueError, match=r"'action' must be one_hot with batch \[32\], .* \[32\]"):
+        loss(td)
+    assert torch.equal(result(loss, one_hot), expected)
+
+
+def test_ends_may_be_numbers(case):
+    loss, _ = case[0]()
+    td = transitions()
+    expected = result(loss, td)
+    td["next", "terminated"] = td["next", "terminated"].to(torch.uint8)
+    assert torch.equal(result(loss, td), expected)
+
+
 def everything(loss, td):
     """What a loss returns and writes, and its gradients."""
     torch.manual_seed(1)

@@ -117,6 +117,23 @@ def test_the_mask_may_have_another_name_and_must_fit():
         loss(td)
 
 
+@pytest.mark.parametrize("key", ["observation", ("next", "terminated")])
+def test_a_missing_entry_is_named(key):
+    name = key if isinstance(key, str) else key[-1]
+    with pytest.raises(KeyError, match=f'key "{name}" not found'):
+        dynamics_loss()(transitions().exclude(key))
+
+
+def test_ends_and_masks_may_be_numbers():
+    loss = dynamics_loss()
+    td = transitions()
+    td["valid"] = torch.rand(32) < 0.5
+    expected = result(loss, td)["loss"]
+    for key in ("valid", ("next", "terminated")):
+        td[key] = td[key].to(torch.uint8)
+    assert torch.equal(result(loss, td)["loss"], expected)
+
+
 def test_it_can_be_called_with_tensors():
     loss = dynamics_loss()
     td = transitions()

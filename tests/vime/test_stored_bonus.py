@@ -59,6 +59,13 @@ def test_terminal_transitions_get_0_and_decide_nothing():
     assert torch.equal(one.dynamics.mean, two.dynamics.mean)
 
 
+def test_ends_may_be_numbers():
+    td = transitions(60)
+    expected = transform().inv(td)[BONUS]
+    td["next", "terminated"] = td["next", "terminated"].to(torch.uint8)
+    assert torch.equal(transform().inv(td)[BONUS], expected)
+
+
 def test_a_store_of_terminal_transitions_alone_leaves_the_median():
     vime = transform()
     vime.inv(transitions(40))
