@@ -161,7 +161,8 @@ def as_rows(x: Tensor, lead: Sequence[int], features: int) -> Tensor:
         )
     if x.ndim == 2 + min(n, 1) and n < 2:
         return x
-    return x.reshape(prod(lead), -1, features) if lead else x.reshape(-1, features)
+    rows = prod(x.shape[n:-1])
+    return x.reshape(prod(lead), rows, features) if lead else x.reshape(rows, features)
 
 
 def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Tensor:

@@ -128,7 +128,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         learns = torch.ones_like(square) if rows is None else (rows > 0).to(square.dtype)
         share = learns.sum(-3).clamp_min_(1)
         tensordict.set(keys.priority, (square.sum(-3) / share).reshape(reward.shape), inplace=True)
-        learns = learns.amax((-2, -1))
+        learns = learns.any(-2).squeeze(-1).to(square.dtype)
         learns /= learns.sum(-1, keepdim=True).clamp_min_(1)
         return TensorDict(
             {

@@ -68,7 +68,8 @@ def _run(
         rows, slope = clamped * (error - 0.5 * clamped), clamped * _factor(scale, error, 2)
     sums = torch.cat([rows, size, chosen], -1)
     if weight is None:
-        loss, td_error, q_value = sums.mean(-2).unbind(-1)
+        means = sums.mean(-2) if sums.shape[-2] else sums.sum(-2)
+        loss, td_error, q_value = means.unbind(-1)
     else:
         slope = slope * weight
         loss, td_error, q_value = (sums * weight).sum(-2).unbind(-1)
@@ -104,7 +105,8 @@ def td_loss(
     Returns:
         the loss [*replicas], Σ weight · scale · distance(Q(s, a) - target), differentiable in
         values; and without gradients Σ weight · |Q(s, a) - target| and Σ weight · Q(s, a), each
-        [*replicas], and (Q(s, a) - target)² [*replicas, B, 1], 0 in rows of weight 0.
+        [*replicas], and (Q(s, a) - target)² [*replicas, B, 1], 0 in rows of weight 0. The sums
+        of a batch without rows are 0.
 
     Examples:
         >>> import torch

@@ -56,6 +56,14 @@ def test_a_draw_is_kept_for_a_step_a_dialogue_or_a_round(make, per, replicas):
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)
+@pytest.mark.parametrize("per", ["step", "episode", "round"])
+@pytest.mark.parametrize("make", [thompson, shared, heads])
+def test_no_rows_get_no_actions(make, per, replicas):
+    out = make(replicas, per=per)(observations(*replicas, 0))
+    assert out["action"].shape == (*replicas, 0)
+
+
+@pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("together", [False, True])
 def test_rows_have_one_noise_or_each_its_own(replicas, together):
     found = values(noisy(replicas, shared=together), observations(*replicas, 40))

@@ -294,6 +294,19 @@ def test_a_replica_without_rows_has_no_loss_and_no_gradient(case):
         assert flat(loss, name).grad[1].any()
 
 
+@pytest.mark.parametrize("replicas", [(), (2,)])
+def test_a_batch_without_rows_has_no_loss_and_no_gradient(case, replicas):
+    make, names, _ = case
+    loss, _ = make(replicas, **({"kl_temperature": 0.0} if make is bayes_loss else {}))
+    td = transitions(replicas, (0,))
+    out = loss(td)
+    out["loss"].backward()
+    for key in ("loss", "loss_value", "td_error", "q_value"):
+        assert not out[key].any()
+    assert not any(flat(loss, name).grad.any() for name in names)
+    assert td["td_error"].shape == (*replicas, 0, 1)
+
+
 @pytest.mark.parametrize("where", ["next", "root"])
 def test_what_one_replica_sees_leaves_the_others_bits_alone(case, where):
     def seen(spoil):
