@@ -45,7 +45,10 @@ class VIMEReward(Transform):
       nothing that is reported from stored or played transitions contains the bonus. The gain is
       what the transition taught when it was new, and is not computed again.
     - Reading, it returns the transitions with ``("next", "reward")`` = task reward + eta · bonus
-      for the loss. What was read is not changed, so it may be read again.
+      for the loss. What was read is not changed, so it may be read again. It holds both the sum
+      and the bonus: to copy a buffer, store what its ``storage`` holds
+      (``other.extend(buffer.storage[:])``), not what the buffer returns (``buffer[:]``), to which
+      the bonus would be added a second time.
 
     This store's own median is among those that m is taken over. So m is known from the first
     store on, and a model that has not learned anything yet gives its transitions a bonus around
@@ -75,7 +78,7 @@ class VIMEReward(Transform):
         clip: the greatest bonus. Defaults to 10.
         observation_key: the state, at the root and under "next".
         action_key: index or vector, as :meth:`DynamicsModel.encode_action` takes it.
-        reward_key: under "next", the task's reward [*batch, 1].
+        reward_key: under "next", the task's reward [*batch, 1] or [*batch].
         terminated_key: under "next", bool [*batch, 1].
         valid_key: bool [*batch], True for the rows that count; all do where it is absent.
         intrinsic_reward_key: under "next", where the bonus goes, [*batch, 1].
@@ -287,7 +290,7 @@ class VIMEReward(Transform):
                 f"{bonus_key!r} is missing: the transitions were stored without this transform"
             )
         out = tensordict.clone(recurse=False)
-        bonus, eta = bonus.to(reward.dtype), self.eta
+        bonus, eta = bonus.to(reward.dtype).reshape(reward.shape), self.eta
         if not isinstance(eta, Tensor):
             return out.set(reward_key, torch.add(reward, bonus, alpha=eta))
         eta = eta.to(reward.dtype).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))

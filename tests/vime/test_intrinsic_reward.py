@@ -26,6 +26,21 @@ def test_reading_adds_the_bonus_to_the_reward_that_is_read():
     assert torch.equal(memory._storage.get(slice(0, 100))[REWARD], td[REWARD])
 
 
+def test_a_reward_may_lack_the_last_dimension():
+    vime = transform(eta=0.3)
+    rows = vime.inv(transitions(8))
+    expected = vime(rows)[REWARD]
+    rows[REWARD] = rows[REWARD].squeeze(-1)
+    assert torch.equal(vime(rows)[REWARD], expected.squeeze(-1))
+
+
+def test_a_buffer_is_copied_from_its_storage():
+    memory, other = buffer(transform(eta=0.3)), buffer(transform(eta=0.3))
+    memory.extend(transitions(100))
+    other.extend(memory.storage[:])
+    assert torch.equal(other[:][REWARD], memory[:][REWARD])
+
+
 def test_what_is_read_is_not_changed():
     vime = transform(eta=1.0)
     rows = vime.inv(transitions(3, 8))
