@@ -33,7 +33,9 @@ class VIMELoss(LossModule):
     estimator) is the Q-learning loss's.
 
     Args:
-        q_loss: the loss of the Q-network, such as :class:`BBQNLoss` or :class:`DropoutDQNLoss`.
+        q_loss: the loss of the Q-network, such as :class:`BBQNLoss` or :class:`DropoutDQNLoss`;
+            one that returns what is to be differentiated as "loss", and not, as TorchRL's
+            ``DiscreteCQLLoss`` does, in parts.
         dynamics_loss: the loss of the dynamics model.
 
     Keyword Args:
@@ -43,6 +45,7 @@ class VIMELoss(LossModule):
 
     Raises:
         ValueError: if ``dynamics_every`` is not positive, or the losses have parameters in common.
+        KeyError: when called, if ``q_loss`` returns no "loss".
 
     Examples:
         >>> import torch
@@ -134,7 +137,7 @@ class VIMELoss(LossModule):
         self.batches += 1
         if is_due:
             learned = self.dynamics_loss(tensordict)
-            out.set("loss", out.get("loss") + learned.get("loss"))
+            out.set("loss", out["loss"] + learned["loss"])
             self.held.copy_(torch.stack([learned.get("dynamics_loss"), learned.get("dynamics_kl")]))
         dynamics_loss, dynamics_kl = self.held.clone().unbind(0)
         return out.set("dynamics_loss", dynamics_loss).set("dynamics_kl", dynamics_kl)

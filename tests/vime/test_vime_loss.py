@@ -10,7 +10,7 @@ import torch
 from dynamics_losses import dynamics_loss, result
 from q_transitions import ACTIONS, FEATURES, bayes_loss, plain_loss, transitions
 from torchrl.data import Categorical
-from torchrl.objectives import HardUpdate, SoftUpdate
+from torchrl.objectives import DiscreteCQLLoss, HardUpdate, SoftUpdate
 
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
@@ -176,3 +176,11 @@ def test_bad_parts_are_named():
     part = dynamics_loss()
     with pytest.raises(ValueError, match="must not have parameters in common"):
         VIMELoss(part, part)
+
+
+def test_a_loss_in_parts_is_refused():
+    actor = q_actor(torch.nn.Linear(FEATURES, ACTIONS), Categorical(ACTIONS), action_mask_key=None)
+    loss = VIMELoss(DiscreteCQLLoss(actor), dynamics_loss())
+    HardUpdate(loss, value_network_update_interval=0)
+    with pytest.raises(KeyError, match=r'key "loss" not found in TensorDict with keys .*loss_cql'):
+        loss(transitions())
