@@ -158,7 +158,7 @@ class BootstrapDQNLoss(OneStepQLoss):
             return weight
         if mask.ndim != like.ndim or mask.shape[:-1] != like.shape[:-1]:
             raise self._wrong_mask(mask, [*like.shape[:-1], "heads"])
-        learns = mask.to(like.dtype)
+        learns = mask.to(torch.result_type(like, 1.0))  # rewards may be whole numbers
         weight = learns if weight is None else learns * weight
         dims = tuple(range(len(self.replicas), like.ndim - 1))
         # 0 / tiny for a head that learns from no row at all: it has no gradient

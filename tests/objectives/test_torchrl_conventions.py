@@ -248,6 +248,17 @@ def test_actions_of_the_other_action_space_are_refused(case):
     assert torch.equal(result(loss, one_hot), expected)
 
 
+@pytest.mark.parametrize(("mask", "shape"), [("valid", (32,)), ("bootstrap_mask", (32, 3))])
+def test_rewards_may_be_whole_numbers(case, mask, shape):
+    loss, _ = case[0]()
+    td = transitions()
+    td[mask] = torch.rand(shape) < 0.6
+    td["next", "reward"] = td["next", "reward"].round()
+    expected = result(loss, td)
+    td["next", "reward"] = td["next", "reward"].long()
+    assert torch.equal(result(loss, td), expected)
+
+
 def test_ends_may_be_numbers(case):
     loss, _ = case[0]()
     td = transitions()
