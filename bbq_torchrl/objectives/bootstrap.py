@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
 
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
+from bbq_torchrl.objectives.rows import row_weights
 from bbq_torchrl.objectives.td_loss import td_loss
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         self, tensordict: TensorDictBase, mask: Tensor | None, like: Tensor
     ) -> Tensor | None:
         """Returns row weights [*replicas, *batch, K or 1] that add up to 1 for each head."""
-        weight = self._row_weights(tensordict, like)
+        weight = row_weights(self, tensordict, like)
         if mask is None:
             return weight
         if mask.ndim != like.ndim or mask.shape[:-1] != like.shape[:-1]:

@@ -13,7 +13,7 @@ from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import replica_values, replicas_of
 from bbq_torchrl.networks.q_actor import legal_actions, masked
-from bbq_torchrl.objectives.rows import row_entry, rows_that_count
+from bbq_torchrl.objectives.rows import row_entry, row_weights
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
@@ -213,7 +213,7 @@ class OneStepQLoss(DQNLoss):
         keys = self.tensor_keys
         online, target = self._tensors()
         reward, index = self._reward_and_index(tensordict)
-        weight = self._row_weights(tensordict, reward)
+        weight = row_weights(self, tensordict, reward)
         values, out = self._predict(online, self._inputs(tensordict, weight))
         with torch.no_grad():
             td_target = self._td_target(tensordict, online, target)
@@ -314,19 +314,3 @@ class OneStepQLoss(DQNLoss):
     def _beside_values(self, entry: Tensor) -> Tensor:
         """Returns an entry [*replicas, *batch, n] in a shape that broadcasts with the values."""
         return entry
-
-    def _row_weights(self, tensordict: TensorDictBase, like: Tensor) -> Tensor | None:
-        """Returns row weights [*replicas, *batch, 1] that add up to 1, None if all are the same."""
-        rows = like.shape[:-1]
-        weight = rows_that_count(self, tensordict, rows)
-        if self.use_prioritized_weights in (True, "auto"):
-            priority = row_entry(tensordict, self.tensor_keys.priority_weight, rows)
-            if priority is not None:
-                weight = priority if weight is None else priority.where(weight, 0)
-        if weight is None:
-            return None
-        weight = weight.to(torch.result_type(like, 1.0))  # rewards may be whole numbers
-        # 0 / tiny where no row counts at all: such a replica's data have no gradient
-        tiny = torch.finfo(weight.dtype).tiny
-        total = weight.sum(tuple(range(len(self.replicas), like.ndim)), keepdim=True)
-        return weight / total.clamp_min_(tiny)

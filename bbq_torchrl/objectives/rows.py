@@ -1,17 +1,20 @@
-"""Which rows of a batch count."""
+"""Which rows of a batch count, and how much."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
+
 if TYPE_CHECKING:
-    import torch
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torch import Tensor
     from torchrl.objectives import LossModule
 
-__all__ = ["row_entry", "rows_that_count"]
+    from bbq_torchrl.objectives.q_learning import OneStepQLoss
+
+__all__ = ["row_entry", "row_weights", "rows_that_count"]
 
 
 def row_entry(tensordict: TensorDictBase, key: NestedKey, rows: torch.Size) -> Tensor | None:
@@ -54,3 +57,29 @@ def rows_that_count(
         if mask is not None:
             counts = mask.bool() if counts is None else counts & mask.bool()
     return counts
+
+
+def row_weights(loss: OneStepQLoss, tensordict: TensorDictBase, reward: Tensor) -> Tensor | None:
+    """Returns weights [*replicas, *batch, 1] that add up to 1; None if all rows count the same.
+
+    Args:
+        loss: whose keys for masks and for the weights of prioritized replay are read.
+        tensordict: a batch.
+        reward: shape [*replicas, *batch, 1].
+
+    Raises:
+        ValueError: for a mask or weights of another shape.
+    """
+    rows = reward.shape[:-1]
+    weight = rows_that_count(loss, tensordict, rows)
+    if loss.use_prioritized_weights in (True, "auto"):
+        priority = row_entry(tensordict, loss.tensor_keys.priority_weight, rows)
+        if priority is not None:
+            weight = priority if weight is None else priority.where(weight, 0)
+    if weight is None:
+        return None
+    weight = weight.to(torch.result_type(reward, 1.0))  # rewards may be whole numbers
+    # 0 / tiny where no row counts at all: such a replica's data have no gradient
+    tiny = torch.finfo(weight.dtype).tiny
+    total = weight.sum(tuple(range(len(loss.replicas), reward.ndim)), keepdim=True)
+    return weight / total.clamp_min_(tiny)
