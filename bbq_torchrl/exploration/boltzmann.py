@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torch import Tensor
-    from torchrl.data import Composite
 
 __all__ = ["Boltzmann"]
 
@@ -33,10 +32,11 @@ class Boltzmann(TensorDictModuleBase):
         annealing_num_steps: length of the schedule.
 
     Keyword Args:
-        action_key: where the action (an index) goes.
+        action_key: where the greedy action is and the drawn one goes: one-hot [*batch, N] where the
+            greedy one is, else (and where there is none) an index [*batch].
         action_value_key: values [*batch, N].
         action_mask_key: bool [*batch, N], or None for no mask.
-        spec: of the action, if known.
+        device: of the schedule.
 
     Raises:
         ValueError: if not temperature_init ≥ temperature_end > 0, without any step, or, when
@@ -67,7 +67,6 @@ class Boltzmann(TensorDictModuleBase):
         action_key: NestedKey = "action",
         action_value_key: NestedKey = "action_value",
         action_mask_key: NestedKey | None = "action_mask",
-        spec: Composite | None = None,
         device: torch.device | str | None = None,
     ) -> None:
         start, end = schedule(temperature_init, temperature_end, annealing_num_steps)
@@ -91,12 +90,6 @@ class Boltzmann(TensorDictModuleBase):
             "temperature": start.clone(),
         }.items():
             self.register_buffer(name, value.to(device))
-        self._spec = spec
-
-    @property
-    def spec(self) -> Composite | None:
-        """Spec of the action, if one was given."""
-        return self._spec
 
     def step(self, frames: int = 1) -> None:
         """Lowers the temperature by ``frames`` steps of the schedule."""
@@ -106,7 +99,7 @@ class Boltzmann(TensorDictModuleBase):
         )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the drawn action [*batch]."""
+        """Writes the drawn action in the form of the greedy one."""
         if not explores():
             return tensordict
         check_batch("temperature", self.temperature, tensordict.batch_size)
@@ -118,4 +111,7 @@ class Boltzmann(TensorDictModuleBase):
         mask = legal_actions(tensordict, self.action_mask_key)
         if mask is not None:
             logits = torch.where(mask, logits, float("-inf"))
-        return tensordict.set(self.action_key, logits.argmax(-1))
+        action, greedy = logits.argmax(-1), tensordict.get(self.action_key, None)
+        if greedy is not None and greedy.shape == logits.shape:
+            action = torch.zeros_like(greedy).scatter_(-1, action.unsqueeze(-1), 1)
+        return tensordict.set(self.action_key, action)

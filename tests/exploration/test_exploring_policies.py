@@ -9,7 +9,7 @@ import torch
 from q_actor import ACTIONS, FEATURES, all_legal, bayes_actor, observations, values
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
-from torchrl.data import Categorical
+from torchrl.data import Categorical, OneHot
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule
 
@@ -137,6 +137,18 @@ def test_boltzmann_leaves_the_action_when_it_is_not_to_explore():
     with set_exploration_type(DETERMINISTIC):
         out = Boltzmann(1.0, 1.0, 1, action_mask_key=None)(td.clone())
     assert torch.equal(out["action"], td["action"])
+
+
+@pytest.mark.parametrize("spec", [Categorical(3), OneHot(3)])
+def test_boltzmann_draws_an_action_in_the_form_of_the_greedy_one(spec):
+    network = torch.nn.Linear(2, 3)
+    actor = q_actor(network, spec, action_mask_key=None)
+    policy = TensorDictSequential(actor, Boltzmann(1e6, 1e6, 1, action_mask_key=None))
+    with set_exploration_type(RANDOM):
+        action = policy(TensorDict(observation=torch.ones(300, 2), batch_size=[300]))["action"]
+    assert spec.expand(300, *spec.shape).is_in(action.to(spec.dtype))
+    # 300 draws at so high a temperature miss one of three actions with probability 1e-52
+    assert action.unique(dim=0).shape[0] == 3
 
 
 def test_boltzmann_anneals_linearly():
