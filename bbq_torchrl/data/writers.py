@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -11,6 +12,8 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
 __all__ = ["ProtectedRoundRobinWriter"]
+
+_PROTECTED = "protected.txt"  # beside the file of TorchRL's writer
 
 
 class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
@@ -111,3 +114,13 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         """Restores what :meth:`state_dict` returned."""
         super().load_state_dict(state_dict)
         self.protected = state_dict["_protected"]
+
+    def dumps(self, path: Path | str) -> None:
+        """Writes what :meth:`state_dict` returns into a folder."""
+        super().dumps(path)
+        (Path(path) / _PROTECTED).write_text(f"{self.protected}\n", encoding="utf-8")
+
+    def loads(self, path: Path | str) -> None:
+        """Restores what :meth:`dumps` wrote."""
+        super().loads(path)
+        self.protected = int((Path(path) / _PROTECTED).read_text(encoding="utf-8"))

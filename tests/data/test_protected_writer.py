@@ -69,3 +69,17 @@ def test_more_rows_than_are_unprotected_are_refused():
         buffer.extend(rows(2, 3, 4))
     with pytest.raises(ValueError, match="at least one row, got 0"):
         buffer.extend(rows())
+
+
+def test_a_buffer_written_to_disk_protects_the_same_rows(tmp_path):
+    written, read = make_buffer(4), make_buffer(4)
+    written.extend(rows(1, 2))
+    written.writer.protect()
+    written.extend(rows(3))
+    written.dumps(tmp_path)
+
+    read.loads(tmp_path)
+    for buffer in (written, read):
+        buffer.extend(rows(4, 5))
+
+    assert contents(read) == contents(written) == [1, 2, 5, 4]
