@@ -53,8 +53,9 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     Args:
         domain: what the dialogues are about: a domain, or its folder; None: movie tickets.
         render_mode: ``"ansi"``: ``render()`` returns the last turn as text.
-        **settings: those of :class:`~bbq_torchrl.envs.DialogueEnv`, such as ``slot_error_prob``,
-            ``max_turn``, the rewards, and ``schedule``, whose round :meth:`set_round` enters.
+        **settings: those of :class:`~bbq_torchrl.envs.DialogueEnv` but ``batch_size`` (it is one
+            dialogue), such as ``slot_error_prob``, ``max_turn``, the rewards, ``seed``, and
+            ``schedule``, whose round :meth:`set_round` enters.
 
     Raises:
         ValueError: if a setting is out of range, or the domain's folder holds none.
@@ -86,7 +87,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         self.render_mode = render_mode
         self._dialogue = DialogueEnv(domain, batch_size=(), **settings)
         self._transcript = Transcript(self._dialogue.simulator.domain)
-        self._is_seeded = False
+        self._is_seeded = settings.get("seed") is not None
         self._is_over = True
         self.action_space = Discrete(len(domain.actions))
         self.observation_space = _observation_space(self._dialogue)
@@ -103,7 +104,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     def action_masks(self) -> NDArray[np.bool_]:
         """Returns which actions are legal, bool [actions]."""
         legal = self._dialogue.simulator.action_mask(self._dialogue.active_slots)
-        mask: NDArray[np.bool_] = legal.numpy().copy()
+        mask: NDArray[np.bool_] = legal.cpu().numpy().copy()
         return mask
 
     def reset(
@@ -128,7 +129,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
             self._is_seeded = True
         begun = self._dialogue.reset()
         self._is_over = False
-        return begun["observation"].numpy(), self._info(begun)
+        return begun["observation"].cpu().numpy(), self._info(begun)
 
     def step(
         self, action: np.int64 | int
@@ -151,7 +152,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         played = self._dialogue.step(TensorDict({"action": torch.tensor(int(index))}))["next"]
         self._is_over = bool(played["terminated"])
         return (
-            played["observation"].numpy(),
+            played["observation"].cpu().numpy(),
             float(played["reward"]),
             self._is_over,
             False,

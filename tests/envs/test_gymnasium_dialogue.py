@@ -77,6 +77,14 @@ def test_it_plays_what_the_dialogue_env_plays(restaurant: Domain, seed: int):
         assert {name: info[name] for name in told} == told
 
 
+def test_a_seed_of_the_environment_is_that_of_its_first_dialogues(restaurant: Domain):
+    own = gymnasium.make(ENV_ID, domain=restaurant, seed=3)
+    other = gymnasium.make(ENV_ID, domain=restaurant)
+    goals = [[own.reset()[1]["goal_id"] for _ in range(8)]]
+    goals.append([other.reset(seed=3 if n == 0 else None)[1]["goal_id"] for n in range(8)])
+    assert goals[0] == goals[1]
+
+
 def test_the_goal_is_in_info(movie: Domain):
     env = gymnasium.make(ENV_ID).unwrapped
     _, info = env.reset(seed=0)
