@@ -267,13 +267,24 @@ class ReplicaReplay:
         """Restores what :meth:`state_dict` returned, row for row in the same places.
 
         Raises:
-            ValueError: if the state is one of another number of replicas or a larger capacity.
+            ValueError: if the state is one of another number of replicas, or one of another
+                capacity that has been filled; nothing is changed then.
         """
         replicas = sum(name.isdigit() for name in state_dict)
         if replicas != self.replicas:
             raise ValueError(f"the state must be of {self.replicas} replicas, got {replicas}")
         if ("transform" in state_dict) != (self.transform is not None):
             raise ValueError("the state must be of a replay with the same transform")
+        for replica in range(self.replicas):
+            state = state_dict[str(replica)]
+            count = len(next(iter(state["rows"].values()), ()))
+            # where the next row does not go behind the last, the rows filled their buffer
+            is_full = state["writer"]["_cursor"] != count
+            if count > self.capacity or (is_full and count < self.capacity):
+                raise ValueError(
+                    f"the state must be of capacity {self.capacity}, got one of capacity "
+                    f"{count}{'' if is_full else ' or more'}"
+                )
         self._computed.clear()
         if self.transform is not None:
             self.transform.load_state_dict(state_dict["transform"])
@@ -282,10 +293,6 @@ class ReplicaReplay:
             buffer.empty()
             if state["rows"]:
                 rows = TensorDict(dict(state["rows"])).auto_batch_size_(1)
-                if len(rows) > self.capacity:
-                    raise ValueError(
-                        f"the state must fit the capacity {self.capacity}, got {len(rows)} rows"
-                    )
                 buffer.extend(rows.unflatten_keys("/").to(self._device))
             buffer.writer.load_state_dict(state["writer"])
 

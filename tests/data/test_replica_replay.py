@@ -96,6 +96,29 @@ def test_a_state_that_is_restored_takes_the_place_of_all_rows():
     assert replay.lengths == (0, 0)
 
 
+@pytest.mark.parametrize("capacity", [4, 12])
+def test_a_full_state_of_another_capacity_is_refused_and_nothing_is_changed(capacity):
+    replay, full = filled(2, 3, capacity=capacity), filled(4, 5, capacity=8)
+    full.extend([rows(0, 0), rows(100, 5)])  # the second replica has gone round
+    before = [stored(replay, replica) for replica in (0, 1)]
+
+    with pytest.raises(ValueError, match=f"of capacity {capacity}, got one of capacity 8$"):
+        replay.load_state_dict(full.state_dict())
+
+    assert [stored(replay, replica) for replica in (0, 1)] == before
+
+
+def test_a_state_that_is_not_full_fits_another_capacity():
+    for capacity in (7, 12):
+        replay = ReplicaReplay(capacity, replicas=2, keys=KEYS)
+        replay.load_state_dict(filled(7, 3, capacity=9).state_dict())
+        replay.extend([rows(100, 2), rows(100, 2)])
+        newest = [5, 6, 100, 101]
+        index = replay.buffers[0].writer.oldest_first()
+        assert replay.buffers[0][index]["observation"][:, 0].tolist()[-4:] == newest
+        assert stored(replay, 1) == [10_000, 10_001, 10_002, 100, 101]
+
+
 EMPTY = r"every replica needs a transition to learn from, got \(0,\)"
 
 
@@ -116,7 +139,7 @@ EMPTY = r"every replica needs a transition to learn from, got \(0,\)"
         ),
         (
             lambda replay: replay.load_state_dict(filled(9, 9).state_dict()),
-            "must fit the capacity 5, got 9 rows",
+            "must be of capacity 5, got one of capacity 9 or more",
         ),
     ],
 )
