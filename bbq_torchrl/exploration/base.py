@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
+
+from bbq_torchrl.exploration.hooks import Resampled
+from bbq_torchrl.hooks import provides
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -14,6 +17,7 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
+    from typing_extensions import Self
 
 __all__ = ["ActorPolicy", "Per", "begins", "check_batch", "explores", "schedule"]
 
@@ -78,6 +82,8 @@ def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
 class ActorPolicy(TensorDictModuleBase):
     """A policy that reads and writes what its actor does.
 
+    What it has drawn and holds is drawn anew once the policy is moved or cast (:meth:`to`).
+
     Args:
         actor: what chooses actions from values.
     """
@@ -87,6 +93,11 @@ class ActorPolicy(TensorDictModuleBase):
         self.actor = actor
         self.in_keys = actor.in_keys
         self.out_keys = actor.out_keys
+
+    def _apply(self, *args: Any, **kwargs: Any) -> Self:
+        if provides(type(self), Resampled):
+            self.resample()
+        return super()._apply(*args, **kwargs)
 
     @property
     def spec(self) -> Composite | None:

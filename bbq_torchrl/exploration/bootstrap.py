@@ -158,6 +158,7 @@ class BootstrapSampling(_OnHeads):
         index = self._held[..., None, None].expand(*self._held.shape, 1, values.shape[-1])
         return choice.act_greedily(tensordict, values.gather(-2, index).squeeze(-2))
 
+    @torch.inference_mode(False)  # the heads outlive the call
     def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
         rows = values.shape[:-2]
         new = begins(tensordict, self.init_key) if self.per == "episode" else None

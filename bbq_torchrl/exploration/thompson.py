@@ -96,7 +96,8 @@ class ThompsonSampling(ActorPolicy):
         if self.per == "step":
             with weight_scope("draw" if self.shared else "local"):
                 return self.actor(tensordict)
-        with torch.no_grad():
+        # the draws outlive the call, and are redrawn in place
+        with torch.inference_mode(False), torch.no_grad():
             self._hold(tensordict)
         with weight_scope(weights=self._held):
             return self.actor(tensordict)

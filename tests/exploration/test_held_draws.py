@@ -9,7 +9,12 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.bayes import weight_scope
-from bbq_torchrl.exploration import BootstrapSampling, NoisySampling, ThompsonSampling
+from bbq_torchrl.exploration import (
+    BootstrapSampling,
+    EvaluationPolicy,
+    NoisySampling,
+    ThompsonSampling,
+)
 from bbq_torchrl.networks import BootstrapMLP, NoisyMLP, bootstrap_actor, q_actor
 
 REPLICAS = [(), (3,)]
@@ -116,3 +121,36 @@ def test_it_explores_under_random_and_outside_of_a_context_only(make, per):
         assert torch.equal(mean, expected)
     for own in drawn:
         assert not torch.equal(own, expected)
+
+
+def evaluated(**_):
+    return EvaluationPolicy(bayes_actor(), mode="average")
+
+
+@pytest.mark.parametrize("make", [thompson, shared, evaluated])
+def test_a_policy_that_is_cast_acts_on_draws_of_its_new_dtype(make):
+    policy, td = make(per="episode"), observations(40)
+    values(policy, td)
+    td["observation"] = td["observation"].double()
+    found = values(policy.double(), td)
+    assert found.dtype == torch.float64
+    assert torch.equal(values(policy, td), found)
+
+
+@pytest.mark.parametrize("make", [thompson, shared, heads, evaluated])
+def test_a_policy_that_is_moved_acts_on_draws_made_there(make):
+    policy, td = make(per="round"), observations(40)
+    values(policy, td)
+    assert values(policy.to("meta"), td.to("meta")).device.type == "meta"
+    assert make is not heads or policy.heads.device.type == "meta"
+
+
+@pytest.mark.parametrize("per", ["episode", "round"])
+@pytest.mark.parametrize("make", [thompson, shared, heads])
+def test_draws_of_inference_mode_are_acted_on_and_redrawn_outside_of_it(make, per):
+    policy, td = make(per=per), observations(40)
+    with torch.inference_mode():
+        first = values(policy, td)
+    assert torch.equal(values(policy, td), first)
+    td["is_init"][0] = True
+    values(policy, td)
