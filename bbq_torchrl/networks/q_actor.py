@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from tensordict.nn import TensorDictSequential
+from tensordict.utils import unravel_key
 from torchrl.modules import QValueActor
 
 if TYPE_CHECKING:
@@ -38,8 +39,11 @@ def q_actor(
     Keyword Args:
         in_keys: what the network reads. Defaults to ("observation",).
         action_mask_key: bool [*batch, N], True for actions that may be taken; None for no mask.
-        action_key: where the action goes.
+        action_key: where the action goes: "action", or a nested key that ends in it.
         action_value_key: where the values go; forbidden actions have the least float there.
+
+    Raises:
+        ValueError: for another action_key, by which TorchRL would not find the spec.
 
     Examples:
         >>> import torch
@@ -53,6 +57,8 @@ def q_actor(
         >>> actor(td)["action"]
         tensor([1, 1])
     """
+    if unravel_key(("", action_key))[-1] != "action":
+        raise ValueError(f"action_key must be 'action' or end in it, got {action_key!r}")
     return QValueActor(
         network,
         in_keys=list(in_keys),

@@ -166,6 +166,8 @@ def test_what_a_strategy_needs_is_named():
         ThompsonSampling(plain)
     with pytest.raises(ValueError, match="NoisyNet needs a network with noisy layers"):
         NoisySampling(plain)
+    with pytest.raises(ValueError, match="action_key must be 'action' or end in it, got 'act'"):
+        q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS), action_key="act")
     with pytest.raises(ValueError, match=r"per must be one of \['step', 'episode', 'round'\]"):
         ThompsonSampling(bayes_actor(), per="game")
 
