@@ -136,6 +136,8 @@ class BootstrapSampling(_OnHeads):
         if per not in get_args(Per):
             raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
         super().__init__(actor)
+        if per == "episode":
+            self.in_keys = [*self.in_keys, init_key]
         self.per = per
         self.init_key = init_key
         self._held: Tensor | None = None

@@ -76,6 +76,8 @@ class ThompsonSampling(ActorPolicy):
         if per not in get_args(Per):
             raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
         super().__init__(actor)
+        if per == "episode":
+            self.in_keys = [*self.in_keys, init_key]
         self.per = per
         self.shared = per == "round" if shared is None else shared
         self.init_key = init_key

@@ -188,7 +188,7 @@ def test_what_they_read_and_write():
     assert set(actor.in_keys) == {"see", "may"}
     td = observations(4).rename_key_("observation", "see").rename_key_("action_mask", "may")
     for policy in (MajorityVote(actor), BootstrapSampling(actor)):
-        assert set(policy.in_keys) == {"see", "may"}
+        assert set(policy.in_keys) - {"is_init"} == {"see", "may"}
         assert policy.out_keys == [("act", "a"), ("act", "q"), "chosen_action_value"]
         assert isinstance(policy.spec["act", "a"], Categorical)
         out = policy(td.clone())

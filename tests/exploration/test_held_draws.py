@@ -127,6 +127,14 @@ def evaluated(**_):
     return EvaluationPolicy(bayes_actor(), mode="average")
 
 
+@pytest.mark.parametrize("make", [thompson, heads])
+def test_a_dialogues_beginning_is_among_what_a_policy_reads_if_it_does(make):
+    policy, td = make(per="episode", init_key=("agent", "is_init")), observations(40)
+    td["agent", "is_init"] = td.pop("is_init")
+    values(policy, td.select(*policy.in_keys))
+    assert make(per="round").in_keys == ["observation", "action_mask"]
+
+
 @pytest.mark.parametrize("make", [thompson, shared, evaluated])
 def test_a_policy_that_is_cast_acts_on_draws_of_its_new_dtype(make):
     policy, td = make(per="episode"), observations(40)
