@@ -161,7 +161,8 @@ class BBQNLoss(NumData, OneStepQLoss):
         super().__init__(
             value_network, gamma=gamma, action_space=action_space, delay_value=delay_value
         )
-        self._posteriors = tuple(posteriors(self.value_network))  # type: ignore[arg-type]
+        first, *_ = posteriors(self.value_network)  # type: ignore[arg-type]
+        self._register_num_data(num_data, first.mu)
         self.target = target
         self._target_mode = "mean" if target == "map" else "draw"
         self.target_noise = target_noise or _TARGET_NOISES[target][0]
@@ -171,14 +172,13 @@ class BBQNLoss(NumData, OneStepQLoss):
         self._held = _Held()
         self._set("noise_std", noise_std)
         self._set("kl_temperature", kl_temperature, minimum=0)
-        self._register_num_data(num_data, self._posteriors[0].mu)
 
     def _set(self, name: str, value: float | Tensor, *, minimum: float | None = None) -> None:
         """Sets a hyper-parameter; values [*replicas] are a buffer, for they follow the device."""
         if isinstance(value, Tensor):
             value = replica_values(name, value, self.replicas, minimum=minimum)
             # As little part of the state as a number is.
-            self.register_buffer(name, value, persistent=False)
+            self.register_buffer(name, value.to(self.num_data.device), persistent=False)
         else:
             setattr(self, name, value)
 

@@ -130,7 +130,8 @@ class OneStepQLoss(DQNLoss):
             if isinstance(gamma, torch.Tensor)
             else gamma
         )
-        self.make_value_estimator(ValueEstimators.TD0, gamma=discount)
+        device = next((parameter.device for parameter in self.parameters()), None)
+        self.make_value_estimator(ValueEstimators.TD0, gamma=discount, device=device)
         self._function = ValueFunction(
             self.value_network, self.value_network_params, self.tensor_keys.action_value
         )

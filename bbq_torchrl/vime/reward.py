@@ -293,7 +293,7 @@ class VIMEReward(Transform):
         bonus, eta = bonus.to(reward.dtype).reshape(reward.shape), self.eta
         if not isinstance(eta, Tensor):
             return out.set(reward_key, torch.add(reward, bonus, alpha=eta))
-        eta = eta.to(reward.dtype).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))
+        eta = eta.to(reward).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))
         return out.set(reward_key, torch.addcmul(reward, bonus, eta))
 
     def set_container(self, container: Transform | EnvBase) -> None:

@@ -6,6 +6,7 @@ import pytest
 import torch
 from q_transitions import (
     ACTIONS,
+    FEATURES,
     REPLICAS,
     bayes_loss,
     flat,
@@ -74,6 +75,15 @@ def test_value_and_gradient_are_those_of_the_definition(
         torch.autograd.grad(out["loss"], parameters),
         torch.autograd.grad(expected.sum(), parameters),
     )
+
+
+@pytest.mark.parametrize("name", ["noise_std", "kl_temperature", "gamma"])
+def test_values_of_replicas_are_where_the_network_is(name):
+    net = BayesMLP(FEATURES, ACTIONS, (8,), replicas=3, device="meta")  # fails beside a CPU tensor
+    settings = {name: torch.tensor([0.1, 0.2, 0.3]), "delay_value": False}
+    loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), num_data=10, **settings)
+    loss(transitions((3,)).to("meta"))["loss"].backward()
+    assert net.posterior.mu.grad.device.type == "meta"
 
 
 @pytest.mark.parametrize("exploration", [None, *ExplorationType])

@@ -54,6 +54,12 @@ def test_what_is_read_is_not_changed():
     assert (rows == before).all()
 
 
+def test_an_eta_of_each_replica_follows_the_rows_to_their_device():
+    td = transitions(3, 6).to("meta")
+    td[BONUS] = torch.ones(3, 6, 1, device="meta")
+    assert transform((3,), eta=torch.ones(3))(td)[REWARD].device.type == "meta"
+
+
 def test_an_eta_of_each_replica_is_no_part_of_the_state_and_must_fit():
     assert "eta" not in transform((3,), eta=torch.ones(3)).state_dict()
     with pytest.raises(
