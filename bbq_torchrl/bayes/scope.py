@@ -1,7 +1,8 @@
 """The one scope that says which weights the layers inside of it use, and what comes with them.
 
-A layer looks first at the arguments it is called with, then at the innermost :func:`weight_scope`
-around the call, then at the exploration type of TorchRL. So a policy or a loss reaches the layers
+A layer uses the weights that it is called with, else those that the :func:`weight_scope` around the
+call gives it; else the mode that it is called with, that of the scope, or the one that follows from
+the exploration type of TorchRL. So a policy or a loss reaches the layers
 of a network whatever stands around them (``nn.Sequential``, a TensorDict module, a functional call)
 without access to them.
 """
@@ -157,7 +158,9 @@ def weight_scope(
 ) -> Iterator[WeightScope]:
     """Says which weights the layers inside of it use. What is not given is as outside of it.
 
-    - ``"draw"``: one draw of all weights for the call, shared by its rows (dropout: a mask).
+    - ``"draw"``: one draw of a layer's weights for each of its calls, shared by the call's rows
+      (dropout: a mask). A layer that a network runs twice has two draws, in a loss too; to have
+      one, call it with the weights of one :meth:`BayesLayer.draw_weights`.
     - ``"local"``: a draw of its own for each row, by local reparameterization where that is exact
       (Kingma, Salimans, Welling 2015).
     - ``"mean"``: the posterior mean (dropout: off).
@@ -166,17 +169,18 @@ def weight_scope(
         mode: one of these, or None.
 
     Keyword Args:
-        weights: for each module or posterior the flat weights to use whatever the mode, shape
-            [*replicas, *rows, P] as :meth:`BayesLayer.draw_weights` returns them. Modules that are
-            not in it are not affected.
+        weights: for each module with a ``posterior``, or posterior, the flat weights to use
+            whatever the mode, the one that it is called with too; shape [*replicas, *rows, P] as
+            :meth:`BayesLayer.draw_weights` returns them. Others are not affected.
         noise: a :class:`NoisePool` or :class:`SharedNoise` that draws take their noise from.
         kl: "closed" or "sampled" to sum up the KL of every layer that runs, each counted once, or a
             :class:`KLSum`. The total is ``scope.kl.total()``.
         sigma: standard deviations held by the caller, see :class:`WeightScope`.
 
     Raises:
-        ValueError: for another mode or kind of KL; and when a layer in mode "mean" or "local" runs
-            with kl="sampled": there are no weights to evaluate it at.
+        ValueError: for another mode or kind of KL, or weights of what has no posterior; and when a
+            layer in mode "mean" or "local" runs with kl="sampled": there are no weights to
+            evaluate it at.
 
     Examples:
         >>> import torch
@@ -196,6 +200,12 @@ def weight_scope(
     outer, given = _here.scope, None
     if weights is not None:
         given = {getattr(module, "posterior", module): own for module, own in weights.items()}
+        for posterior in given:
+            if not hasattr(posterior, "prior_rho"):
+                raise ValueError(
+                    "weights must be of modules with a posterior, or of posteriors, got a key of "
+                    f"type {type(posterior).__name__}"
+                )
     if isinstance(kl, str):
         kl = KLSum(kl)
     _here.scope = WeightScope(

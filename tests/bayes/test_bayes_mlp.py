@@ -126,6 +126,18 @@ def test_given_weights_reach_only_their_module():
     assert not first(x, "mean").any()
 
 
+def test_weights_of_what_has_no_posterior_are_refused():
+    layer = BayesLinear(3, 3)
+    message = "modules with a posterior, or of posteriors, got a key of type Sequential"
+    with (
+        pytest.raises(ValueError, match=message),
+        weight_scope(weights={torch.nn.Sequential(layer): layer.draw_weights()}),
+    ):
+        pass
+    with weight_scope(weights={layer.posterior: layer.posterior.mu + 1}):
+        assert layer(torch.ones(4, 3)).eq(4).all()
+
+
 @pytest.mark.parametrize("given", [False, True])
 def test_another_mode_is_refused(given):
     net, x = BayesMLP(4, 3), torch.randn(6, 4)
