@@ -189,4 +189,4 @@ def _next_state(from_input: Tensor, from_state: Tensor, state: Tensor) -> Tensor
     reset_state, update_state, new_state = from_state.chunk(3, -1)
     update = torch.sigmoid(update + update_state)
     new = torch.tanh(new + torch.sigmoid(reset + reset_state) * new_state)
-    return torch.lerp(new, state, update)
+    return torch.lerp(new, state.to(new.dtype), update)

@@ -191,6 +191,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
         torch.is_grad_enabled()
         and (flat.requires_grad or rows.requires_grad)
         and not is_transformed()
+        and not torch._C._is_any_autocast_enabled()  # layers would have other dtypes
     ):
         out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
     else:
