@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from operator import index
+from typing import TYPE_CHECKING, SupportsIndex
 
 import torch
 from torch import Tensor
@@ -15,14 +16,20 @@ if TYPE_CHECKING:
 __all__ = ["replica_shape", "replica_values", "replicas_of"]
 
 
-def replica_shape(replicas: int | Sequence[int]) -> torch.Size:
+def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:
     """Returns the leading shape that replicas give to weights and data: 5 is (5,).
+
+    Raises:
+        ValueError: if a number is not positive.
 
     Examples:
         >>> replica_shape(5), replica_shape((2, 3)), replica_shape(())
         (torch.Size([5]), torch.Size([2, 3]), torch.Size([]))
     """
-    return torch.Size((replicas,) if isinstance(replicas, int) else replicas)
+    shape = (index(replicas),) if isinstance(replicas, SupportsIndex) else tuple(replicas)
+    if any(size < 1 for size in shape):
+        raise ValueError(f"replicas must be positive, got {replicas}")
+    return torch.Size(shape)
 
 
 def replica_values(

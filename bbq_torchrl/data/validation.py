@@ -20,10 +20,10 @@ __all__ = ["validate_transitions"]
 def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> None:
     """Raises if a row could not be learned from; returns nothing otherwise.
 
-    Every floating entry must be finite. Where the rows have an ``action_mask``, the action (an
-    index, or one-hot) must be allowed by it; where they have ``("next", "action_mask")``, every row
-    that is not terminated must have some legal next action. One synchronization with the device
-    for all checks together.
+    Every floating entry must be finite. Where the rows have an ``action_mask``, which must be bool,
+    the action (an index, or one-hot) must be allowed by it; where they have ``("next",
+    "action_mask")``, bool too, every row that is not terminated must have some legal next action.
+    One synchronization with the device for all checks together.
 
     Args:
         rows (TensorDictBase): transitions in TorchRL's layout, batch size [rows].
@@ -49,8 +49,10 @@ def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> 
     """
     checks: dict[str, Tensor] = {}
     for key, value in rows.items(include_nested=True, leaves_only=True):
+        label = key if isinstance(key, str) else "/".join(key)
+        if label in ("action_mask", "next/action_mask") and value.dtype != torch.bool:
+            raise ValueError(f"{label} of {name} must be bool, got {value.dtype}")
         if value.is_floating_point():
-            label = key if isinstance(key, str) else "/".join(key)
             finite = torch.isfinite(value)
             bad = ~(finite.flatten(1).all(-1) if finite.ndim > 1 else finite)
             checks[f"{label} of {name} must be finite"] = bad

@@ -35,7 +35,8 @@ class ThompsonSampling(ActorPolicy):
             row's next ``init_key``. "round": until :meth:`resample`. Defaults to "step".
         shared: whether the rows of a batch act on one draw (each replica has its
             own) or each on its own. One shared draw makes 50 episodes side by side one
-            experiment. Defaults to True for "round", else False.
+            experiment; with per="episode" it is redrawn for all as soon as one of them begins.
+            Defaults to True for "round", else False.
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
             ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to
             "is_init".

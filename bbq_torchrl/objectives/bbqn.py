@@ -154,10 +154,12 @@ class BBQNLoss(NumData, OneStepQLoss):
                 f"target={target!r}, got {target_noise!r}"
             )
         check_kl_kind(kl)
-        if not isinstance(noise_std, Tensor) and not noise_std > 0:
-            raise ValueError(f"noise_std must be positive, got {noise_std}")
-        if not isinstance(kl_temperature, Tensor) and not kl_temperature >= 0:
-            raise ValueError(f"kl_temperature must not be negative, got {kl_temperature}")
+        if not isinstance(noise_std, Tensor) and not 0 < noise_std < float("inf"):
+            raise ValueError(f"noise_std must be positive and finite, got {noise_std}")
+        if not isinstance(kl_temperature, Tensor) and not 0 <= kl_temperature < float("inf"):
+            raise ValueError(
+                f"kl_temperature must be finite and not negative, got {kl_temperature}"
+            )
         super().__init__(
             value_network, gamma=gamma, action_space=action_space, delay_value=delay_value
         )

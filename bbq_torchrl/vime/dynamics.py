@@ -185,7 +185,8 @@ class DynamicsModel(nn.Module):
 
         Args:
             action: an index, shape [*rows] or [*rows, 1]; one-hot, bool or integer [*rows, A]; or
-                floating [*rows, A], which is taken as it is (one-hot or continuous).
+                floating [*rows, A], which is taken as it is (one-hot or continuous). An index of
+                no action, which a row that does not count may have, gives zeros.
             rows: the batch shape.
 
         Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -16,6 +17,17 @@ def test_a_network_starts_each_element_where_it_is_told():
     started = BayesMLP(3, 2, (4,), replicas=(2,), std_init=stds)
     torch.testing.assert_close(started.posterior.sigma, net.posterior.sigma)
     assert started.posterior.prior_rho.shape == (1,)
+
+
+@pytest.mark.parametrize("replicas", [3, (3,), np.int64(3), [np.int64(3)], torch.tensor(3)])
+def test_any_integer_is_a_number_of_replicas(replicas):
+    assert BayesMLP(3, 2, replicas=replicas).replicas == torch.Size([3])
+
+
+@pytest.mark.parametrize("replicas", [0, -1, np.int64(0), (2, 0)])
+def test_replicas_must_be_positive(replicas):
+    with pytest.raises(ValueError, match="replicas must be positive, got"):
+        BayesMLP(3, 2, replicas=replicas)
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,14 @@ def test_bad_transitions_are_named_and_nothing_is_stored(key, row, value, messag
     replay.extend([transitions(), transitions()])
 
 
+@pytest.mark.parametrize("key", ["action_mask", ("next", "action_mask")])
+def test_a_mask_of_another_dtype_is_refused(key):
+    bad = transitions()
+    bad[key] = bad[key].byte()
+    with pytest.raises(ValueError, match="action_mask of transitions must be bool, got"):
+        validate_transitions(bad)
+
+
 def test_transitions_without_masks_are_checked_for_what_they_have():
     validate_transitions(TensorDict(action=torch.zeros(2, dtype=torch.long), batch_size=[2]))
     with pytest.raises(ValueError, match="2 of 2 rows"):
