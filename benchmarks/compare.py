@@ -1,6 +1,6 @@
 """Prints what the project's speed is to be beside what it is, all from one run.
 
-    python benchmarks/compare.py                    everything: half an hour
+    python benchmarks/compare.py                    everything: a quarter of an hour
     python benchmarks/compare.py simulator update   these parts
     python benchmarks/compare.py --save 0.2.0       keeps the figures in results/speed.csv
     python benchmarks/compare.py --tiny             in seconds; checks that the benchmark works
