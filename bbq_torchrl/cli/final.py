@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import platform
 import time
 from importlib.metadata import version
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
 
 __all__ = ["final_result"]
+
+_LOG = logging.getLogger(__name__)
 
 OTHERS_DIALOGUES = 1_000
 """Dialogues of each policy that the agent is set beside: all of them take a second."""
@@ -116,7 +119,8 @@ def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]
         for name in names:
             try:
                 policy = config.env.make_policy(name, env)
-            except ValueError:  # a script that needs a slot which has not come yet
+            except ValueError as error:  # a script that needs a slot which has not come yet
+                _LOG.warning("left out of the result: %s", error)
                 continue
             played = _played(config, env, policy, dialogues)
             found[name] = played.success.double().mean().item()

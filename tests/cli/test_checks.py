@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import shutil
 
 import pytest
+from tiny import TINY
 
 from bbq_torchrl.cli.checks import check
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.run import run
 
 
 def test_a_logger_whose_package_is_missing_is_refused_with_the_way_to_it(monkeypatch):
@@ -36,13 +39,27 @@ def test_a_slot_with_actions_that_domain_extension_would_never_activate_is_refus
     check(compose([*where, "env=full"]))
 
 
-def test_a_spike_that_needs_a_slot_of_a_later_round_is_refused(restaurant_folder, tmp_path):
+@pytest.fixture
+def where(restaurant_folder, tmp_path):
+    """A domain whose rule needs a slot that comes later."""
     folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
     file = folder / "domain.yaml"
     script = "steps: [request(cuisine), "
     file.write_text(file.read_text().replace(script, f"{script}request(price_range), "))
-    where = ("domain=folder", f"domain.path={folder}")
+    return "domain=folder", f"domain.path={folder}"
+
+
+def test_a_spike_that_needs_a_slot_of_a_later_round_is_refused(where):
     with pytest.raises(ValueError, match="rule cannot be played in round 0: the slot price_range"):
         check(compose([*where, "env=domain_ext"]))
     check(compose([*where, "env=domain_ext", "spike.policy=careful"]))
     check(compose([*where, "env=full"]))
+
+
+def test_a_result_says_which_policy_it_lacks_whose_slot_has_not_come(where, tmp_path, caplog):
+    config = compose([*TINY, *where, "env=domain_ext", "spike.policy=careful", "protocol.rounds=1"])
+    with caplog.at_level(logging.WARNING):
+        result = run(config, tmp_path / "run")
+    assert {"careful", "random"} <= result.scripted.keys()
+    assert "rule" not in result.scripted
+    assert any("left out of the result: policy rule" in told for told in caplog.messages)
