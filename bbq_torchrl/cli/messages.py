@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LAUNCHER",
     "explain",
+    "groups_of",
     "key_of",
     "not_an_option",
     "refuse_second_folder",
@@ -250,12 +251,17 @@ def _place(parent: str, schema: Any) -> str:
     return parent or "the configuration"
 
 
+def groups_of(root: type) -> list[str]:
+    """Returns the groups of options that a whole configuration has."""
+    return [item.name for item in fields(root) if item.name in schemas()]
+
+
 def not_an_option(overrides: Sequence[str], root: type) -> str | None:
     """A sentence for a group that was given something else than the name of an option.
 
     Hydra itself takes a mapping, ``agent={lr: 1}``, for changes to whatever option is the default.
     """
-    groups = [item.name for item in fields(root) if item.name in schemas()]
+    groups = groups_of(root)
     for override in overrides:
         group, equals, value = override.partition("=")
         if group.lstrip("+") == EXPERIMENT and root is not Config:

@@ -10,7 +10,6 @@ of that folder.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -24,13 +23,12 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 from bbq_torchrl import output
 from bbq_torchrl.cli.folders import quoted, refuse_other_folder, run_folder, run_lock
 from bbq_torchrl.cli.messages import refuse_second_folder, too_large
-from bbq_torchrl.cli.resume import resumed_config, run_to_resume
+from bbq_torchrl.cli.resume import folder_to_resume, resumed_config, run_to_resume
 from bbq_torchrl.cli.store import compose_raw, register_options, searched, session, to_config
 from bbq_torchrl.cli.sweeps import Check, Sweep, prepare_sweep, refuse_unswept
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -107,7 +105,7 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
         if composed is not None:
             refuse_unswept(composed, parsed.overrides)
             refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
-            folder = _resumed_folder(composed.resume)
+            folder = folder_to_resume(composed.resume)
             if folder is not None:
                 held.enter_context(run_lock(folder))
             config = to_config(composed, Config)
@@ -132,14 +130,6 @@ def _refuse_unread(parsed: Namespace) -> None:
         if getattr(parsed, flag, None) is not None:
             name = "--" + flag.replace("_", "-")
             raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
-
-
-def _resumed_folder(resume: str | None) -> Path | None:
-    """The run folder to go on in, if it is one."""
-    if resume is None:
-        return None
-    folder = Path(expanduser(resume)).resolve()
-    return folder if (folder / CONFIG).is_file() else None
 
 
 def _compose_single(hydra_session: Any, overrides: Sequence[str]) -> DictConfig | None:

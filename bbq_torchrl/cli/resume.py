@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "description",
+    "folder_to_resume",
     "is_finished",
     "load_config",
     "restarted_config",
@@ -139,15 +140,20 @@ def load_config(file: Path) -> Config:
         raise ConfigError(f"{file}: {sentence(error)}") from error
 
 
+def folder_to_resume(resume: str | None) -> Path | None:
+    """The run folder that ``resume=`` names, if it is one."""
+    folder = Path(expanduser(resume)).resolve() if resume else None
+    return folder if folder is not None and (folder / CONFIG).is_file() else None
+
+
 def run_to_resume(overrides: Sequence[str]) -> Config | None:
     """The configuration of ``resume=<run folder>``, on whose values a command line is read.
 
     None where there is none, and where another option or an experiment is given: that is
     refused by :func:`resumed_config`, whatever the combination.
     """
-    given = run_of(overrides, "resume")
-    folder = Path(expanduser(given)).resolve() if given else None
-    if folder is None or not (folder / CONFIG).is_file():
+    folder = folder_to_resume(run_of(overrides, "resume"))
+    if folder is None:
         return None
     run = run_config(folder)
     for override in overrides:

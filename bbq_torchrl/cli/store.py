@@ -28,7 +28,14 @@ from omegaconf.errors import (
 )
 
 from bbq_torchrl.cli.folders import quoted
-from bbq_torchrl.cli.messages import explain, key_of, not_an_option, too_large, unknown_key
+from bbq_torchrl.cli.messages import (
+    explain,
+    groups_of,
+    key_of,
+    not_an_option,
+    too_large,
+    unknown_key,
+)
 from bbq_torchrl.options import (
     AgentOption,
     CalibrateConfig,
@@ -145,7 +152,7 @@ def compose_raw(
     if refusal is not None:
         raise ConfigError(refusal)
     given = {key_of(override) for override in overrides}
-    own = [] if run is None else [group for group in _groups(root) if group not in given]
+    own = [] if run is None else [group for group in groups_of(root) if group not in given]
     chosen = [f"{group}={getattr(run, group).name}" for group in own]
     try:
         composed = hydra_compose(
@@ -177,10 +184,6 @@ def run_of(overrides: Sequence[str], key: str) -> str | None:
     except (HydraException, ValueError):  # refused when it is composed
         return None
     return value if isinstance(value, str) else None
-
-
-def _groups(root: type) -> list[str]:
-    return [item.name for item in fields(root) if item.name in schemas()]
 
 
 def searched(overrides: Sequence[str]) -> list[str]:
