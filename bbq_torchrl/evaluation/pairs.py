@@ -207,8 +207,8 @@ def compare(
 def verdict(difference: Estimate, p_value: float) -> str:
     """Returns what a difference says of the claim that it is above 0.
 
-    ``yes``, ``no`` (it is below 0) or ``not decided``.
+    ``yes``, ``no`` (it is below 0) or ``not significant``.
     """
     if p_value >= ALPHA:
-        return "not decided"
+        return "not significant"
     return "yes" if difference.value > 0 else "no"

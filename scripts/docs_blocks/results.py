@@ -218,7 +218,7 @@ def _claims() -> str:
             *numbers, answer = item.cells()
             claim = f"{item.one} {verb} {item.other}"
             rows.append((claim, setting, answer, *numbers, theirs))
-    order = ("no", "not decided", "yes", pairs.NOT_PAIRED, pairs.NOT_RUN)
+    order = ("no", "not significant", "yes", pairs.NOT_PAIRED, pairs.NOT_RUN)
     rows.sort(key=lambda row: order.index(row[2]))
     head = ("claim", "trained on", "verdict", "difference", "p", "the paper's difference")
     return table(head, rows, numbers=3)

@@ -143,7 +143,7 @@ def test_pairs_are_rows_and_what_is_not_paired_is_named_once(tmp_path):
 
 @pytest.mark.parametrize(
     ("differences", "p_value", "expected"),
-    [([0.1, 0.2], 0.01, "yes"), ([-0.1, -0.2], 0.01, "no"), ([0.1, 0.2], 0.2, "not decided")],
+    [([0.1, 0.2], 0.01, "yes"), ([-0.1, -0.2], 0.01, "no"), ([0.1, 0.2], 0.2, "not significant")],
 )
 def test_a_claim_is_judged_by_sign_and_p_value(differences, p_value, expected):
     assert verdict(difference(differences), p_value) == expected
