@@ -15,11 +15,9 @@ from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import result_of, save_config
 from bbq_torchrl.cli.training import build_trainer, make_domain
 from bbq_torchrl.evaluation.figures import draw_run
-from bbq_torchrl.evaluation.groups import group_runs
-from bbq_torchrl.evaluation.metrics import read_metrics
+from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import RunResult, write_json
-from bbq_torchrl.evaluation.runs import Run
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 from bbq_torchrl.trainers import keep_freed_memory
 
@@ -157,11 +155,10 @@ def _quieten_torchrl() -> None:
 
 def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None) -> None:
     spike = config.spike
-    run = Run(folder, dataclasses.asdict(config), result, read_metrics(folder))
     named = {"explore": result.explore, "env": result.env, "domain": result.domain}
     draw_run(
         folder / CURVE,
-        group_runs([run]),
+        read_groups([folder]),
         title="Success: " + ", ".join(f"{key}={name}" for key, name in named.items() if name),
         spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
         if spike.dialogues

@@ -56,7 +56,7 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
         if _groups(names) > 1:
             raise ValueError(
                 "ablations must differ from one run in one key each, or in keys of one group, but "
-                f"{groups[reference].runs[0].folder} and {group.runs[0].folder} differ in "
+                f"{groups[reference].folders[0]} and {group.folders[0]} differ in "
                 f"{', '.join(names)}"
             )
         if names:

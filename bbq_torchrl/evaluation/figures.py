@@ -148,7 +148,7 @@ def draw_families(
     names = {"success": "training success"}
     if any(group.evaluation is not None for group in groups):
         names["evaluation"] = "success in evaluation"
-    if any(group.training_reward is not None for group in groups):
+    if any(group.curves("reward") is not None for group in groups):
         names["reward"] = "training reward"
     figure, axes = _axes(rows=len(names), columns=len(families), shared=True)
     grid = np.reshape(axes, (len(names), len(families)))
@@ -158,8 +158,8 @@ def draw_families(
             _draw_training(drawn["success"], group, color, band=True)
             if "evaluation" in drawn and group.evaluation is not None:
                 _draw_evaluated(drawn["evaluation"], group.evaluation, color, "-", band=True)
-            if "reward" in drawn and group.training_reward is not None:
-                reward = moving_average(group.training_reward)
+            if "reward" in drawn and (rewards := group.curves("reward")) is not None:
+                reward = moving_average(rewards)
                 _draw_seeds(drawn["reward"], np.arange(len(reward)), reward, color, "-", band=True)
         for name, axes in drawn.items():
             if name != "reward":

@@ -53,7 +53,7 @@ def find_grid(groups: Sequence[Group]) -> Grid:
     """
     learners = [
         (
-            agent_name({**group.runs[0].config, "explore": {}}),
+            agent_name({**group.replicas[0].config, "explore": {}}),
             {key: value for key, value in group.setting.items() if key.startswith("agent.")},
         )
         for group in groups
@@ -65,7 +65,7 @@ def find_grid(groups: Sequence[Group]) -> Grid:
         if explorer in row:
             raise ValueError(
                 f"a cell of the grid must have one setting, got two of {name} with "
-                f"explore={explorer}: {row[explorer].runs[0].folder} and {group.runs[0].folder}"
+                f"explore={explorer}: {row[explorer].folders[0]} and {group.folders[0]}"
             )
         row[explorer] = group
     return grid

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,12 +16,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.evaluation.results import RunResult
-    from bbq_torchrl.evaluation.runs import Member, Run
+    from bbq_torchrl.evaluation.runs import Replica
 
-__all__ = ["Group", "group_runs", "label", "read_groups"]
-
-EVALUATION = "eval_success_rate"
-"""Column of the metrics: success of an evaluation while training, empty in rounds without."""
+__all__ = ["Group", "label", "read_groups"]
 
 _OF_AN_AGENT = ("agent", "explore", "intrinsic")
 """Groups that make up an agent: what is compared."""
@@ -30,72 +26,77 @@ _OF_AN_AGENT = ("agent", "explore", "intrinsic")
 
 @dataclass(frozen=True)
 class Group:
-    """Runs of one setting, all their seeds together.
+    """Replicas of one setting, all their seeds together.
 
     Attributes:
         label: the agent, and what tells this group from others of the same agent.
-        runs: at least one.
+        replicas: at least one.
     """
 
     label: str
-    runs: tuple[Run, ...]
+    replicas: tuple[Replica, ...]
 
     @property
     def first(self) -> RunResult:
         """The result of one of the runs, for what they all have in common."""
-        return self.runs[0].result
+        return self.replicas[0].result
+
+    @property
+    def folders(self) -> list[Path]:
+        """The result folders, each once."""
+        return list(dict.fromkeys(replica.folder for replica in self.replicas))
 
     @property
     def agent(self) -> str:
         """The agent as the paper calls it, such as ``BBQN-MAP``."""
-        return self.runs[0].agent
+        return self.replicas[0].agent
 
     @property
     def setting(self) -> dict[str, Any]:
         """Dotted key to value of all that decides the outcome, but for the seed."""
-        return self.runs[0].setting
+        return self.replicas[0].setting
 
-    @cached_property
+    @property
     def final(self) -> list[float]:
         """Success rate of the final evaluation, one value for each seed."""
-        return self._per_seed("success_rate")
+        return [replica.own.success_rate for replica in self.replicas]
 
-    @cached_property
+    @property
     def cumulative(self) -> list[float]:
         """Share of all training dialogues that succeeded, one value for each seed."""
-        return self._per_seed("training_success")
+        return [replica.own.training_success for replica in self.replicas]
 
     @property
     def reward(self) -> float:
         """Mean reward of a dialogue of the final evaluation, over all seeds."""
-        return float(np.mean(self._per_seed("reward")))
+        return float(np.mean([replica.own.reward for replica in self.replicas]))
 
     @property
     def turns(self) -> float:
         """Mean number of agent turns of such a dialogue, over all seeds."""
-        return float(np.mean(self._per_seed("turns")))
+        return float(np.mean([replica.own.turns for replica in self.replicas]))
 
     @property
-    def members(self) -> list[Member]:
-        """A key for each seed, in the order of the values."""
-        return [member for run in self.runs for member in run.members]
+    def members(self) -> list[tuple[int, int, str, int]]:
+        """Which random numbers each seed has trained with, in the order of the values."""
+        return [replica.member for replica in self.replicas]
 
     @property
     def round_dialogues(self) -> int:
         """Training dialogues of a round and seed."""
-        return int(self.runs[0].metrics["dialogues"][0, 0])
+        return int(self.replicas[0].metrics["dialogues"][0, 0])
+
+    def curves(self, name: str) -> Any | None:
+        """A column of the metrics, shape [rounds, seeds]; None where not all runs have it."""
+        if any(name not in replica.metrics.columns for replica in self.replicas):
+            return None
+        columns = [replica.metrics[name][:, replica.number] for replica in self.replicas]
+        return np.stack(columns, 1)
 
     @property
     def success(self) -> Any:
         """Success rate of the training dialogues of each round, shape [rounds, seeds]."""
-        return self._curves("success_rate")
-
-    @property
-    def training_reward(self) -> Any | None:
-        """Mean reward of each round's training dialogues, shape [rounds, seeds]; None without."""
-        if any("reward" not in run.metrics.columns for run in self.runs):
-            return None
-        return self._curves("reward")
+        return self.curves("success_rate")
 
     @property
     def evaluation(self) -> Any | None:
@@ -103,9 +104,9 @@ class Group:
 
         NaN in rounds in which not all seeds were evaluated; None where there are no others.
         """
-        if any(EVALUATION not in run.metrics.columns for run in self.runs):
+        curves = self.curves("eval_success_rate")
+        if curves is None:
             return None
-        curves = self._curves(EVALUATION)
         is_evaluated = np.isfinite(curves).all(1, keepdims=True)
         return np.where(is_evaluated, curves, np.nan) if is_evaluated.any() else None
 
@@ -114,50 +115,32 @@ class Group:
         """Area under the curve of these evaluations, one value for each seed; empty without."""
         return [] if self.evaluation is None else areas(self.evaluation)
 
-    def _curves(self, name: str) -> Any:
-        return np.concatenate([run.metrics[name] for run in self.runs], 1)
-
-    def _per_seed(self, name: str) -> list[float]:
-        return [
-            float(getattr(entry, name)) for run in self.runs for entry in run.result.per_replica
-        ]
-
 
 def read_groups(folders: Sequence[Path]) -> list[Group]:
-    """Reads result folders. Returns their runs as groups.
-
-    Raises:
-        ValueError: see :func:`read_run` and :func:`group_runs`.
-    """
-    return group_runs([read_run(folder) for folder in folders])
-
-
-def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Returns a group for each setting, in the order in which they come.
+    """Reads result folders. Returns a group for each setting, in the order in which they come.
 
     Replicas of a run that have values of their own are of different settings.
 
     Raises:
-        ValueError: two runs are of the same setting and seed.
+        ValueError: two runs are of the same setting and seed; and see :func:`read_run`.
     """
-    together: list[tuple[dict[str, Any], list[Run]]] = []
-    for run in (part for whole in runs for part in whole.by_values()):
-        setting = run.setting
-        same = next((runs for known, runs in together if known == setting), None)
+    together: list[list[Replica]] = []
+    for replica in (replica for folder in folders for replica in read_run(folder)):
+        same = next((one for one in together if one[0].setting == replica.setting), None)
         if same is None:
-            together.append((setting, [run]))
+            together.append([replica])
             continue
         for other in same:
-            if other.result.seed == run.result.seed:
+            if other.result.seed == replica.result.seed and other.folder != replica.folder:
                 raise ValueError(
-                    f"{other.folder} and {run.folder} are of the same setting and seed "
-                    f"({run.result.seed}): seeds must differ to count as independent trainings"
+                    f"{other.folder} and {replica.folder} are of the same setting and seed "
+                    f"({replica.result.seed}): seeds must differ to count as independent trainings"
                 )
-        same.append(run)
-    settings = [(runs[0].agent, setting) for setting, runs in together]
+        same.append(replica)
+    settings = [(replicas[0].agent, replicas[0].setting) for replicas in together]
     return [
-        Group(label(name, setting, settings), tuple(runs))
-        for (name, setting), (_, runs) in zip(settings, together, strict=True)
+        Group(label(*own, settings), tuple(replicas))
+        for own, replicas in zip(settings, together, strict=True)
     ]
 
 
@@ -166,12 +149,12 @@ def references(groups: Sequence[Group]) -> dict[str, float]:
 
     Empty unless the runs all know it and have the same users.
     """
-    runs = [run for group in groups for run in group.runs]
     users = [
-        {key: value for key, value in run.setting.items() if key.startswith(("env.", "domain."))}
-        for run in runs
+        {key: value for key, value in group.setting.items() if key.startswith(("env.", "domain."))}
+        for group in groups
     ]
-    known = [run.result.references for run in runs]
+    results = {replica.folder: replica.result for group in groups for replica in group.replicas}
+    known = [result.references for result in results.values()]
     if any(other != users[0] for other in users) or any(
         one.keys() != known[0].keys() for one in known
     ):

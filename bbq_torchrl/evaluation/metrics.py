@@ -11,7 +11,6 @@ from bbq_torchrl.run_folder import METRICS
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
 __all__ = ["Metrics", "read_metrics"]
@@ -51,10 +50,6 @@ class Metrics:
         if name not in self.columns:
             raise KeyError(f"metrics have no column {name!r}, only {', '.join(self.columns)}")
         return self.columns[name]
-
-    def only(self, replicas: Sequence[int]) -> Metrics:
-        """The metrics of some of the replicas."""
-        return Metrics({name: values[:, list(replicas)] for name, values in self.columns.items()})
 
     @property
     def training_success(self) -> Any:

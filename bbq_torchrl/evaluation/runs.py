@@ -7,14 +7,15 @@ and so is what ``scripts/keep_result.py`` keeps of one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.evaluation.metrics import Metrics, read_metrics
+from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.names import agent_name
-from bbq_torchrl.evaluation.results import RunResult, read_result
+from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT
 from bbq_torchrl.text import sentence
 
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-__all__ = ["Member", "Run", "find_results", "find_unfinished", "read_run", "telling"]
+    from bbq_torchrl.evaluation.metrics import Metrics
+    from bbq_torchrl.evaluation.results import ReplicaResult, RunResult
+
+__all__ = ["Replica", "find_results", "find_unfinished", "read_run", "telling"]
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
@@ -40,82 +44,59 @@ _NAMED = ("agent", "explore")
 """Groups that every configuration of a run has, each with the name of its option."""
 
 
-class Member(NamedTuple):
-    """Which random numbers a replica has trained with: members that are equal, with the same ones.
-
-    Attributes:
-        seed: of its run.
-        replicas: of its run: random numbers are drawn for all of them together.
-        device: type of its run's device, such as ``cpu``.
-        replica: its number.
-    """
-
-    seed: int
-    replicas: int
-    device: str
-    replica: int
-
-
 @dataclass(frozen=True)
-class Run:
-    """A finished run as its result folder tells it, or those of its replicas with one value.
+class Replica:
+    """A trained replica of a finished run, as the result folder tells it.
 
     Attributes:
         folder: the result folder.
-        config: the composed configuration, nested mappings; a key with a list, a value for each
-            replica, has the one value of these replicas (see :meth:`by_values`).
-        result: of the final evaluation.
-        metrics: of the training.
+        number: of the replica.
+        config: the composed configuration of the run, nested mappings.
+        result: of the run's final evaluation.
+        metrics: of the run's training.
     """
 
     folder: Path
+    number: int
     config: Mapping[str, Any]
     result: RunResult
     metrics: Metrics
 
     @property
+    def own(self) -> ReplicaResult:
+        """The replica's part of the result."""
+        return self.result.per_replica[self.number]
+
+    @cached_property
     def setting(self) -> dict[str, Any]:
-        """Dotted key to value of all that decides the outcome, but for the seed."""
+        """Dotted key to value of all that decides the outcome, but for the seed.
+
+        Of a key with a list, a value for each replica, it is the replica's own.
+        """
         flat = {
             key: value
             for key, value in _flat(self.config)
             if key.partition(".")[0] not in _OF_A_SEED and key not in _OF_A_MACHINE
         }
-        return flat | {"protocol.rounds": self.result.rounds}
+        return flat | self.own.values | {"protocol.rounds": self.result.rounds}
 
     @property
-    def members(self) -> list[Member]:
-        """A key for each replica, in order."""
+    def member(self) -> tuple[int, int, str, int]:
+        """Which random numbers it has trained with: the same ones as any that is equal in this.
+
+        The run's seed, how many replicas it has (random numbers are drawn for all of them
+        together), the type of its device, and the replica's number.
+        """
         replicas = int(self.config.get("replicas", self.result.replicas))
         device = str(self.config.get("device", "cpu")).partition(":")[0]
-        return [
-            Member(self.result.seed, replicas, device, entry.replica)
-            for entry in self.result.per_replica
-        ]
-
-    def by_values(self) -> list[Run]:
-        """The replicas that have the same values, where keys have a list; else the run itself."""
-        together: dict[tuple[tuple[str, float], ...], list[int]] = {}
-        for number, entry in enumerate(self.result.per_replica):
-            together.setdefault(tuple(entry.values.items()), []).append(number)
-        return [
-            replace(
-                self,
-                config=_with_values(self.config, dict(values)),
-                result=self.result.only(replicas),
-                metrics=self.metrics.only(replicas),
-            )
-            if values
-            else self
-            for values, replicas in together.items()
-        ]
+        return self.result.seed, replicas, device, self.number
 
     @property
-    def updates(self) -> list[float]:
-        """Steps of the optimizer of each replica; NaN in metrics of versions that lack them."""
+    def updates(self) -> float:
+        """Steps of the optimizer; NaN in metrics of versions that lack them."""
         if "updates" not in self.metrics.columns:
-            return [math.nan] * self.metrics.replicas
-        return [int(count) for count in self.metrics["updates"].sum(0)]
+            return math.nan
+        return int(self.metrics["updates"][:, self.number].sum())
 
     @property
     def agent(self) -> str:
@@ -177,8 +158,8 @@ def _is_extended(folder: Path) -> bool:
         return False  # reading the run says what is wrong
 
 
-def read_run(folder: Path) -> Run:
-    """Reads a result folder.
+def read_run(folder: Path) -> list[Replica]:
+    """Reads a result folder. Returns its replicas.
 
     Raises:
         ValueError: a file is missing or damaged, or the files are not of the same run.
@@ -199,7 +180,8 @@ def read_run(folder: Path) -> Run:
     named = all(isinstance(group, dict) and "name" in group for group in groups)
     if not named or not isinstance(config.get("replicas", 1), int):
         raise ValueError(f"{folder / CONFIG} is not the configuration of a run")
-    return Run(folder, config, result, metrics)
+    replicas = range(result.replicas)
+    return [Replica(folder, number, config, result, metrics) for number in replicas]
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
@@ -209,12 +191,3 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
         key = f"{prefix}{name}"
         leaves += _flat(value, f"{key}.") if isinstance(value, dict) else [(key, value)]
     return leaves
-
-
-def _with_values(config: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
-    """Returns the configuration with other values of some dotted keys."""
-    changed = dict(config)
-    for key, value in values.items():
-        group, _, name = key.partition(".")
-        changed[group] = {**changed[group], name: value}
-    return changed

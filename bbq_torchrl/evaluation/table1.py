@@ -103,7 +103,7 @@ def find_cells(groups: Sequence[Group], env: str) -> dict[str, Group]:
         if name in cells:
             raise ValueError(
                 f"a cell of Table 1 must have one setting, got two of {name} with env={env}: "
-                f"{cells[name].runs[0].folder} and {group.runs[0].folder}"
+                f"{cells[name].folders[0]} and {group.folders[0]}"
             )
         cells[name] = group
     return {name: replace(cells[name], label=name) for name in PAPER[env] if name in cells}

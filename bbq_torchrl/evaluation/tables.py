@@ -127,24 +127,23 @@ def write_replicas(groups: Sequence[Group], file: Path) -> None:
 
 
 def _replica_rows(group: Group) -> list[dict[str, Any]]:
-    reached = iter(rounds_to_reach(group.success, 0.6).tolist())
+    reached = rounds_to_reach(group.success, 0.6).tolist()
     return [
         {
-            "corpus": run.result.domain,
-            "env": run.result.env,
+            "corpus": replica.result.domain,
+            "env": replica.result.env,
             "agent": group.label,
-            "replica": entry.replica,
-            "seed": run.result.seed,
-            "rounds": run.result.rounds,
-            "updates": run.updates[number],
-            "success_rate": entry.success_rate,
-            "reward": entry.reward,
-            "turns": entry.turns,
-            "cumulative_success": entry.training_success,
-            "rounds_to_60": f"{next(reached):.0f}".replace("inf", ""),
+            "replica": replica.number,
+            "seed": replica.result.seed,
+            "rounds": replica.result.rounds,
+            "updates": replica.updates,
+            "success_rate": replica.own.success_rate,
+            "reward": replica.own.reward,
+            "turns": replica.own.turns,
+            "cumulative_success": replica.own.training_success,
+            "rounds_to_60": f"{rounds:.0f}".replace("inf", ""),
         }
-        for run in group.runs
-        for number, entry in enumerate(run.result.per_replica)
+        for replica, rounds in zip(group.replicas, reached, strict=True)
     ]
 
 

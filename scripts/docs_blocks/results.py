@@ -57,7 +57,7 @@ def groups(*folders: str) -> list[Group]:
 
 
 def _commands(kept: list[Group], fence: str = "bash") -> str:
-    made = (command(run.folder) for group in kept for run in group.runs)
+    made = (command(folder) for group in kept for folder in group.folders)
     return "\n".join([f"```{fence}", *made, "```"])
 
 
@@ -145,8 +145,8 @@ def _quick() -> str:
     took = {int(seed): times for seed, *times in map(dict.values, read_csv("quick_seconds.csv"))}
     reached = rounds_to_reach(group.evaluation, 0.6, window=1).tolist()
     rows = [
-        (member.seed, f"{final:.3f}", f"{training:.3f}", f"{rounds:.0f}", *took[member.seed])
-        for member, final, training, rounds in zip(
+        (seed, f"{final:.3f}", f"{training:.3f}", f"{rounds:.0f}", *took[seed])
+        for (seed, *_), final, training, rounds in zip(
             group.members, group.final, group.cumulative, reached, strict=True
         )
     ]

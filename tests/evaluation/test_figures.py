@@ -12,7 +12,7 @@ from result_folders import run_result
 from bbq_torchrl.evaluation import Metrics
 from bbq_torchrl.evaluation.figures import draw_comparison, draw_families, draw_run, moving_average
 from bbq_torchrl.evaluation.groups import Group
-from bbq_torchrl.evaluation.runs import Run
+from bbq_torchrl.evaluation.runs import Replica
 
 
 @pytest.fixture
@@ -32,7 +32,8 @@ def drawn(monkeypatch):
 def group(seeds, rounds=30, label="DQN", **columns):
     columns["success_rate"] = np.random.default_rng(seeds).uniform(size=(rounds, seeds))
     result = run_result(np.linspace(0.4, 0.6, seeds).tolist(), rounds=rounds)
-    return Group(label, (Run(Path(), {}, result, Metrics(columns)),))
+    metrics = Metrics(columns)
+    return Group(label, tuple(Replica(Path(), n, {}, result, metrics) for n in range(seeds)))
 
 
 def labels(figure):
