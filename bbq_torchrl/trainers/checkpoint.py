@@ -17,14 +17,11 @@ One process writes, any number may read: a reader changes nothing in the folder.
 from __future__ import annotations
 
 import errno
-import json
 import logging
 import os
 import re
 import shutil
 import tempfile
-import uuid
-import zipfile
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
@@ -179,35 +176,20 @@ class CheckpointFolder:
             ) from error
 
     def keep_only(self, *names: str) -> None:
-        """Leaves nothing but these components (as far as it has them) of the newest checkpoint.
+        """Leaves nothing but these components of the newest checkpoint; loads them on the way.
 
         It keeps its name. A training cannot go on from them. At every moment there is a whole
         checkpoint.
         """
-        found, _ = self._newest(())
-        if found is None:
-            return
-        path, _ = found
-        smaller = self.folder / f".{path.name}.archive-{uuid.uuid4().hex}"
-        try:
-            with zipfile.ZipFile(path) as old, zipfile.ZipFile(smaller, "w") as new:
-                manifest = Checkpoint.manifest(path)
-                manifest["components"] = {
-                    name: record for name, record in manifest["components"].items() if name in names
-                }
-                for record in manifest["components"].values():
-                    for file in record["files"]:
-                        member = f"{record['path']}/{file}"
-                        new.writestr(member, old.read(member))
-                new.writestr("manifest.json", json.dumps(manifest))
-            _force_to_disk(smaller)
+        parts = self._checkpoint.components
+        named = {name: part for name, part in parts.items() if name in names}
+        kept = CheckpointFolder(self.folder, keep=1, **named)
+        found = kept.restore({})
+        if found is not None:
+            path, metadata = found
+            smaller = kept.save(metadata.pop("round"), metadata, name="kept")
             os.replace(smaller, path)
-        finally:
-            smaller.unlink(missing_ok=True)
-        _force_to_disk(self.folder)
-        for other in self._files():
-            if other != path:
-                other.unlink()
+            _force_to_disk(self.folder)
 
     def remove_leftovers(self) -> None:
         """Removes what a process that was killed while saving left behind.
