@@ -94,8 +94,6 @@ class ReplicaReplay:
     ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity must be at least 1, got {capacity}")
-        if replicas < 1:
-            raise ValueError(f"replicas must be at least 1, got {replicas}")
         self.capacity = capacity
         self.replicas = replicas
         self.keys = tuple(keys)
@@ -132,10 +130,6 @@ class ReplicaReplay:
 
     def seed(self, seeds: Sequence[int]) -> None:
         """Restarts every replica's shuffling from a seed of its own, and drops pending shuffles."""
-        if len(seeds) != self.replicas:
-            raise ValueError(
-                f"seeds must be {self.replicas}, one for each replica, got {len(seeds)}"
-            )
         for buffer, generator, seed in zip(self.buffers, self._generators, seeds, strict=True):
             # The sampler draws the next permutation as soon as one is used up. A fresh sampler
             # forgets it, so that an epoch depends on this seed alone, not on the epochs before.
@@ -226,10 +220,8 @@ class ReplicaReplay:
             batch_size (int): the number of rows of a batch for each replica.
 
         Raises:
-            ValueError: if ``batch_size`` is not positive or a replica has no transition.
+            ValueError: if a replica has no transition.
         """
-        if batch_size < 1:
-            raise ValueError(f"batch_size must be at least 1, got {batch_size}")
         self._check_not_empty()
         lengths = self.lengths
         rows: TensorDictBase = gather_epoch(

@@ -43,13 +43,6 @@ class LossSums:
         self._pending: list[Tensor] = []
         self.updates = [0] * replicas
 
-    def reset(self) -> None:
-        """Starts again from 0, in the same memory."""
-        self._pending.clear()
-        if self._sums is not None:
-            self._sums.zero_()
-        self.updates = [0] * self._replicas
-
     def add(self, losses: TensorDictBase, batch: Batch) -> None:
         """Adds what a loss returned for an update of a batch; nothing here runs on the host.
 
@@ -184,7 +177,7 @@ class Learner:
 
     def learn(self, round_number: int) -> dict[str, list[float]]:
         """Learns for a round. Returns the mean of what the loss reports, for each replica."""
-        self._update.sums.reset()
+        self._update.sums = LossSums(self.replay.replicas)
         if self.lr_share is not None:
             self._update.optimizer.scale_lr(self.lr_share(round_number))
         if provides(self.loss, UsesNumData):

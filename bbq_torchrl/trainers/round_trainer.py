@@ -93,7 +93,7 @@ class RoundTrainer:
         progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
 
     Raises:
-        ValueError: if the parts do not fit one another, or a number is too small.
+        ValueError: if the environment is not of as many replicas as the replay.
     """
 
     def __init__(
@@ -130,19 +130,6 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(env.batch_size)}"
             )
-        counts = {
-            "rounds": rounds,
-            "dialogues": dialogues,
-            "batch_size": batch_size,
-            "freezes": freezes,
-            "epochs": epochs,
-            "checkpoint_every": checkpoint_every,
-            "keep_checkpoints": keep_checkpoints,
-            "max_steps": max_steps,
-        }
-        for name, count in counts.items():
-            if count is not None and count < 1:
-                raise ValueError(f"{name} must be at least 1, got {count}")
         self.env = env
         self.policy = policy
         self.loss = loss

@@ -40,12 +40,3 @@ def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
     for name, means in alone.means().items():
         assert beside.means()[name][0] == means[0]
     assert beside.updates == [100, 150]
-
-
-def test_resetting_forgets_what_was_not_added_yet():
-    sums = LossSums(2)
-    for _ in range(10):
-        added(sums, torch.ones(2, 2), True, True)
-    sums.reset()
-    added(sums, torch.full((2, 2), 3.0), True, True)
-    assert sums.means() == {"loss_value": [3.0, 3.0], "kl": [3.0, 3.0]}
