@@ -151,16 +151,14 @@ class Comparison(NamedTuple):
     Attributes:
         one: the name of the one.
         other: the name of the one that is subtracted.
-        difference: its mean over pairs with the t interval; None below two pairs.
+        differences: one for each pair; None where one of the two was not run.
         p_value: by a t test of the differences, adjusted by Holm's method; 1 below two pairs.
-        verdict: that of :func:`verdict`, or ``not paired`` or ``not run``.
     """
 
     one: str
     other: str
-    difference: Estimate | None
+    differences: Sequence[float] | None
     p_value: float
-    verdict: str
 
     @property
     def label(self) -> str:
@@ -168,10 +166,18 @@ class Comparison(NamedTuple):
         return f"{self.one} minus {self.other}"
 
     def cells(self) -> tuple[object, object, str]:
-        """Returns difference, p-value and verdict as they stand in a table."""
-        if self.difference is None:
-            return NONE, NONE, self.verdict
-        return self.difference, PValue(self.p_value), self.verdict
+        """Returns difference, p-value and verdict as they stand in a table.
+
+        The difference is a mean with its t interval; the verdict is on the claim that it is above
+        0: ``yes``, ``no`` (it is below), ``not significant``, ``not paired`` or ``not run``.
+        """
+        if self.differences is None:
+            return NONE, NONE, NOT_RUN
+        if len(self.differences) < 2:
+            return NONE, NONE, NOT_PAIRED
+        mean = difference(self.differences)
+        verdict = "yes" if mean.value > 0 else "no"
+        return mean, PValue(self.p_value), verdict if self.p_value < ALPHA else "not significant"
 
 
 def compare(
@@ -185,30 +191,15 @@ def compare(
 
     ``same_dialogues`` is that of :func:`pair`.
     """
-    found: list[Sequence[float]] = []
+    found: list[Sequence[float] | None] = []
     for one, other in declared:
-        values: Sequence[float] = ()
+        values = None
         if {one, other} <= groups.keys():
             paired = pair(groups[one], groups[other], same_dialogues=same_dialogues)
             values = paired.differences.get(quantity, ())
         found.append(values)
-    adjusted = holm([t_test(values) for values in found])
-    compared = []
-    for names, values, p_value in zip(declared, found, adjusted, strict=True):
-        mean = difference(values) if len(values) > 1 else None
-        if mean is not None:
-            answer = verdict(mean, p_value)
-        else:
-            answer = NOT_PAIRED if {*names} <= groups.keys() else NOT_RUN
-        compared.append(Comparison(*names, mean, p_value, answer))
-    return compared
-
-
-def verdict(difference: Estimate, p_value: float) -> str:
-    """Returns what a difference says of the claim that it is above 0.
-
-    ``yes``, ``no`` (it is below 0) or ``not significant``.
-    """
-    if p_value >= ALPHA:
-        return "not significant"
-    return "yes" if difference.value > 0 else "no"
+    adjusted = holm([t_test(values or ()) for values in found])
+    return [
+        Comparison(*names, values, p_value)
+        for names, values, p_value in zip(declared, found, adjusted, strict=True)
+    ]

@@ -11,7 +11,7 @@ from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.comparison import pair_parts
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.pairs import NO_PARTNER, difference, pair, verdict
+from bbq_torchrl.evaluation.pairs import NO_PARTNER, Comparison, pair
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
@@ -146,4 +146,4 @@ def test_pairs_are_rows_and_what_is_not_paired_is_named_once(tmp_path):
     [([0.1, 0.2], 0.01, "yes"), ([-0.1, -0.2], 0.01, "no"), ([0.1, 0.2], 0.2, "not significant")],
 )
 def test_a_claim_is_judged_by_sign_and_p_value(differences, p_value, expected):
-    assert verdict(difference(differences), p_value) == expected
+    assert Comparison("one", "other", differences, p_value).cells()[2] == expected
