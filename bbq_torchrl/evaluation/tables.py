@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from bbq_torchrl import markdown
 from bbq_torchrl.evaluation.figures import save
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.groups import Group
 
-__all__ = ["Cell", "Report", "Table", "write_replicas"]
+__all__ = ["Cell", "Report", "Table", "replicas_table"]
 
 NONE = "–"
 """Stands in Markdown where there is nothing."""
@@ -110,25 +110,18 @@ class Report:
         folder.mkdir(parents=True, exist_ok=True)
         shown = [f"![{title}]({name}.png)\n" for name, (title, _) in self.figures.items()]
         (folder / f"{self.name}.md").write_text("\n".join([str(self), *shown]), encoding="utf-8")
-        for part in self.parts:
+        for part in (*self.parts, replicas_table(self.groups)):
             if isinstance(part, Table):
                 part.write(folder)
-        write_replicas(self.groups, folder / "replicas.csv")
         for name, (_, draw) in self.figures.items():
             figure = draw()
             for kind in ("png", "svg"):
                 save(figure, folder / f"{name}.{kind}")
 
 
-def write_replicas(groups: Sequence[Group], file: Path) -> None:
-    """Writes a CSV file with a row for each replica."""
-    rows = [row for group in groups for row in _replica_rows(group)]
-    Table(file.stem, rows).write(file.parent)
-
-
-def _replica_rows(group: Group) -> list[dict[str, Any]]:
-    reached = rounds_to_reach(group.success, 0.6).tolist()
-    return [
+def replicas_table(groups: Sequence[Group], name: str = "replicas") -> Table:
+    """Returns a row for each replica."""
+    rows = [
         {
             "corpus": replica.result.domain,
             "env": replica.result.env,
@@ -141,10 +134,14 @@ def _replica_rows(group: Group) -> list[dict[str, Any]]:
             "reward": replica.own.reward,
             "turns": replica.own.turns,
             "cumulative_success": replica.own.training_success,
-            "rounds_to_60": f"{rounds:.0f}".replace("inf", ""),
+            "rounds_to_60": f"{reached:.0f}".replace("inf", ""),
         }
-        for replica, rounds in zip(group.replicas, reached, strict=True)
+        for group in groups
+        for replica, reached in zip(
+            group.replicas, rounds_to_reach(group.success, 0.6).tolist(), strict=True
+        )
     ]
+    return Table(name, rows)
 
 
 def _shown(cell: object) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.rollouts import evaluate
@@ -21,6 +22,7 @@ __all__ = ["RoundEvaluator"]
 _COLUMNS = ("eval_success_rate", "eval_reward", "eval_turns")
 
 
+@dataclass(eq=False)
 class RoundEvaluator:
     """Plays the reported policy, without exploration, at the end of every few rounds.
 
@@ -43,25 +45,18 @@ class RoundEvaluator:
             only until the next evaluation.
     """
 
-    def __init__(
-        self,
-        env: EnvBase,
-        policy: Callable[[], TensorDictModuleBase],
-        *,
-        every: int,
-        dialogues: int,
-        seed: int,
-        max_steps: int = 1000,
-        changes: Collection[int] = (),
-    ) -> None:
-        self.env = env
-        self.policy = policy
-        self.every = every
-        self.dialogues = dialogues
-        self.seed = seed
-        self.max_steps = max_steps
-        self.changes = changes
-        self.best = BestWeights(policy(), env.batch_size[0])
+    env: EnvBase
+    policy: Callable[[], TensorDictModuleBase]
+    _: KW_ONLY
+    every: int
+    dialogues: int
+    seed: int
+    max_steps: int = 1000
+    changes: Collection[int] = ()
+    best: BestWeights = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.best = BestWeights(self.policy(), self.env.batch_size[0])
 
     def __call__(self, round_number: int) -> dict[str, float | Tensor]:
         """Returns mean statistics, [replicas] each; NaN in a round without an evaluation."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING
 
 import torch
@@ -95,6 +96,7 @@ class LossSums:
         }
 
 
+@dataclass(eq=False)
 class Update:
     """Moves the replicas that a batch is active for: loss, gradient, step, sums.
 
@@ -109,14 +111,12 @@ class Update:
         sums (LossSums): takes in what the loss returns.
     """
 
-    def __init__(
-        self,
-        loss: Callable[[TensorDictBase], TensorDictBase],
-        optimizer: ReplicaOptimizer,
-    ) -> None:
-        self.loss = loss
-        self.optimizer = optimizer
-        self.sums = LossSums(optimizer.replicas)
+    loss: Callable[[TensorDictBase], TensorDictBase]
+    optimizer: ReplicaOptimizer
+    sums: LossSums = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.sums = LossSums(self.optimizer.replicas)
 
     def __call__(self, batch: Batch) -> None:
         """Updates once."""
@@ -127,6 +127,7 @@ class Update:
         self.sums.add(losses, batch)
 
 
+@dataclass(eq=False)
 class Learner:
     """Learns from the buffers of R replicas: freeze, some epochs, freeze again, some epochs.
 
@@ -147,28 +148,19 @@ class Learner:
             from 0, learns with. Default: all of it, always.
     """
 
-    def __init__(
-        self,
-        loss: nn.Module,
-        replay: ReplicaReplay,
-        optimizer: ReplicaOptimizer,
-        target_updater: TargetNetUpdater,
-        seed_phase: Callable[..., None],
-        *,
-        batch_size: int,
-        freezes: int,
-        epochs: int,
-        lr_share: Callable[[int], float] | None = None,
-    ) -> None:
-        self.loss = loss
-        self.replay = replay
-        self.target_updater = target_updater
-        self.seed_phase = seed_phase
-        self.batch_size = batch_size
-        self.freezes = freezes
-        self.epochs = epochs
-        self.lr_share = lr_share
-        self._update = Update(loss, optimizer)
+    loss: nn.Module
+    replay: ReplicaReplay
+    optimizer: ReplicaOptimizer
+    target_updater: TargetNetUpdater
+    seed_phase: Callable[..., None]
+    _: KW_ONLY
+    batch_size: int
+    freezes: int
+    epochs: int
+    lr_share: Callable[[int], float] | None = None
+
+    def __post_init__(self) -> None:
+        self._update = Update(self.loss, self.optimizer)
 
     @property
     def updates(self) -> list[int]:
@@ -179,7 +171,7 @@ class Learner:
         """Learns for a round. Returns the mean of what the loss reports, for each replica."""
         self._update.sums = LossSums(self.replay.replicas)
         if self.lr_share is not None:
-            self._update.optimizer.scale_lr(self.lr_share(round_number))
+            self.optimizer.scale_lr(self.lr_share(round_number))
         if provides(self.loss, UsesNumData):
             self.loss.set_num_data(self.replay.num_data())
         self.update_all(round_number)

@@ -20,7 +20,7 @@ from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.learning import rounds_to_reach
 from bbq_torchrl.evaluation.statistics import estimate
-from bbq_torchrl.evaluation.tables import Report, write_replicas
+from bbq_torchrl.evaluation.tables import Report, replicas_table
 from scripts.docs_blocks import common
 from scripts.docs_blocks.common import block, code, command, paired, read_csv, table
 from scripts.docs_blocks.tables import measured
@@ -81,7 +81,7 @@ def draw_figures() -> None:
         for name, (_, draw) in found.figures.items():
             _save(draw(), name.replace("table1", folder))
         if folder == "table1":
-            write_replicas(found.groups, common.RESULTS / "table1.csv")
+            replicas_table(found.groups, "table1").write(common.RESULTS)
     for folder, report in (("ablations", ablations_report), ("explorers", grid_report)):
         if kept := groups(folder):
             for name, (_, draw) in report(kept).figures.items():
