@@ -43,7 +43,6 @@ class RoundProgress:
         self._rounds = rounds
         self._left = rounds - done
         self._name = f"{name}: " if name else ""
-        self._evaluated = math.nan
         self._unsaid: list[dict[str, float]] = []
         if visible is None and multiprocessing.parent_process() is not None:
             visible = False
@@ -60,36 +59,34 @@ class RoundProgress:
         """Takes in the rows of one round, one for each replica."""
         self._left -= 1
         means = {name: fmean(row[name] for row in rows) for name in rows[0]}
+        self._unsaid.append(means)
+        rates = [row.get("eval_success_rate", math.nan) for row in self._unsaid]
+        evaluated = [f"{rate:.2f}" for rate in rates if not math.isnan(rate)]
         if self._bar.disable:
-            self._tell(means)
+            self._tell(*evaluated[-1:])
             return
         shown = {"success": f"{means['success_rate']:.2f}", "reward": f"{means['reward']:.1f}"}
-        evaluated = means.get("eval_success_rate", math.nan)
-        self._evaluated = self._evaluated if math.isnan(evaluated) else evaluated
-        if not math.isnan(self._evaluated):
-            shown["eval"] = f"{self._evaluated:.2f}"
+        if evaluated:
+            shown["eval"] = evaluated[-1]
         if "kl" in means:
             shown["kl"] = f"{means['kl']:.0f}"
         self._bar.set_postfix(shown, refresh=False)
         self._bar.update()
 
-    def _tell(self, means: dict[str, float]) -> None:
+    def _tell(self, *evaluated: str) -> None:
         """Logs a line if enough rounds have passed since the last one."""
-        self._unsaid.append(means)
         done = self._rounds - self._left
         if done % math.ceil(self._rounds / LINES) and self._left:
             return
         names = ("success_rate", "reward", "seconds")
         success, reward, seconds = (fmean(row[name] for row in self._unsaid) for name in names)
-        found = [row.get("eval_success_rate", math.nan) for row in self._unsaid]
-        found = [rate for rate in found if not math.isnan(rate)]
         _LOG.info(
             "%sround %d of %d: success %.2f%s, reward %.1f, %.1f s a round",
             self._name,
             done,
             self._rounds,
             success,
-            f", evaluation {found[-1]:.2f}" if found else "",
+            "".join(f", evaluation {rate}" for rate in evaluated),
             reward,
             seconds,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from contextlib import closing
-from pathlib import Path
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -25,6 +25,7 @@ from bbq_torchrl.trainers.seeding import derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from torchrl.envs import EnvBase
     from torchrl.objectives.utils import TargetNetUpdater
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["RoundTrainer"]
 
 
+@dataclass(eq=False)
 class RoundTrainer:
     """Trains R replicas side by side by the paper's protocol, and can go on after a kill.
 
@@ -96,80 +98,62 @@ class RoundTrainer:
         ValueError: if the environment is not of as many replicas as the replay.
     """
 
-    def __init__(
-        self,
-        env: EnvBase,
-        policy: nn.Module,
-        loss: nn.Module,
-        replay: ReplicaReplay,
-        optimizer: ReplicaOptimizer,
-        target_updater: TargetNetUpdater,
-        run_folder: Path | str,
-        *,
-        rounds: int,
-        dialogues: int,
-        batch_size: int,
-        freezes: int,
-        epochs: int,
-        checkpoint_every: int,
-        keep_checkpoints: int | None,
-        lr_share: Callable[[int], float] | None = None,
-        max_steps: int = 1000,
-        seed: int = 0,
-        spike: Spike | None = None,
-        loggers: Sequence[Logger] = (),
-        callbacks: Sequence[RoundCallback] = (),
-        evaluator: EvaluationHook | None = None,
-        round_metrics: Mapping[str, Callable[[], float | Tensor]] | None = None,
-        described: Mapping[str, Any] | None = None,
-        progress: bool | None = None,
-    ) -> None:
-        replicas = replay.replicas
-        if len(env.batch_size) != 2 or env.batch_size[0] != replicas:
+    env: EnvBase
+    policy: nn.Module
+    loss: nn.Module
+    replay: ReplicaReplay
+    optimizer: ReplicaOptimizer
+    target_updater: TargetNetUpdater
+    run_folder: Path
+    _: KW_ONLY
+    rounds: int
+    dialogues: int
+    batch_size: int
+    freezes: int
+    epochs: int
+    checkpoint_every: int
+    keep_checkpoints: int | None
+    lr_share: Callable[[int], float] | None = None
+    max_steps: int = 1000
+    seed: int = 0
+    spike: Spike | None = None
+    loggers: Sequence[Logger] = ()
+    callbacks: Sequence[RoundCallback] = ()
+    evaluator: EvaluationHook | None = None
+    round_metrics: Mapping[str, Callable[[], float | Tensor]] = field(default_factory=dict)
+    described: Mapping[str, Any] = field(default_factory=dict)
+    progress: bool | None = None
+
+    def __post_init__(self) -> None:
+        replicas = self.replicas
+        if len(self.env.batch_size) != 2 or self.env.batch_size[0] != replicas:
             raise ValueError(
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
-                f"replicas, got {list(env.batch_size)}"
+                f"replicas, got {list(self.env.batch_size)}"
             )
-        self.env = env
-        self.policy = policy
-        self.loss = loss
-        self.replay = replay
-        self.optimizer = optimizer
-        self.target_updater = target_updater
-        self.run_folder = Path(run_folder)
-        self.rounds = rounds
-        self.dialogues = dialogues
-        self.checkpoint_every = checkpoint_every
-        self.max_steps = max_steps
-        self.seed = seed
-        self.spike = spike
-        self.callbacks = tuple(callbacks)
-        self.evaluator = evaluator
-        self.round_metrics = dict(round_metrics or {})
-        self.progress = progress
-        self.described = {"seed": seed, "replicas": replicas, **(described or {})}
+        self.described = {"seed": self.seed, "replicas": replicas, **self.described}
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
         self.learner = Learner(
-            loss,
-            replay,
-            optimizer,
-            target_updater,
+            self.loss,
+            self.replay,
+            self.optimizer,
+            self.target_updater,
             self._seed_phase,
-            batch_size=batch_size,
-            freezes=freezes,
-            epochs=epochs,
-            lr_share=lr_share,
+            batch_size=self.batch_size,
+            freezes=self.freezes,
+            epochs=self.epochs,
+            lr_share=self.lr_share,
         )
-        self.metrics = MetricsFile(self.run_folder / METRICS, replicas, loggers)
-        best: dict[str, Any] = {} if evaluator is None else {"best": evaluator.best}
+        self.metrics = MetricsFile(self.run_folder / METRICS, replicas, self.loggers)
+        best: dict[str, Any] = {} if self.evaluator is None else {"best": self.evaluator.best}
         self.checkpoints = CheckpointFolder(
             self.run_folder / CHECKPOINTS,
-            keep=keep_checkpoints,
-            loss=loss,
-            policy=policy,
-            optimizer=optimizer,
-            replay=replay,
+            keep=self.keep_checkpoints,
+            loss=self.loss,
+            policy=self.policy,
+            optimizer=self.optimizer,
+            replay=self.replay,
             metrics=self.metrics,
             **best,
         )
