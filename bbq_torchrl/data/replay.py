@@ -259,14 +259,9 @@ class ReplicaReplay:
         """Restores what :meth:`state_dict` returned, row for row in the same places.
 
         Raises:
-            ValueError: if the state is one of another number of replicas, or one of another
-                capacity that has been filled; nothing is changed then.
+            ValueError: if the state is one of another capacity that has been filled; nothing is
+                changed then.
         """
-        replicas = sum(name.isdigit() for name in state_dict)
-        if replicas != self.replicas:
-            raise ValueError(f"the state must be of {self.replicas} replicas, got {replicas}")
-        if ("transform" in state_dict) != (self.transform is not None):
-            raise ValueError("the state must be of a replay with the same transform")
         for replica in range(self.replicas):
             state = state_dict[str(replica)]
             count = len(next(iter(state["rows"].values()), ()))

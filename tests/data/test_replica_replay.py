@@ -131,10 +131,6 @@ EMPTY = r"every replica needs a transition to learn from, got \(0,\)"
         (lambda replay: ReplicaReplay(5).epoch(2), EMPTY),
         (lambda replay: ReplicaReplay(5).compute("x", abs), EMPTY),
         (
-            lambda replay: ReplicaReplay(5).load_state_dict(replay.state_dict()),
-            "must be of 1 replicas, got 2",
-        ),
-        (
             lambda replay: replay.load_state_dict(filled(9, 9).state_dict()),
             "must be of capacity 5, got one of capacity 9 or more",
         ),

@@ -160,12 +160,6 @@ def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():
     ]
 
 
-def test_more_groups_than_colors_are_told_apart_too():
-    figure = draw_comparison([group(1)] * 8, title="many")
-    colors = {str(line.get_color()) for line in figure.axes[0].get_lines()}
-    assert len(colors) == 8
-
-
 def test_families_stand_side_by_side_with_what_each_learned_and_the_ceiling():
     evaluated = np.full((30, 2), np.nan)
     evaluated[4::5] = 0.5

@@ -95,6 +95,7 @@ def test_every_replica_is_a_row(runs, tmp_path):
     assert main([str(runs), "--table1", "--out", str(tmp_path / "report")]) == 0
     replicas = rows(tmp_path / "report" / "replicas.csv")
     assert [row["agent"] for row in replicas] == ["BBQN-MAP"] * 5 + ["DQN"] * 5
+    assert [row["replica"] for row in replicas] == 2 * list("01234")
     assert [float(row["success_rate"]) for row in replicas] == GOOD + BAD
     first = {**replicas[0]}
     assert {first.pop(name) for name in ("updates", "rounds_to_60")} == {""}

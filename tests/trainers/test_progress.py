@@ -73,12 +73,14 @@ def test_a_long_training_logs_at_most_forty_lines_with_means_of_the_rounds_betwe
         82,
         lambda number: [
             row(
-                0, success_rate=(number % 3) / 2, eval_success_rate=0.2 if number == 3 else math.nan
+                0,
+                success_rate=(number % 3) / 2,
+                eval_success_rate={3: 0.1, 4: 0.2}.get(number, math.nan),
             )
         ],
     )
     assert len(said) == 28  # after every third round, and after the last
-    # Rounds 1 to 3 have 0, .5 and 1; the evaluation of round 4 is in the line after round 6.
+    # Rounds 1 to 3 have 0, .5 and 1; the last evaluation, of round 5, is in the line after round 6.
     assert said[0].startswith("round 3 of 82: success 0.50, reward")
     assert said[1].startswith("round 6 of 82: success 0.50, evaluation 0.20, reward")
     assert said[-1].startswith("round 82 of 82: success 0.00")
