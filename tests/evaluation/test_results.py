@@ -72,27 +72,23 @@ def test_a_folder_without_the_file_is_no_run_folder(tmp_path, read):
         read(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda text: text[: len(text) // 2],
-        lambda text: "[1, 2]",
-        lambda text: text.replace('"per_replica"', '"replicas_of_it"'),
-        lambda text: text.replace('"success_rate"', '"rate"'),
-        lambda text: text.replace('"turns": 8.0', '"turns": NaN'),
-        lambda text: text.replace('"env": "full"', '"env": null'),
-        lambda text: text.replace('"references": {}', '"references": null'),
-        lambda text: text.replace('"values": {}', '"values": {"agent.lr": [1]}'),
-        lambda text: text.replace('"replicas": 1', '"replicas": 2'),
-    ],
-    ids=[
-        *("truncated", "a list", "without replicas", "without rates", "no number"),
-        *("no text", "no mapping", "no mapping to numbers", "a replica less"),
-    ],
-)
+DAMAGES = {
+    "truncated": lambda text: text[: len(text) // 2],
+    "a list": lambda text: "[1, 2]",
+    "without replicas": lambda text: text.replace('"per_replica"', '"replicas_of_it"'),
+    "without rates": lambda text: text.replace('"success_rate"', '"rate"'),
+    "no number": lambda text: text.replace('"turns": 8.0', '"turns": NaN'),
+    "no text": lambda text: text.replace('"env": "full"', '"env": null'),
+    "no mapping": lambda text: text.replace('"references": {}', '"references": null'),
+    "no numbers": lambda text: text.replace('"values": {}', '"values": {"agent.lr": [1]}'),
+    "a replica less": lambda text: text.replace('"replicas": 1', '"replicas": 2'),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_result_is_refused_by_name(tmp_path, damage):
     file = make_run(tmp_path / "run", [0.5]) / "result.json"
-    file.write_text(damage(file.read_text()))
+    file.write_text(DAMAGES[damage](file.read_text()))
     with pytest.raises(ValueError, match=r"result\.json is damaged: "):
         read_result(tmp_path / "run")
 

@@ -22,7 +22,7 @@ def test_loggers_get_what_the_file_gets_but_for_what_a_round_has_not(tmp_path):
         def log_scalar(self, name, value, step):
             logged.append((name, value, step))
 
-    metrics = MetricsFile(tmp_path / "metrics.csv", 2, [Logger()])
+    metrics = MetricsFile(tmp_path / "new" / "metrics.csv", 2, [Logger()])
     metrics.append(0, {"loss": [0.5, math.nan], "buffer": [3, 4]})
     metrics.append(1, {"loss": [0.25, 0.75], "buffer": [5, 6]})
 

@@ -15,21 +15,12 @@ from torchrl.objectives import HardUpdate
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
-from bbq_torchrl.trainers import (
-    BestWeights,
-    ReplicaAdam,
-    RoundTrainer,
-    Spike,
-)
+from bbq_torchrl.trainers import ReplicaAdam, RoundTrainer, Spike
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from torchrl.modules import QValueActor
-    from torchrl.record.loggers import Logger
-
-    from bbq_torchrl.trainers import RoundCallback
 
 FEATURES, ACTIONS = 6, 4
 
@@ -137,20 +128,6 @@ class CountingLoss(DropoutDQNLoss):
         self.num_data.append(rows.tolist())
 
 
-class GivenRates:
-    """An evaluator that finds the given success rates, round by round, and disturbs what it may."""
-
-    def __init__(self, network: nn.Module, rates: Sequence[Sequence[float]]) -> None:
-        self.rates = rates
-        self.best = BestWeights(network, len(rates[0]))
-
-    def __call__(self, round_number: int) -> dict[str, Tensor]:
-        torch.randn(round_number + 7)  # the global generator is not the training's
-        rates = torch.tensor(self.rates[round_number], dtype=torch.float64)
-        self.best.update(round_number, rates)
-        return {"eval_success_rate": rates}
-
-
 def random_policy(tensordict: TensorDictBase) -> TensorDictBase:
     """Guesses at once half of the time: the spike policy of these tests."""
     action = (torch.rand(tensordict.batch_size) < 0.5).long()
@@ -172,11 +149,7 @@ def make_trainer(
     places: int = 8,
     capacity: int = 120,
     env: EnvBase | None = None,
-    spike: Spike | None = SPIKE,
-    rates: Sequence[Sequence[float]] | None = None,
-    loggers: Sequence[Logger] = (),
-    callbacks: Sequence[RoundCallback] = (),
-    **protocol: Any,
+    **given: Any,
 ) -> RoundTrainer:
     """Returns a trainer of tiny parts that learns for a few rounds."""
     env = GuessEnv(replicas, places) if env is None else env
@@ -185,7 +158,7 @@ def make_trainer(
     acts = TensorDictModule(explore, ["action_value", "action_mask"], ["action"])
     loss = CountingLoss(actor)
     own = {"rounds": 6, "dialogues": places, "batch_size": 16, "freezes": 2, "epochs": 2}
-    kept = {"checkpoint_every": 2, "keep_checkpoints": 2}
+    own |= {"checkpoint_every": 2, "keep_checkpoints": 2, "spike": SPIKE}
     return RoundTrainer(
         env,
         TensorDictSequential(actor, acts),
@@ -194,11 +167,7 @@ def make_trainer(
         ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
         HardUpdate(loss, value_network_update_interval=0),
         folder,
-        spike=spike,
-        **{**own, **kept, **protocol},
+        **{**own, **given},
         round_metrics={"epsilon": lambda: float(explore.epsilon)},
         progress=False,
-        evaluator=None if rates is None else GivenRates(actor, rates),
-        loggers=loggers,
-        callbacks=callbacks,
     )
