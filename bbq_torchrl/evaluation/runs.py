@@ -124,10 +124,7 @@ def find_results(places: Iterable[Path]) -> list[Path]:
     """
     found: dict[Path, None] = {}
     for place in places:
-        if (place / RESULT).is_file():
-            folders = [place]
-        else:
-            folders = sorted(file.parent for file in place.rglob(RESULT))
+        folders = sorted(file.parent for file in place.rglob(RESULT))
         finished = [folder.resolve() for folder in folders if not _is_extended(folder)]
         if not finished:
             reason = f"no {RESULT} is in or below it"
