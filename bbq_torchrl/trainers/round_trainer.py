@@ -6,6 +6,7 @@ import math
 import time
 from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -25,7 +26,6 @@ from bbq_torchrl.trainers.seeding import derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
 
     from torchrl.envs import EnvBase
     from torchrl.objectives.utils import TargetNetUpdater
@@ -131,6 +131,7 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(self.env.batch_size)}"
             )
+        self.run_folder = Path(self.run_folder)  # a text will do, too
         self.described = {"seed": self.seed, "replicas": replicas, **self.described}
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
