@@ -104,6 +104,11 @@ class BootstrapMask(Transform):
         Raises:
             ValueError: for another number of seeds.
         """
+        if len(seeds) != prod(self.replicas):
+            raise ValueError(
+                f"seeds must be {prod(self.replicas)}, one for each replica "
+                f"{list(self.replicas)}, got {len(seeds)}"
+            )
         generator = torch.Generator()
         for state, seed in zip(self._states(), seeds, strict=True):
             state.copy_(generator.manual_seed(int(seed)).get_state())

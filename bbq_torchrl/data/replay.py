@@ -94,6 +94,8 @@ class ReplicaReplay:
     ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity must be at least 1, got {capacity}")
+        if replicas < 1:
+            raise ValueError(f"replicas must be at least 1, got {replicas}")
         self.capacity = capacity
         self.replicas = replicas
         self.keys = tuple(keys)
@@ -130,6 +132,10 @@ class ReplicaReplay:
 
     def seed(self, seeds: Sequence[int]) -> None:
         """Restarts every replica's shuffling from a seed of its own, and drops pending shuffles."""
+        if len(seeds) != self.replicas:
+            raise ValueError(
+                f"seeds must be {self.replicas}, one for each replica, got {len(seeds)}"
+            )
         for buffer, generator, seed in zip(self.buffers, self._generators, seeds, strict=True):
             # The sampler draws the next permutation as soon as one is used up. A fresh sampler
             # forgets it, so that an epoch depends on this seed alone, not on the epochs before.
@@ -220,8 +226,10 @@ class ReplicaReplay:
             batch_size (int): the number of rows of a batch for each replica.
 
         Raises:
-            ValueError: if a replica has no transition.
+            ValueError: if ``batch_size`` is not positive or a replica has no transition.
         """
+        if batch_size < 1:
+            raise ValueError(f"batch_size must be at least 1, got {batch_size}")
         self._check_not_empty()
         lengths = self.lengths
         rows: TensorDictBase = gather_epoch(
@@ -259,9 +267,14 @@ class ReplicaReplay:
         """Restores what :meth:`state_dict` returned, row for row in the same places.
 
         Raises:
-            ValueError: if the state is one of another capacity that has been filled; nothing is
-                changed then.
+            ValueError: if the state is one of another number of replicas, or one of another
+                capacity that has been filled; nothing is changed then.
         """
+        replicas = sum(name.isdigit() for name in state_dict)
+        if replicas != self.replicas:
+            raise ValueError(f"the state must be of {self.replicas} replicas, got {replicas}")
+        if ("transform" in state_dict) != (self.transform is not None):
+            raise ValueError("the state must be of a replay with the same transform")
         for replica in range(self.replicas):
             state = state_dict[str(replica)]
             count = len(next(iter(state["rows"].values()), ()))

@@ -80,6 +80,8 @@ class ReplicaAdam:
     ) -> None:
         self.replicas = replicas
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
+        if not self.parameters:
+            raise ValueError("parameters must hold at least one that requires a gradient, got none")
         for parameter in self.parameters:
             if parameter.ndim == 0 or parameter.shape[0] != replicas:
                 raise ValueError(
@@ -96,7 +98,12 @@ class ReplicaAdam:
 
     def _groups(self, lr: float | Sequence[float]) -> list[dict[str, Any]]:
         """Returns Adam's parameter groups: neighbors of the same rate are one, as a step is."""
-        rates = [lr] * self.replicas if isinstance(lr, (int, float)) else lr
+        rates = [lr] * self.replicas if isinstance(lr, (int, float)) else list(lr)
+        if len(rates) != self.replicas:
+            raise ValueError(
+                f"lr must be one number or one for each of the {self.replicas} replicas, got "
+                f"{len(rates)}"
+            )
         groups: list[dict[str, Any]] = []
         for rate, views in zip(rates, self._views, strict=True):
             if not groups or groups[-1]["lr"] != rate:

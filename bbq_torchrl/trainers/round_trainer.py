@@ -95,7 +95,7 @@ class RoundTrainer:
         progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
 
     Raises:
-        ValueError: if the environment is not of as many replicas as the replay.
+        ValueError: if the parts do not fit one another, or a number is too small.
     """
 
     env: EnvBase
@@ -131,6 +131,18 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(self.env.batch_size)}"
             )
+        for name in (
+            "rounds",
+            "dialogues",
+            "batch_size",
+            "freezes",
+            "epochs",
+            "checkpoint_every",
+            "keep_checkpoints",
+            "max_steps",
+        ):
+            if (count := getattr(self, name)) is not None and count < 1:
+                raise ValueError(f"{name} must be at least 1, got {count}")
         self.run_folder = Path(self.run_folder)  # a text will do, too
         self.described = {"seed": self.seed, "replicas": replicas, **self.described}
         self.rounds_done = self.rounds_saved = 0

@@ -35,6 +35,9 @@ class Spike:
             paper leaves this heuristic to future work and gives no number.) Default: never.
         drop_window (int): the number of rounds that the mean is taken over. One round of 50
             dialogues has a standard error of up to .07: five rounds have .03. Default: 5.
+
+    Raises:
+        ValueError: for an argument outside of what is listed.
     """
 
     policy: Policy
@@ -42,6 +45,19 @@ class Spike:
     protect: bool = True
     drop_above: float | None = None
     drop_window: int = 5
+
+    def __post_init__(self) -> None:
+        for name in ("dialogues", "drop_window"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.drop_above is not None:
+            if not 0.0 <= self.drop_above < 1.0:
+                raise ValueError(f"drop_above must be in [0, 1) or None, got {self.drop_above}")
+            if not self.protect:
+                raise ValueError(
+                    "drop_above needs protect=True: unprotected spiked transitions leave by "
+                    f"themselves, got protect={self.protect} and drop_above={self.drop_above}"
+                )
 
     def fill(self, replay: ReplicaReplay, env: EnvBase, *, max_steps: int) -> None:
         """Stores the dialogues, each replica's buffer its own, protected if so set.

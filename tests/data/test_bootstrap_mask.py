@@ -137,6 +137,8 @@ def test_input_that_does_not_fit_is_refused():
         with pytest.raises(ValueError, match=r"prob must be in \(0, 1\], got"):
             BootstrapMask(4, prob)
     transform = BootstrapMask(4, replicas=(3,))
+    with pytest.raises(ValueError, match=r"seeds must be 3, one for each replica \[3"):
+        transform.set_seeds([1])
     with pytest.raises(
         ValueError, match=r"transitions must have the batch size \[3, \*rows\], got \[2, 5\]"
     ):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
 import torch
 from numbered_rows import KEYS, filled, rows
 from torchrl.envs import Compose, Transform
@@ -82,6 +83,14 @@ def test_it_goes_along_in_a_state_and_when_protected_rows_are_dropped():
 
     assert other.transform.seen.flatten().tolist() == [5, 2]
     assert [novelty_of(other, replica) for replica in (0, 1)] == [[3, 4], [0, 1]]
+
+
+@pytest.mark.parametrize("transforms", [(Novelty(2), None), (None, Novelty(2))])
+def test_a_state_of_another_transform_is_refused(transforms):
+    ours, theirs = (ReplicaReplay(9, replicas=2, keys=KEYS, transform=t) for t in transforms)
+
+    with pytest.raises(ValueError, match="the same transform"):
+        ours.load_state_dict(theirs.state_dict())
 
 
 def test_every_part_of_a_composed_transform_runs_is_seeded_and_asked_for_metrics():

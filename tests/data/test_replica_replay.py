@@ -126,10 +126,17 @@ EMPTY = r"every replica needs a transition to learn from, got \(0,\)"
     ("wrong", "message"),
     [
         (lambda replay: ReplicaReplay(0), "capacity must be at least 1, got 0"),
+        (lambda replay: ReplicaReplay(5, replicas=0), "replicas must be at least 1, got 0"),
+        (lambda replay: replay.epoch(0), "batch_size must be at least 1, got 0"),
         (lambda replay: replay.extend([rows(0, 1)]), "rows must be 2, one for each replica, got 1"),
+        (lambda replay: replay.seed([1, 2, 3]), "seeds must be 2, one for each replica, got 3"),
         (lambda replay: replay.protect(), "fewer than the capacity 5 of the storage, got 5"),
         (lambda replay: ReplicaReplay(5).epoch(2), EMPTY),
         (lambda replay: ReplicaReplay(5).compute("x", abs), EMPTY),
+        (
+            lambda replay: ReplicaReplay(5).load_state_dict(replay.state_dict()),
+            "must be of 1 replicas, got 2",
+        ),
         (
             lambda replay: replay.load_state_dict(filled(9, 9).state_dict()),
             "must be of capacity 5, got one of capacity 9 or more",

@@ -63,6 +63,14 @@ def test_a_restored_state_is_a_copy():
     assert steps == [2.0, 2.0, 1.0]
 
 
-def test_parameters_that_are_not_of_the_replicas_are_refused():
-    with pytest.raises(ValueError, match=r"must be the 3 replicas, got shape \(2, 4\)"):
-        ReplicaAdam([nn.Parameter(torch.zeros(2, 4))], 3)
+@pytest.mark.parametrize(
+    ("shapes", "rates", "message"),
+    [
+        ([(2, 4)], 1e-3, r"must be the 3 replicas, got shape \(2, 4\)"),
+        ([], 1e-3, "got none"),
+        ([(3, 1)], [0.1, 0.2], "one for each of the 3 replicas, got 2"),
+    ],
+)
+def test_what_is_not_of_the_replicas_is_refused(shapes, rates, message):
+    with pytest.raises(ValueError, match=message):
+        ReplicaAdam([nn.Parameter(torch.zeros(shape)) for shape in shapes], 3, lr=rates)

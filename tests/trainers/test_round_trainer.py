@@ -230,9 +230,32 @@ def test_a_folder_that_holds_a_training_is_not_overwritten(tmp_path):
     assert (tmp_path / "metrics.csv").read_text() == before
 
 
-def test_an_environment_of_other_replicas_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"must be \[3, places\] for 3 replicas, got \[2, 8\]"):
-        make_trainer(tmp_path, env=GuessEnv(2, 8))
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"env": GuessEnv(2, 8)}, r"must be \[3, places\] for 3 replicas, got \[2, 8\]"),
+        ({"rounds": 0}, "rounds must be at least 1, got 0"),
+        ({"batch_size": -1}, "batch_size must be at least 1, got -1"),
+        ({"keep_checkpoints": 0}, "keep_checkpoints must be at least 1, got 0"),
+    ],
+)
+def test_parts_and_numbers_that_do_not_fit_are_refused(tmp_path, changed, message):
+    with pytest.raises(ValueError, match=message):
+        make_trainer(tmp_path, **changed)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"dialogues": 0}, "dialogues must be at least 1, got 0"),
+        ({"drop_above": 1.5}, r"drop_above must be in \[0, 1\) or None, got 1.5"),
+        ({"drop_above": 0.5, "protect": False}, "drop_above needs protect=True"),
+        ({"drop_window": 0}, "drop_window must be at least 1, got 0"),
+    ],
+)
+def test_a_spike_that_makes_no_sense_is_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
+        Spike(**{"policy": random_policy, "dialogues": 5, **changed})
 
 
 def weights_after(folder: Path, stops: Sequence[int], **protocol: Any) -> list[torch.Tensor]:
