@@ -1,13 +1,16 @@
-"""A command line as ``train.py`` hands it to Hydra."""
+"""A command line as ``train.py`` prepares it."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
 
-from bbq_torchrl.cli import preparation
+import pytest
+
+from bbq_torchrl.cli import checks, preparation
 
 
 def prepare(arguments, check=lambda config: None):
-    """The checked command line; the run folder's lock is let go."""
-    with ExitStack() as held:
-        return preparation.prepare(arguments, check, held).arguments
+    """What the command line asks for; the run folder's lock is let go."""
+    with ExitStack() as held, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checks, "check", check)
+        return preparation.prepare(arguments, held)

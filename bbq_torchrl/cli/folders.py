@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from filelock import FileLock, Timeout
 from omegaconf.errors import OmegaConfBaseException
 
+from bbq_torchrl.cli.messages import key_of
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence
@@ -45,22 +46,15 @@ def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str
             )
 
 
-def run_folder(composed: DictConfig, resumed: Path | None, held: ExitStack) -> list[str]:
-    """The overrides that name the run folder, which is locked."""
-    if resumed is not None:
-        # Hydra's own record stays as the first process wrote it.
-        return [f"hydra.run.dir={quoted(resumed)}", "hydra.output_subdir=null"]
-    chosen = named_folder(composed, "run")
-    if any(
-        item.lstrip("+").startswith("hydra.run.dir=") for item in composed.hydra.overrides.hydra
-    ):
-        held.enter_context(run_lock(chosen))
-        if (chosen / CONFIG).exists():
-            raise ConfigError(f"{chosen} already holds a run; go on with it by resume={chosen}")
-        return []
-    folder = reserve(chosen)
+def run_folder(composed: DictConfig, overrides: Sequence[str], held: ExitStack) -> Path:
+    """The folder of a new run, which is locked: the one given, or one of a free name."""
+    folder = named_folder(composed, "run")
+    if "hydra.run.dir" not in map(key_of, overrides):
+        folder = reserve(folder)
     held.enter_context(run_lock(folder))
-    return [f"hydra.run.dir={quoted(folder)}"]
+    if (folder / CONFIG).exists():
+        raise ConfigError(f"{folder} already holds a run; go on with it by resume={folder}")
+    return folder
 
 
 def named_folder(composed: DictConfig, kind: str) -> Path:

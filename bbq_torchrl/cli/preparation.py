@@ -15,20 +15,20 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from hydra._internal.callbacks import Callbacks
 from hydra._internal.utils import get_args_parser
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import run_job
 from hydra.types import HydraContext, RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict, read_write
+from omegaconf import DictConfig, open_dict, read_write
 
 from bbq_torchrl import output
-from bbq_torchrl.cli.folders import quoted, refuse_other_folder, run_folder, run_lock
+from bbq_torchrl.cli.folders import refuse_other_folder, run_folder, run_lock
 from bbq_torchrl.cli.messages import refuse_second_folder, too_large
-from bbq_torchrl.cli.resume import folder_to_resume, resumed_config, run_to_resume
+from bbq_torchrl.cli.resume import folder_to_resume, resumed
 from bbq_torchrl.cli.store import compose_raw, register_options, searched, session, to_config
-from bbq_torchrl.cli.sweeps import Check, Sweep, prepare_sweep, refuse_unswept
+from bbq_torchrl.cli.sweeps import Sweep, prepare_sweep, refuse_unswept
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["Prepared", "SingleRun", "prepare"]
+__all__ = ["SingleRun", "prepare"]
 
 
 @dataclass(frozen=True)
@@ -65,27 +65,16 @@ class SingleRun:
         _ = ended.return_value  # raises what the task raised
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A command line for Hydra; a single run or a sweep where it is one."""
-
-    arguments: list[str]
-    run: SingleRun | None = None
-    sweep: Sweep | None = None
-
-
-def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared:
-    """The command line for Hydra, once everything on it has been checked.
+def prepare(arguments: Sequence[str], held: ExitStack) -> SingleRun | Sweep | None:
+    """Checks a command line, and what it asks for: None where Hydra only shows something.
 
     Args:
         arguments: the command line without the program's name.
-        check: what else to check of a configuration before anything runs, such as its device and
-            its corpus; returns the domain that it loaded, if any.
         held: takes the lock of a single run.
 
     Raises:
         ConfigError: one sentence that says what is wrong and what is allowed.
-        ValueError or OSError: what ``check`` raises.
+        ValueError or OSError: a corpus that cannot be used.
     """
     parser = get_args_parser()
     parser.error = _refuse_flag  # type: ignore[method-assign]
@@ -96,28 +85,30 @@ def prepare(arguments: Sequence[str], check: Check, held: ExitStack) -> Prepared
     register_options()
     if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
         held.enter_context(output.collected())
-        return Prepared(list(arguments))
+        return None
     if (refusal := too_large(parsed.overrides)) is not None:
         raise ConfigError(refusal)
     with session() as hydra_session:
         _refuse_unread(parsed)
-        composed = None if parsed.multirun else _compose_single(hydra_session, parsed.overrides)
-        if composed is not None:
-            refuse_unswept(composed, parsed.overrides)
-            refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
-            folder = folder_to_resume(composed.resume)
-            if folder is not None:
+        folder = None if parsed.multirun else folder_to_resume(parsed.overrides)
+        if folder is not None:
+            if (folder / CONFIG).is_file():
                 held.enter_context(run_lock(folder))
-            config = to_config(composed, Config)
-            if config.resume is not None:
-                config = resumed_config(config, parsed.overrides)
-            domain = check(config)
-            extra = run_folder(composed, folder, held)
-            _override_hydra(composed, extra, hydra_session)
-            run = SingleRun(composed, config, domain, hydra_session.config_loader)
-            return Prepared([*arguments, *extra], run=run)
-        sweep = prepare_sweep(hydra_session, parsed.overrides, check)
-    return Prepared([*arguments, f"hydra.sweep.dir={quoted(sweep.folder)}"], sweep=sweep)
+            composed, config = resumed(folder, parsed.overrides)
+        elif parsed.multirun or (new := _new_run(hydra_session, parsed.overrides)) is None:
+            return prepare_sweep(hydra_session, parsed.overrides)
+        else:
+            composed, config = new
+        refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
+        from bbq_torchrl.cli.checks import check  # torch and torchrl take ten seconds
+
+        domain = check(config)
+        with read_write(composed), open_dict(composed):
+            composed.hydra.mode = RunMode.RUN
+            if folder is not None:
+                composed.hydra.output_subdir = None  # as the first process wrote it
+            composed.hydra.run.dir = str(folder or run_folder(composed, parsed.overrides, held))
+        return SingleRun(composed, config, domain, hydra_session.config_loader)
 
 
 def _refuse_flag(message: str) -> NoReturn:
@@ -132,23 +123,16 @@ def _refuse_unread(parsed: Namespace) -> None:
             raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
 
 
-def _compose_single(hydra_session: Any, overrides: Sequence[str]) -> DictConfig | None:
-    """The configuration of a single run with Hydra's part, None where a sweep is asked for."""
+def _new_run(hydra_session: Any, overrides: Sequence[str]) -> tuple[DictConfig, Config] | None:
+    """The configuration of a new run, with and without Hydra's part; None for a sweep."""
     try:
-        composed = compose_raw(overrides, run=run_to_resume(overrides))
+        composed = compose_raw(overrides)
     except ConfigError:
         # Values of a sweep cannot be composed; an experiment, too, may ask for one.
         if hydra_session.get_mode("config", searched(overrides)) is RunMode.MULTIRUN:
             return None
         raise
-    return None if composed.hydra.mode is RunMode.MULTIRUN else composed
-
-
-def _override_hydra(composed: DictConfig, overrides: Sequence[str], hydra_session: Any) -> None:
-    """Changes keys of Hydra's own part, as if they had been on the command line."""
-    parser = OverridesParser.create(config_loader=hydra_session.config_loader)
-    with read_write(composed), open_dict(composed):
-        composed.hydra.mode = RunMode.RUN
-        for override in parser.parse_overrides(list(overrides)):
-            OmegaConf.update(composed, override.key_or_group, override.value())
-            composed.hydra.overrides.hydra.append(override.input_line)
+    if composed.hydra.mode is RunMode.MULTIRUN:
+        return None
+    refuse_unswept(composed, overrides)
+    return composed, to_config(composed, Config)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from os.path import expanduser
 from pathlib import Path
@@ -12,9 +11,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.messages import key_of
-from bbq_torchrl.cli.store import read_config, run_of
+from bbq_torchrl.cli.store import compose_raw, read_config, run_of, to_config
+from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
-from bbq_torchrl.options.root import validate
 from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
 from bbq_torchrl.text import sentence
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bbq_torchrl.evaluation.results import RunResult
-    from bbq_torchrl.options import Config
 
 __all__ = [
     "description",
@@ -32,9 +30,8 @@ __all__ = [
     "load_config",
     "restarted_config",
     "result_of",
-    "resumed_config",
+    "resumed",
     "run_config",
-    "run_to_resume",
     "save_config",
 ]
 
@@ -140,80 +137,66 @@ def load_config(file: Path) -> Config:
         raise ConfigError(f"{file}: {sentence(error)}") from error
 
 
-def folder_to_resume(resume: str | None) -> Path | None:
-    """The run folder that ``resume=`` names, if it is one."""
-    folder = Path(expanduser(resume)).resolve() if resume else None
-    return folder if folder is not None and (folder / CONFIG).is_file() else None
+def folder_to_resume(overrides: Sequence[str]) -> Path | None:
+    """The folder that ``resume=`` names on a command line; None where a run is to begin."""
+    given = run_of(overrides, "resume")
+    return Path(expanduser(given)).resolve() if given else None
 
 
-def run_to_resume(overrides: Sequence[str]) -> Config | None:
-    """The configuration of ``resume=<run folder>``, on whose values a command line is read.
-
-    None where there is none, and where another option or an experiment is given: that is
-    refused by :func:`resumed_config`, whatever the combination.
-    """
-    folder = folder_to_resume(run_of(overrides, "resume"))
-    if folder is None:
-        return None
-    run = run_config(folder)
-    for override in overrides:
-        key, value = key_of(override), override.partition("=")[2]
-        if key.partition("/")[0] == EXPERIMENT:
-            return None
-        own = getattr(run, key, None) if key not in CHANGEABLE else None
-        if dataclasses.is_dataclass(own) and value.strip("'\"") != _value(run, key):
-            return None
-    return run
-
-
-def resumed_config(given: Config, overrides: Sequence[str]) -> Config:
-    """The configuration of the run ``given.resume``, with the changes that are allowed.
+def resumed(folder: Path, overrides: Sequence[str]) -> tuple[DictConfig, Config]:
+    """The configuration of the run in a folder, with the changes that a command line may make.
 
     Args:
-        given: the configuration that the command line stands for, on the run's values.
-        overrides: the command line.
+        folder: the run folder.
+        overrides: the command line, which is read on the values of the run.
+
+    Returns:
+        what Hydra composed, with its own part, and the configuration.
 
     Raises:
         ConfigError: no run folder, a finished run, an override that contradicts the run, or a run
             that cannot be gone on with so.
     """
-    assert given.resume is not None
-    folder = Path(expanduser(given.resume)).resolve()
-    saved = run_config(folder)
-    config = copy.deepcopy(saved)
-    config.resume = str(folder)
-    for override in overrides:
-        key = key_of(override)
-        if key == "resume":
-            continue
-        group, _, name = key.partition(".")
-        if group in CHANGEABLE:
-            setattr(config, group, getattr(given, group))
-        elif key in CHANGEABLE:
-            setattr(getattr(config, group), name, getattr(getattr(given, group), name))
-        elif (
-            key.partition("/")[0] == EXPERIMENT
-            or key == "hydra.run.dir"
-            or _value(given, key) != _value(saved, key)
-        ):
-            raise ConfigError(
-                f"{override} contradicts the run in {folder}: beside resume only "
-                f"{', '.join(CHANGEABLE)} can be given"
-            )
-    if config.protocol.rounds < saved.protocol.rounds:
-        raise ConfigError(
-            f"protocol.rounds must be at least {saved.protocol.rounds}, which {folder} was started "
-            f"with, got {config.protocol.rounds}"
+    run = run_config(folder)
+
+    def contradiction(override: str) -> ConfigError:
+        return ConfigError(
+            f"{override} contradicts the run in {folder}: beside resume only "
+            f"{', '.join(CHANGEABLE)} can be given"
         )
-    if is_finished(folder, config.protocol.rounds):
+
+    rest = []
+    for override in overrides:
+        key, value = key_of(override), override.partition("=")[2]
+        is_option = dataclasses.is_dataclass(getattr(run, key, None)) and key not in CHANGEABLE
+        if is_option and value.strip("'\"") == _value(run, key):
+            continue  # the run's own
+        if is_option or key.partition("/")[0] == EXPERIMENT or key == "hydra.run.dir":
+            raise contradiction(override)
+        if key != "resume":
+            rest.append(override)
+    composed = compose_raw(rest, run=run)
+    config = to_config(composed, Config)
+    config.resume = str(folder)
+    for override in rest:
+        key = key_of(override)
+        changes = _value(config, key) != _value(run, key)
+        if changes and not {key, key.partition(".")[0]} & set(CHANGEABLE):
+            raise contradiction(override)
+    rounds = config.protocol.rounds
+    if rounds < run.protocol.rounds:
+        raise ConfigError(
+            f"protocol.rounds must be at least {run.protocol.rounds}, which {folder} was started "
+            f"with, got {rounds}"
+        )
+    if is_finished(folder, rounds):
         only = " of a run with protocol.keep_checkpoints=last"
         extended = only if config.protocol.keep_checkpoints == "weights" else ""
         raise ConfigError(
-            f"the run in {folder} is finished ({config.protocol.rounds} rounds): "
-            f"protocol.rounds=<more> goes on beyond the end{extended}"
+            f"the run in {folder} is finished ({rounds} rounds): protocol.rounds=<more> goes on "
+            f"beyond the end{extended}"
         )
-    validate(config)  # more rounds may reach an evaluation that the saved ones did not
-    return config
+    return composed, config
 
 
 def restarted_config(config: Config, folder: Path) -> Config:

@@ -143,7 +143,7 @@ def compose_raw(
     """Composes YAML files and overrides inside a :func:`session`, Hydra's own part too.
 
     Values have the types of their keys, but are not yet checked. With ``run``, what is not given
-    is that run's: its options, and their keys.
+    is that run's: its options, and their keys; for another training, its other keys too.
 
     Raises:
         ConfigError: an unknown group, option or key, or a value of the wrong type.
@@ -152,8 +152,9 @@ def compose_raw(
     if refusal is not None:
         raise ConfigError(refusal)
     given = {key_of(override) for override in overrides}
-    own = [] if run is None else [group for group in groups_of(root) if group not in given]
-    chosen = [f"{group}={getattr(run, group).name}" for group in own]
+    its = groups_of(root) if root is EvaluateConfig else [item.name for item in fields(root)]
+    own = [] if run is None else [name for name in its if name not in given]
+    chosen = [f"{group}={getattr(run, group).name}" for group in own if group in schemas()]
     try:
         composed = hydra_compose(
             ROOTS[root], searched([*chosen, *overrides]), return_hydra_config=True
@@ -183,7 +184,7 @@ def run_of(overrides: Sequence[str], key: str) -> str | None:
         value = OverridesParser.create().parse_override(given[-1]).value()
     except (HydraException, ValueError):  # refused when it is composed
         return None
-    return value if isinstance(value, str) else None
+    return str(value) if isinstance(value, (str, int)) else None
 
 
 def searched(overrides: Sequence[str]) -> list[str]:

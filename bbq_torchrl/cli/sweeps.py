@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 from collections import Counter
-from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,11 +34,8 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
 
-    from bbq_torchrl.domains import Domain
-
 __all__ = [
     "FULL_ERROR",
-    "Check",
     "Sweep",
     "prepare_sweep",
     "refuse_unswept",
@@ -53,9 +49,6 @@ _HEAD = ("run", "overrides", "final success", "state")
 
 SWEEP_CONFIG = "multirun.yaml"
 """What Hydra writes into the folder of a sweep before its first job."""
-
-Check = Callable[[Config], "Domain | None"]
-"""Checks a configuration before anything runs; returns the domain that it has loaded, if any."""
 
 
 @dataclass(frozen=True)
@@ -86,18 +79,19 @@ class Sweep:
         return f"{finished}; the same command with hydra.sweep.dir={self.folder} goes on"
 
 
-def prepare_sweep(hydra_session: Any, overrides: Sequence[str], check: Check) -> Sweep:
+def prepare_sweep(hydra_session: Any, overrides: Sequence[str]) -> Sweep:
     """Composes and checks every job of a sweep, and makes its folder.
 
     Args:
         hydra_session: of :func:`~bbq_torchrl.cli.store.session`.
         overrides: the command line.
-        check: what else to check of a job's configuration.
 
     Raises:
         ConfigError: one sentence that says what is wrong and what is allowed.
-        ValueError or OSError: what ``check`` raises.
+        ValueError or OSError: a corpus that cannot be used.
     """
+    from bbq_torchrl.cli.checks import check  # torch and torchrl take ten seconds
+
     composed, jobs = _composed(hydra_session, overrides)
     refuse_other_folder(overrides, "run", "a single run", "sweep")
     launcher = composed.hydra.runtime.choices[LAUNCHER]
@@ -188,7 +182,7 @@ def refuse_unswept(composed: DictConfig, overrides: Sequence[str]) -> None:
 def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
     """The folder of a sweep: the one given, new or of a sweep to go on with, or of a free name."""
     folder = named_folder(composed, "sweep")
-    if not any(item.lstrip("+").startswith("hydra.sweep.dir=") for item in overrides):
+    if "hydra.sweep.dir" not in map(key_of, overrides):
         return reserve(folder)
     try:
         folder.mkdir(parents=True)

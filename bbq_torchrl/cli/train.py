@@ -24,7 +24,7 @@ from hydra.errors import CompactHydraException, HydraException
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import quoted
 from bbq_torchrl.cli.messages import explain, train_command
-from bbq_torchrl.cli.preparation import prepare
+from bbq_torchrl.cli.preparation import SingleRun, prepare
 from bbq_torchrl.cli.resume import is_finished, restarted_config
 from bbq_torchrl.cli.store import to_config
 from bbq_torchrl.cli.sweeps import FULL_ERROR
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
 
-    from bbq_torchrl.cli.preparation import SingleRun
     from bbq_torchrl.cli.sweeps import Sweep
     from bbq_torchrl.domains import Domain
 
@@ -62,18 +61,20 @@ class _Stopped(BaseException):
 def main() -> None:
     """Trains, evaluates, and writes the run folder: one, or those of a sweep."""
     arguments = sys.argv[1:]
+    sweep = None
     with ExitStack() as held:
         try:
-            prepared = prepare(arguments, _check, held)
+            prepared = prepare(arguments, held)
         except (ValueError, OSError) as error:
             _refuse(error)
-        run, sweep = prepared.run, prepared.sweep
-        sys.argv[1:] = prepared.arguments
         logging.raiseExceptions = False  # a full disk is told once, not for every message
         try:
-            if run is not None:
-                run.start(_single)
+            if isinstance(prepared, SingleRun):
+                prepared.start(_single)
                 return
+            sweep = prepared
+            if sweep is not None:
+                sys.argv.append(f"hydra.sweep.dir={quoted(sweep.folder)}")
             # Hydra is to raise its errors, not to print them with a traceback.
             with sweep.interruptible() if sweep else env_override({FULL_ERROR: "1"}):
                 hydra.main(
@@ -88,17 +89,9 @@ def main() -> None:
             output.settle()
 
 
-# The parts are imported when they are needed: torch and torchrl take ten seconds, --help none.
-def _check(config: Config) -> Domain | None:
-    """Checks device and corpus before anything runs. Returns the domain."""
-    from bbq_torchrl.cli import checks
-
-    return checks.check(config)
-
-
 def _train(config: Config, folder: Path, domain: Domain | None) -> float:
     """Returns the final success rate, which is what sweepers get."""
-    from bbq_torchrl import run
+    from bbq_torchrl import run  # torch and torchrl take ten seconds
 
     return run.run(config, folder, domain=domain).success_rate
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from tiny import TINY
 
+from bbq_torchrl.cli import resume
 from bbq_torchrl.cli.folders import LOCK
-from bbq_torchrl.cli.resume import resumed_config
-from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.store import session
 from bbq_torchrl.run import run
 
 DQN = (
@@ -30,5 +30,6 @@ def state_of(folder):
 
 def resumed(folder, *overrides):
     """Goes on with a run as ``train.py resume=<folder>`` does, in this process."""
-    arguments = [f"resume={folder}", *overrides]
-    return run(resumed_config(compose(arguments), arguments), folder)
+    with session():
+        _, config = resume.resumed(folder, [f"resume={folder}", *overrides])
+    return run(config, folder)

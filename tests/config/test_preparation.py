@@ -8,7 +8,7 @@ import pytest
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from prepared import prepare
 
-from bbq_torchrl.cli import train
+from bbq_torchrl.cli import checks, train
 from bbq_torchrl.cli.resume import save_config
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError, registry
@@ -41,7 +41,7 @@ def test_the_jobs_of_a_sweep_that_an_experiment_asks_for_are_checked(tmp_path, m
 def test_jobs_that_only_another_sweeper_knows_are_left_to_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     other = ["--multirun", "hydra.sweeper._target_=some.OtherSweeper", "agent.lr=interval(.1,.2)"]
-    assert prepare(other, fail)[:-1] == other
+    assert prepare(other, fail).jobs == 0
     with pytest.raises(ConfigError, match="BasicSweeper does not support"):
         prepare(["--multirun", "agent.lr=interval(.1,.2)"], fail)
 
@@ -63,9 +63,8 @@ def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatc
         assert folder == tmp_path / "it"
         return 0.0
 
-    monkeypatch.setattr(train, "_check", check)
+    monkeypatch.setattr(checks, "check", check)
     monkeypatch.setattr(train, "_train", task)
-
     monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
     monkeypatch.setattr(sys, "argv", ["train.py", "agent=dqn", f"hydra.run.dir={tmp_path / 'it'}"])
     train.main()
@@ -77,8 +76,9 @@ def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatc
 @pytest.mark.parametrize("command", [["agent=dqn"], ["--multirun", "agent=bbqn,dqn"]])
 def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
-    prepared = [prepare(command)[-1] for _ in range(3)]
-    assert len(set(prepared)) == 3
+    for _ in range(3):
+        prepare(command)
+    assert len(list(tmp_path.glob("runs/*/*"))) == 3
 
 
 @pytest.mark.parametrize("plus", ["", "++"])
@@ -93,7 +93,7 @@ def test_a_folder_that_was_given_and_holds_a_run_is_refused(tmp_path, plus):
 )
 def test_what_only_shows_something_is_left_to_hydra(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
-    assert prepare(command, fail) == command
+    assert prepare(command, fail) is None
     assert not list(tmp_path.iterdir())
 
 
@@ -115,16 +115,15 @@ def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_pa
     checked = []
     # Quoted as the shell hands it over to Hydra's grammar.
     quoted = str(folder).replace("'", "\\'")
-    prepared = prepare([f"resume='{quoted}'"], checked.append)
+    hydra = prepare([f"resume='{quoted}'"], checked.append).composed.hydra
     assert checked[0].agent.name == "dqn"
-    assert prepared[1:] == [f"hydra.run.dir='{quoted}'", "hydra.output_subdir=null"]
+    assert (hydra.run.dir, hydra.output_subdir) == (str(folder), None)
 
 
 def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(tmp_path):
     folder = tmp_path / "new" / "sweep"
     arguments = ["--multirun", "seed=1,2", f"hydra.sweep.dir={folder}"]
-    given = f"hydra.sweep.dir='{folder}'"
-    assert prepare(arguments)[-1] == given
+    assert prepare(arguments).folder == folder
     assert folder.is_dir()
     with pytest.raises(ConfigError, match=f"or that of a sweep to go on with, got {folder}"):
         prepare(arguments)
@@ -132,6 +131,6 @@ def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(tmp_path):
     job = folder / "1_bbqn_thompson_full_seed2"
     job.mkdir()
     save_config(compose(["seed=2"]), job / "config.yaml")
-    assert prepare(arguments)[-1] == given
+    assert prepare(arguments).folder == folder
     with pytest.raises(ConfigError, match=f"{job} already holds another run"):
         prepare([*arguments, "agent.lr=.5"])

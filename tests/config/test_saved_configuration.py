@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 import yaml
 
-from bbq_torchrl.cli.resume import load_config, resumed_config, run_to_resume, save_config
-from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli import resume
+from bbq_torchrl.cli.resume import load_config, save_config
+from bbq_torchrl.cli.store import compose, session
 from bbq_torchrl.evaluate import composed
 from bbq_torchrl.options import ConfigError
 
@@ -37,29 +40,24 @@ def test_a_run_of_a_version_without_evaluation_and_intrinsic_rewards_has_none(tm
     assert (config.protocol.eval_every, config.intrinsic.name) == (0, "none")
 
 
+def resumed(folder, *overrides):
+    with session():
+        return resume.resumed(folder, [f"resume={folder}", *overrides])[1]
+
+
 def test_a_resumed_run_has_its_own_configuration_but_for_what_may_change(tmp_path):
-    save_config(compose(["agent=dqn", "protocol.rounds=5"]), tmp_path / "config.yaml")
-    same = [f"resume={tmp_path}", "agent=dqn", "seed=0"]
-    config = resumed_config(compose(same), same)
-    assert (config.explore.name, config.protocol.rounds) == ("epsilon_greedy", 5)
+    run = ["agent=dqn", "agent.gamma=[.8,.9]", "replicas=2", "threads=3", "protocol.rounds=5"]
+    save_config(compose(run), tmp_path / "config.yaml")
+    config = resumed(tmp_path, "agent=dqn", "seed=0", "threads=3")
+    assert config == dataclasses.replace(compose(run), resume=str(tmp_path))
     changes = ["protocol.rounds=9", "protocol.keep_checkpoints=all", "logger=wandb", "device=cuda"]
-    command = [f"resume={tmp_path}", *changes, "logger.project=mine"]
-    changed = resumed_config(compose(command), command)
-    assert (changed.agent, changed.resume) == (config.agent, str(tmp_path))
-    assert (changed.protocol.rounds, changed.protocol.keep_checkpoints) == (9, "all")
-    assert (changed.logger.name, changed.logger.project, changed.device) == (
-        "wandb",
-        "mine",
-        "cuda",
+    changed = resumed(tmp_path, *changes, "logger.project=mine")
+    assert changed == dataclasses.replace(
+        compose([*run, *changes, "logger.project=mine"]), resume=str(tmp_path)
     )
 
 
 EXTENDED = ("env=domain_ext", "env.slot_error_prob=0", "domain=folder", "domain.path=old")
-
-
-def resumed(folder, *more):
-    command = [f"resume={folder}", *more]
-    return resumed_config(compose(command, run=run_to_resume(command)), command)
 
 
 def test_keys_beside_resume_are_read_on_the_values_of_the_run(tmp_path):
