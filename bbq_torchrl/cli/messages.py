@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LAUNCHER",
+    "allowed",
     "explain",
     "groups_of",
     "key_of",
@@ -169,33 +170,32 @@ def _missing_option(error: MissingConfigException) -> str:
 def _wrong_value(error: Exception, cause: BaseException | None) -> str | None:
     """A sentence for a value that does not fit its key."""
     match = re.match(r"Error merging override ([^=]+)=(.*)", _first_line(error))
-    if isinstance(cause, ValidationError):
-        key, schema = str(cause.full_key or "").split("[")[0], cause.object_type
-    elif match is not None and cause is not None:  # OmegaConf does not say which key it is
-        key, schema = match[1].lstrip("+~"), None
-    else:
+    if not isinstance(cause, OmegaConfBaseException) or not (
+        match or isinstance(cause, ValidationError)
+    ):
         return None
-    got = f": {_first_line(cause)}" if match is None else f", got {shown(match[2])}"
-    if (allowed := _allowed(key, schema)) is not None:
-        return f"{key} must be {allowed}{got}"
+    key = key_of(match[1]) if match else str(cause.full_key).split("[")[0]
+    got = f", got {shown(match[2])}" if match else f": {_first_line(cause)}"
+    if (text := allowed(key, cause.object_type)) is not None:
+        return f"{key} must be {text}{got}"
     if key in schemas():
         return f"{key} must be one option, as {key}={next(iter(schemas()[key]))}{got}"
-    if isinstance(cause, ValidationError) or match is None:
-        return f"{key}: {_first_line(cause)}"
-    return unreadable(f"{key}={match[2]}", _first_line(cause))
+    return f"{key}: {_first_line(cause)}"
 
 
-def _allowed(key: str, schema: Any) -> str | None:
-    """What the field of a dotted key allows; the schema is looked up where none is given."""
+def allowed(key: str, schema: Any) -> str | None:
+    """Returns what a dotted key must be.
+
+    Args:
+        key: such as ``agent.lr``.
+        schema: the dataclass that has it; where it is none, the key is looked up.
+    """
     group, _, name = key.rpartition(".")
     roots = () if group else (Config, EvaluateConfig, CalibrateConfig)
-    candidates = [schema, *roots, *schemas().get(group, {}).values()]
-    for candidate in candidates:
-        if not is_dataclass(candidate):
-            continue
-        for item in fields(candidate):
-            if item.name == name and "allowed" in item.metadata:
-                return str(item.metadata["allowed"].text)
+    for candidate in (schema, *roots, *schemas().get(group, {}).values()):
+        item = getattr(candidate, "__dataclass_fields__", {}).get(name)
+        if item is not None and "allowed" in item.metadata:
+            return str(item.metadata["allowed"].text)
     return None
 
 
@@ -223,7 +223,7 @@ def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> s
     match = re.match(r"(?:Could not (\w+) |Key )[^']*'([^']+)'", _first_line(error))
     if match is None:
         return None
-    key = key_of(match[2])
+    key = key_of(match[2]) if match[1] else str(getattr(cause, "full_key", match[2]))
     if match[1] == "append":
         return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
     schema = getattr(cause, "object_type", None)

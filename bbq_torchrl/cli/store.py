@@ -29,6 +29,7 @@ from omegaconf.errors import (
 
 from bbq_torchrl.cli.folders import quoted
 from bbq_torchrl.cli.messages import (
+    allowed,
     explain,
     groups_of,
     key_of,
@@ -53,6 +54,8 @@ from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from bbq_torchrl.options import Option
 
 __all__ = [
     "compose",
@@ -244,39 +247,32 @@ def read_config(plain: DictConfig) -> Config:
     """
     typed = OmegaConf.structured(Config)
     try:
-        for key in map(str, plain):
-            if not OmegaConf.is_missing(plain, key):
-                typed[key] = _typed_group(key, plain) if key in schemas() else plain[key]
+        for group in groups_of(Config):
+            if group in plain:
+                typed[group] = _saved_option(group, plain[group])
+        typed.merge_with(plain)
+        return to_config(typed, Config)
+    except ValidationError as error:
+        key = str(error.full_key).split("[")[0]
+        text, value = allowed(key, error.object_type), OmegaConf.select(plain, key)
+        raise ConfigError(f"{key} must be {text}, got {shown(value)}") from error
     except OmegaConfBaseException as error:
         raise ConfigError(explain(error, ())) from error
-    return to_config(typed, Config)
 
 
 def _not_given(key: str) -> ConfigError:
     return ConfigError(f"{key} must be given, as {key}=<value>")
 
 
-def _typed_group(group: str, plain: DictConfig) -> DictConfig:
-    """The keys of a group on the schema that its ``name`` says."""
+def _saved_option(group: str, plain: Any) -> type[Option]:
     known = schemas()[group]
-    name = plain[group].get("name") if OmegaConf.is_dict(plain[group]) else None
+    name = plain.get("name") if OmegaConf.is_dict(plain) else None
     if not isinstance(name, str) or name not in known:
         raise ConfigError(
             f"{group} must be one of {', '.join(sorted(known))}, got {name!r}: options of your own "
             "come with an installed package or with --config-dir <folder>"
         )
-    typed = OmegaConf.structured(known[name])
-    keys = {item.name: item for item in fields(known[name])}
-    for key, value in plain[group].items_ex(resolve=False):
-        if key not in keys:
-            raise ConfigError(unknown_key(f"{group}.{key}", known[name]))
-        try:
-            typed[key] = value
-        except ValidationError as error:
-            allowed = keys[key].metadata["allowed"].text
-            raise ConfigError(f"{group}.{key} must be {allowed}, got {shown(value)}") from error
-    assert isinstance(typed, DictConfig)
-    return typed
+    return known[name]
 
 
 def compose(
