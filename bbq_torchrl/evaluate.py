@@ -139,12 +139,14 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     seconds = time.perf_counter() - started
     rate = played.success.double().mean().item()
     turns = int(played.turns.sum())
-    return {
+    per_replica = played.success.double().mean(-1).tolist()
+    line = {
         "policy": config.policy,
-        **({} if mode is None else {"mode": mode, "weights": config.weights}),
-        **({"privileged": True} if is_privileged else {}),
+        "mode": mode,
+        "weights": None if run is None else config.weights,
+        "privileged": True if is_privileged else None,
         "env": config.env.name,
-        **({} if domain is None else {"domain": domain.name}),
+        "domain": None if domain is None else domain.name,
         "seed": config.seed,
         "success_rate": rate,
         "standard_error": binomial_standard_error(rate, played.success.numel()),
@@ -152,14 +154,11 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
         "turns": turns / played.success.numel(),
         "dialogues": played.success.numel(),
         "turns_per_second": turns / seconds,
-        **(
-            {"success_rate_per_replica": played.success.double().mean(-1).tolist()}
-            if replicas > 1
-            else {}
-        ),
-        **({"values_per_replica": values} if any(values) else {}),
-        **({"skipped": domain.skipped} if domain is not None and domain.skipped else {}),
+        "success_rate_per_replica": per_replica if replicas > 1 else None,
+        "values_per_replica": values if any(values) else None,
+        "skipped": None if domain is None else domain.skipped or None,
     }
+    return {key: value for key, value in line.items() if value is not None}
 
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:

@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,8 @@ from bbq_torchrl.run_folder import CONFIG, RESULT
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
+    from contextlib import AbstractContextManager
 
     from omegaconf import DictConfig
 
@@ -59,15 +60,11 @@ class Sweep:
     jobs: int
     launcher: str
 
-    @contextmanager
-    def interruptible(self) -> Iterator[None]:
+    def interruptible(self) -> AbstractContextManager[None]:
         """Within it, a signal has the jobs on this machine end their rounds first."""
         interruption.tell(lambda: "in a sweep", self.how_to_go_on)
-        if self.launcher not in ("cores", "joblib", "basic"):
-            yield
-            return
-        with interruption.gently(_stop_workers):
-            yield
+        is_here = self.launcher in ("cores", "joblib", "basic")
+        return interruption.gently(_stop_workers) if is_here else nullcontext()
 
     def show(self) -> None:
         """Writes the table of its runs to stderr."""
