@@ -67,12 +67,18 @@ def start(
     return child
 
 
+def environment() -> dict[str, str]:
+    """The environment of a Python that finds the package, and what this one was given besides."""
+    path = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(path)}
+
+
 def python(*arguments: object, cwd: Path, code: int = 0) -> tuple[str, str]:
     """Runs Python in a process of its own, as a person does; see :func:`call`."""
     done = subprocess.run(
         [sys.executable, *map(str, arguments)],
         cwd=cwd,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        env=environment(),
         capture_output=True,
         text=True,
         timeout=1_800,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import shutil
 import subprocess
 import sys
 
 import pytest
-from forked import ROOT
+from forked import ROOT, environment
 
 from .cases import KILLS
 from .folders import assert_same
@@ -33,7 +32,7 @@ def disk(tmp_path_factory):
         return subprocess.run(
             [*unshare, "sh", "-c", script],
             cwd=cwd,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+            env=environment(),
             capture_output=True,
             text=True,
             timeout=1_800,

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from forked import ROOT
+from forked import ROOT, environment
 
 from .cases import TINY
 
@@ -25,27 +25,27 @@ COMMANDS = {
 
 def ended(arguments, cwd, *, redirection="", **streams):
     """Runs a command with a redirection of the shell; returns exit code and standard error."""
-    given = {name: text for name, text in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    given |= {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), **streams.pop("environment", {})}
+    given = {name: text for name, text in environment().items() if name != "PYTHONUNBUFFERED"}
+    given |= streams.pop("buffering", {})
     shell = ["sh", "-c", f'exec "$@" {redirection}', "sh", sys.executable]
     streams = {"stderr": subprocess.PIPE, **streams}
     done = subprocess.run([*shell, *arguments], cwd=cwd, env=given, text=True, **streams)
     return done.returncode, done.stderr
 
 
-@pytest.mark.parametrize("environment", [{}, {"PYTHONUNBUFFERED": "1"}], ids=["buffered", "not"])
+@pytest.mark.parametrize("buffering", [{}, {"PYTHONUNBUFFERED": "1"}], ids=["buffered", "not"])
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
-def test_what_cannot_be_printed_is_no_traceback(tmp_path, command, environment):
+def test_what_cannot_be_printed_is_no_traceback(tmp_path, command, buffering):
     read, write = os.pipe()
     os.close(read)
-    end = ended(command, tmp_path, stdout=write, environment=environment)
+    end = ended(command, tmp_path, stdout=write, buffering=buffering)
     os.close(write)
     assert end == (141, "")
     for redirection, reason in {
         "> /dev/full": "No space left on device",
         ">&-": "Bad file descriptor",
     }.items():
-        end = ended(command, tmp_path, redirection=redirection, environment=environment)
+        end = ended(command, tmp_path, redirection=redirection, buffering=buffering)
         assert end == (1, f"error: standard output cannot be written: {reason}\n")
 
 

@@ -8,10 +8,11 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
-from forked import ROOT
+from forked import ROOT, environment
 
 from .cases import CONFIGURATIONS, KILLS, TINY
 from .folders import assert_same
@@ -89,7 +90,7 @@ def process(*arguments, cwd):
     return subprocess.Popen(
         [sys.executable, str(ROOT / "train.py"), *arguments],
         cwd=cwd,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -97,15 +98,20 @@ def process(*arguments, cwd):
     )
 
 
+def wait_until(started, is_so):
+    end = time.monotonic() + 1_800
+    while not is_so():
+        assert started.poll() is None, started.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
 @pytest.mark.parametrize("number", NUMBERS)
 def test_importing_is_interrupted_without_a_traceback(tmp_path, rng, number):
     for _ in range(max(2, KILLS // 4)):
         started = process(*CONFIGURATIONS["replicas"], "hydra.run.dir=run", cwd=tmp_path)
         # Python itself takes some hundredths of a second until it can take a signal.
-        waiting_until = time.monotonic() + 600
-        while not _catches(started.pid):
-            assert time.monotonic() < waiting_until
-            time.sleep(0.005)
+        wait_until(started, partial(_catches, started.pid))
         time.sleep(rng.uniform(0, 3))
         started.send_signal(number)
         _, err = started.communicate(timeout=1_800)
@@ -132,11 +138,7 @@ def test_the_jobs_of_a_sweep_end_in_good_order(commands, tmp_path, number):
     keys = (*TINY, "protocol.rounds=400", "protocol.eval_every=0")
     sweep = ("--multirun", "agent=dqn,bbqn", "seed=0,1", "hydra.launcher.n_jobs=2")
     started = process(*sweep, *keys, "hydra.sweep.dir=sweep", cwd=tmp_path)
-    waiting_until = time.monotonic() + 1_800
-    while len(list((tmp_path / "sweep").glob("*/metrics.csv"))) < 2:
-        assert started.poll() is None, started.communicate()
-        assert time.monotonic() < waiting_until
-        time.sleep(0.05)
+    wait_until(started, lambda: len(list((tmp_path / "sweep").glob("*/metrics.csv"))) == 2)
     if number == signal.SIGINT:
         os.killpg(started.pid, number)  # as a terminal does
     else:
