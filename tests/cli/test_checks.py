@@ -27,18 +27,6 @@ def test_a_buffer_may_have_room_for_one_more_than_the_spike():
     check(compose(["spike.dialogues=100", "protocol.capacity=801"]))  # a rule dialogue has 8 turns
 
 
-def test_a_slot_with_actions_that_domain_extension_would_never_activate_is_refused(
-    restaurant_folder, tmp_path
-):
-    folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
-    file = folder / "domain.yaml"
-    file.write_text(file.read_text().replace("extension_order: [restaurant,", "extension_order: ["))
-    where = ("domain=folder", f"domain.path={folder}")
-    with pytest.raises(ValueError, match="domain extension would never activate restaurant"):
-        check(compose([*where, "env=domain_ext"]))
-    check(compose([*where, "env=full"]))
-
-
 @pytest.fixture
 def where(restaurant_folder, tmp_path):
     """A domain whose rule needs a slot that comes later."""
@@ -47,13 +35,6 @@ def where(restaurant_folder, tmp_path):
     script = "steps: [request(cuisine), "
     file.write_text(file.read_text().replace(script, f"{script}request(price_range), "))
     return "domain=folder", f"domain.path={folder}"
-
-
-def test_a_spike_that_needs_a_slot_of_a_later_round_is_refused(where):
-    with pytest.raises(ValueError, match="rule cannot be played in round 0: the slot price_range"):
-        check(compose([*where, "env=domain_ext"]))
-    check(compose([*where, "env=domain_ext", "spike.policy=careful"]))
-    check(compose([*where, "env=full"]))
 
 
 def test_a_result_says_which_policy_it_lacks_whose_slot_has_not_come(where, tmp_path, caplog):

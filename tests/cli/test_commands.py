@@ -185,16 +185,6 @@ def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
     assert not (tmp_path / "run" / "result.json").exists()
 
 
-def test_what_cannot_run_is_refused_in_a_line_and_leaves_nothing_behind(tmp_path):
-    # All else that is refused is tested in process; here the way the command ends.
-    refused = ("agent=dqn", "explore=thompson")
-    out, message = forked.python(TRAIN, *refused, cwd=tmp_path, code=2)
-    assert message.startswith("error: agent=dqn cannot be combined with explore=thompson")
-    assert len(message.strip().splitlines()) == 1, message
-    assert not out
-    assert not list(tmp_path.iterdir())
-
-
 def test_help_shows_groups_and_pairs_without_importing_torch(tmp_path):
     out, imported = forked.python("-X", "importtime", TRAIN, "--help", cwd=tmp_path)
     assert "agent=dqn        explore=epsilon_greedy (default)" in out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import shutil
 import sys
 
 import pytest
@@ -18,7 +17,7 @@ from bbq_torchrl.cli.train import REFUSED
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 
-from .trusted import DQN, resumed, state_of
+from .trusted import DQN, state_of
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 
@@ -98,30 +97,6 @@ def test_a_run_of_which_the_weights_are_left_is_not_extended_and_stays_finished(
     assert "protocol.keep_checkpoints=last" in line
     assert state_of(folder) == before
     assert is_finished(folder, run_config(folder).protocol.rounds)
-
-
-def test_a_run_that_lost_its_checkpoints_does_not_begin_anew(copy, kept, refused):
-    folder = copy(kept)
-    shutil.rmtree(folder / "checkpoint")
-    (folder / "metrics.csv").unlink()
-    before = state_of(folder)
-
-    line = refused(f"resume={folder}", "protocol.rounds=5")
-
-    assert "no checkpoint to go on from" in line
-    assert "start a new run" in line
-    assert state_of(folder) == before
-
-
-def test_a_checkpoint_of_another_configuration_is_refused(copy, kept, capsys):
-    folder = copy(kept)
-    text = (folder / "config.yaml").read_text()
-    (folder / "config.yaml").write_text(text.replace("gamma: 0.9", "gamma: 0.8"))
-
-    message = "agent.gamma must be 0.9, as in the checkpoint"
-    assert message in evaluation_refused(capsys, folder)
-    with pytest.raises(ValueError, match=message):
-        resumed(folder, "protocol.rounds=5")
 
 
 def test_a_second_process_in_a_run_folder_is_refused_until_the_first_has_ended(

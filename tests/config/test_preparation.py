@@ -81,13 +81,6 @@ def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, monkeypatch, 
     assert len(list(tmp_path.glob("runs/*/*"))) == 3
 
 
-@pytest.mark.parametrize("plus", ["", "++"])
-def test_a_folder_that_was_given_and_holds_a_run_is_refused(tmp_path, plus):
-    save_config(compose(["agent=dqn"]), tmp_path / "config.yaml")
-    with pytest.raises(ConfigError, match="already holds a run"):
-        prepare(["agent=dqn", f"{plus}hydra.run.dir={tmp_path}"])
-
-
 @pytest.mark.parametrize(
     "command", [["--help"], ["--cfg", "job", "agent=dqn"], ["--info"], ["--hydra-help"]]
 )

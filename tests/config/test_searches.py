@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.search.definition import compose_search
 
@@ -71,11 +68,3 @@ def test_a_search_can_be_anybodys_yaml_file(tmp_path):
     values = {"agent.lr": 1e-3, "protocol.batch_size": 48, "agent.dropout": 0}
     config = search.config(values)
     assert (config.agent.lr, config.protocol.batch_size, config.agent.dropout) == (1e-3, 48, 0)
-
-
-def test_an_entry_of_the_space_is_a_mapping(tmp_path):
-    """All else that is refused is in the table tests/adversary/bad_input.yaml."""
-    file = tmp_path / "mine.yaml"
-    file.write_text("space: {agent.lr: 3}")
-    with pytest.raises(ConfigError, match=r"space\.agent\.lr must be a mapping such as"):
-        compose_search([f"search={file}"])

@@ -295,16 +295,6 @@ def test_values_that_cannot_be_run_fail_their_trial_and_the_search_goes_on(tmp_p
     assert {number for number, _ in training.played} == {0, 2}
 
 
-def test_a_damaged_study_or_definition_is_refused(tmp_path):
-    run_search(search(tmp_path, trials=1), Training())
-    (tmp_path / "study.db").write_bytes(b"not a database" * 100)
-    with pytest.raises(ConfigError, match=r"study\.db cannot be used"):
-        run_search(search(tmp_path, trials=2), Training())
-    (tmp_path / "search.yaml").write_text("- a list")
-    with pytest.raises(ConfigError, match=r"search\.yaml is damaged"):
-        run_search(search(tmp_path, trials=2), Training())
-
-
 def test_help_and_refusals_need_no_optuna(tmp_path):
     program = (
         "import sys, runpy; sys.modules['optuna'] = None; sys.argv = ['search', '--help'];"
