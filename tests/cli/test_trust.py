@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import json
-import sys
 
+import forked
 import pytest
 from planted import plant
 
@@ -17,49 +17,30 @@ from bbq_torchrl.cli.train import REFUSED
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 
-from .trusted import DQN, state_of
+from .trusted import state_of
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 
 
-def one_line(capsys):
-    out, err = capsys.readouterr()
+def refused(main, *arguments, cwd):
+    """Runs a command line that is refused. Returns its one line."""
+    out, err = forked.call(main, *arguments, cwd=cwd, code=REFUSED)
     assert not out
     assert err.startswith("error: ")
     assert err.count("\n") == 1
     return err
 
 
-@pytest.fixture
-def refused(tmp_path, monkeypatch, capsys):
-    """Runs a command line of train.py that is refused. Returns its one line."""
-    place = tmp_path / "here"
-    place.mkdir()
-    monkeypatch.chdir(place)
-
-    def command(*arguments):
-        monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
-        with pytest.raises(SystemExit) as end:
-            train.main()
-        assert end.value.code == REFUSED
-        return one_line(capsys)
-
-    return command
-
-
-def evaluation_refused(capsys, folder):
-    capsys.readouterr()
-    assert evaluate.main([f"policy={folder}", "dialogues=2"]) == 2
-    return one_line(capsys)
-
-
-def test_neither_evaluate_nor_resume_runs_what_is_planted(copy, kept, refused, capsys, tmp_path):
+def test_neither_evaluate_nor_resume_runs_what_is_planted(copy, kept, tmp_path):
     folder = copy(kept)
     for archive in (folder / "checkpoint").iterdir():
         plant(archive, tmp_path / "marker", "other.pickle")
 
-    assert "every checkpoint in" in evaluation_refused(capsys, folder)
-    assert "every checkpoint in" in refused(f"resume={folder}", "protocol.rounds=5")
+    for main, arguments in (
+        (evaluate.main, (f"policy={folder}", "dialogues=2")),
+        (train.main, (f"resume={folder}", "protocol.rounds=5")),
+    ):
+        assert "every checkpoint in" in refused(main, *arguments, cwd=tmp_path)
     assert not (tmp_path / "marker").exists()
 
 
@@ -86,13 +67,13 @@ def test_after_the_end_the_weights_are_left_and_evaluate_as_before(kept, finishe
 
 
 def test_a_run_of_which_the_weights_are_left_is_not_extended_and_stays_finished(
-    copy, finished, refused
+    copy, finished, tmp_path
 ):
     folder = copy(finished)
     before = state_of(folder)
 
-    assert "is finished (3 rounds)" in refused(f"resume={folder}")
-    line = refused(f"resume={folder}", "protocol.rounds=5")
+    assert "is finished (3 rounds)" in refused(train.main, f"resume={folder}", cwd=tmp_path)
+    line = refused(train.main, f"resume={folder}", "protocol.rounds=5", cwd=tmp_path)
 
     assert "protocol.keep_checkpoints=last" in line
     assert state_of(folder) == before
@@ -100,15 +81,16 @@ def test_a_run_of_which_the_weights_are_left_is_not_extended_and_stays_finished(
 
 
 def test_a_second_process_in_a_run_folder_is_refused_until_the_first_has_ended(
-    copy, kept, refused, capsys
+    copy, kept, tmp_path
 ):
     folder = copy(kept)
     before = state_of(folder)
 
     with (folder / LOCK).open("a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # of this file alone, as another process would hold it
-        assert "another process is at work in" in refused(f"resume={folder}", "protocol.rounds=5")
-        assert "another process is at work in" in refused(*DQN, f"hydra.run.dir={folder}")
+        for command in ((f"resume={folder}", "protocol.rounds=5"), (f"hydra.run.dir={folder}",)):
+            line = refused(train.main, *command, cwd=tmp_path)
+            assert "another process is at work in" in line
         with pytest.raises(ConfigError, match="another process is at work in"):
             run(load_config(folder / "config.yaml"), folder)
         assert state_of(folder) == before
