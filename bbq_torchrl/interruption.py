@@ -19,21 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
 
-__all__ = ["Interrupted", "check", "gently", "line", "listen", "received", "tell"]
+__all__ = ["Interrupted", "check", "exit_code", "gently", "line", "listen", "tell"]
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupted(BaseException):
-    """What a signal has stopped in good order; :func:`line` is what the command ends by.
-
-    Args:
-        number (int): of the signal.
-    """
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.exit_code = 128 + number
+    """What a signal has stopped in good order; :func:`line` is what the command ends by."""
 
 
 class _State:
@@ -89,15 +81,15 @@ def gently(stop: Callable[[], None]) -> Iterator[None]:
         _State.stop = before
 
 
-def received() -> int | None:
-    """Returns the number of the signal that has come, if one has."""
-    return _State.received
+def exit_code() -> int:
+    """Returns what a command ends with that a signal has stopped; 0 where none has come."""
+    return 0 if _State.received is None else 128 + _State.received
 
 
 def check() -> None:
     """Raises Interrupted if a signal has come."""
     if _State.received is not None:
-        raise Interrupted(_State.received)
+        raise Interrupted
 
 
 def _handle(number: int, frame: FrameType | None) -> None:
@@ -107,18 +99,18 @@ def _handle(number: int, frame: FrameType | None) -> None:
         if _on_terminal():
             _say("\nstopping after this round; once more: at once\n")
     elif multiprocessing.parent_process() is None:
-        _end(_State.received)
+        _end()
     elif _State.stop is None:
         # A worker of a sweep: it must not vanish, which would end the other jobs with it.
-        raise Interrupted(number)
+        raise Interrupted
 
 
-def _end(number: int) -> NoReturn:
+def _end() -> NoReturn:
     for worker in multiprocessing.active_children():
         worker.kill()
     start = "\n" if _on_terminal() else ""  # a progress bar may stand in the line
     _say(f"{start}{line()}\n")
-    os._exit(128 + number)
+    os._exit(exit_code())
 
 
 def _on_terminal() -> bool:

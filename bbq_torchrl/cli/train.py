@@ -153,12 +153,11 @@ def _wants_traceback() -> bool:
 
 def _end(end: BaseException, sweep: Sweep | None, arguments: Sequence[str]) -> NoReturn:
     """Ends the command by a sentence where there is one."""
-    number = interruption.received()
-    if number is not None:
+    if code := interruption.exit_code():
         if sweep is not None:
             interruption.tell(lambda: "in a sweep", sweep.how_to_go_on)
         output.complain(interruption.line())
-        sys.exit(128 + number)
+        sys.exit(code)
     if isinstance(end, _Stopped):
         failure = end.args[0]
         if _wants_traceback() or not isinstance(failure, UsageError):

@@ -61,9 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
         best = run_search(search, run, check)
-    except interruption.Interrupted as end:
+    except interruption.Interrupted:
         output.complain(interruption.line())
-        return end.exit_code
+        return interruption.exit_code()
     except ConfigError as error:
         return _refused(error)
     except (OSError, optuna.exceptions.StorageInternalError) as error:
