@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.messages import key_of
-from bbq_torchrl.cli.store import compose_raw, read_config, run_of, to_config
+from bbq_torchrl.cli.store import compose_raw, load_yaml, read_config, run_of, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
@@ -117,13 +117,7 @@ def load_config(file: Path) -> Config:
     Raises:
         ConfigError: no readable configuration, or one that cannot be run.
     """
-    try:
-        plain = OmegaConf.load(file)
-    except OSError as error:
-        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
-    except Exception as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
-        raise ConfigError(f"{file} is not a YAML file of a run: {reason}") from error
+    plain = load_yaml(file, "a run")
     if not isinstance(plain, DictConfig):
         raise ConfigError(f"{file} must hold a mapping of groups, got a list")
     for key in _REMOVED_KEYS:

@@ -54,6 +54,9 @@ from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from omegaconf import ListConfig
 
     from bbq_torchrl.options import Option
 
@@ -61,6 +64,7 @@ __all__ = [
     "compose",
     "compose_raw",
     "explorations_table",
+    "load_yaml",
     "read_config",
     "register_options",
     "run_of",
@@ -237,6 +241,21 @@ def to_config(typed: DictConfig, root: type[Root]) -> Root:
         config.domain.path = os.path.abspath(to_absolute_path(os.path.expanduser(path)))  # type: ignore[attr-defined]
     validate(config)
     return config
+
+
+def load_yaml(file: Path, of: str) -> DictConfig | ListConfig:
+    """Reads a YAML file.
+
+    Raises:
+        ConfigError: it cannot be read, or is none; says what it should be the file of.
+    """
+    try:
+        return OmegaConf.load(file)
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
+    except Exception as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise ConfigError(f"{file} is not a YAML file of {of}: {reason}") from error
 
 
 def read_config(plain: DictConfig) -> Config:

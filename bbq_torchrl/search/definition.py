@@ -10,6 +10,7 @@ all trials have.
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from os.path import expanduser
@@ -21,7 +22,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from bbq_torchrl.cli.messages import too_large, unreadable
-from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.store import compose, load_yaml
 from bbq_torchrl.options.registry import config_folders, options
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
@@ -211,14 +212,7 @@ def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
         )
     places = [folder / SEARCH / f"{chosen}.yaml" for folder in config_folders()]
     file = Path(expanduser(chosen)) if own else next(place for place in places if place.is_file())
-    try:
-        loaded = OmegaConf.load(file)
-        plain = OmegaConf.to_container(loaded, resolve=False)
-    except OSError as error:
-        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
-    except Exception as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
-        raise ConfigError(f"{file} is not a YAML file of a search: {reason}") from error
+    plain = OmegaConf.to_container(load_yaml(file, "a search"), resolve=False)
     if not isinstance(plain, dict) or not isinstance(plain.get("space"), dict):
         raise ConfigError(f"{file} must have the key space, a mapping of keys to what they may be")
     fixed = plain.pop("fixed", None) or []
@@ -260,6 +254,4 @@ def _what_varies(space: Mapping[str, Any]) -> str:
 
 
 def _override(name: str, value: Any) -> str:
-    if value is None or isinstance(value, bool):
-        return f"{name}={'null' if value is None else str(value).lower()}"
-    return f"{name}={value!r}" if isinstance(value, (int, float)) else f"{name}={value}"
+    return f"{name}={value if isinstance(value, str) else json.dumps(value)}"
