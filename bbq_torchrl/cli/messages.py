@@ -142,12 +142,7 @@ def unreadable(override: str, hint: str = "write key=value") -> str:
 def _too_much(error: Exception, overrides: Sequence[str]) -> str:
     """A sentence for what Python or the operating system gave up on: very long or deep texts."""
     longest = max(overrides, key=len, default="the configuration")
-    reason = _first_line(error)
-    if isinstance(error, RecursionError):
-        reason = "it is nested too deeply"
-    elif isinstance(error, OSError):
-        reason = error.strerror or reason
-    return unreadable(longest, reason)
+    return unreadable(longest, getattr(error, "strerror", None) or _first_line(error))
 
 
 def _first_line(error: BaseException) -> str:
@@ -156,14 +151,13 @@ def _first_line(error: BaseException) -> str:
 
 def _missing_option(error: MissingConfigException) -> str:
     missing = str(error.missing_cfg_file or "")
-    group, _, option = missing.partition("/")
-    if missing.startswith(f"{LAUNCHER}/"):
-        group, option = LAUNCHER, missing.removeprefix(f"{LAUNCHER}/")
-        if option in LAUNCHER_EXTRAS:
+    for group in (*schemas(), EXPERIMENT, LAUNCHER):
+        option = missing.removeprefix(f"{group}/")
+        if group == LAUNCHER and option in LAUNCHER_EXTRAS:
             command = install_command(LAUNCHER_EXTRAS[option])
             return f"{group}={option} needs a package that is missing: {command}"
-    if group in (*schemas(), EXPERIMENT, LAUNCHER):
-        return f"{group} must be one of {', '.join(options(group))}, got {shown(option)}"
+        if option != missing:
+            return f"{group} must be one of {', '.join(options(group))}, got {shown(option)}"
     return _first_line(error)
 
 
@@ -178,8 +172,6 @@ def _wrong_value(error: Exception, cause: BaseException | None) -> str | None:
     got = f", got {shown(match[2])}" if match else f": {_first_line(cause)}"
     if (text := allowed(key, cause.object_type)) is not None:
         return f"{key} must be {text}{got}"
-    if key in schemas():
-        return f"{key} must be one option, as {key}={next(iter(schemas()[key]))}{got}"
     return f"{key}: {_first_line(cause)}"
 
 
