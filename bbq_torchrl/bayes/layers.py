@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.posterior import GaussianPosterior
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
+from bbq_torchrl.bayes.settings import check_choice
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,10 +90,7 @@ class BayesLayer(nn.Module):
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
-        if mean_init not in get_args(MeanInit):
-            raise ValueError(
-                f"mean_init must be one of {list(get_args(MeanInit))}, got {mean_init!r}"
-            )
+        check_choice("mean_init", mean_init, get_args(MeanInit))
         if (isinstance(prior_std, str) and prior_std != "fan_in") or (
             isinstance(prior_std, (int, float)) and not prior_std > 0
         ):

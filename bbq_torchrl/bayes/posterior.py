@@ -9,9 +9,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.noise import fill_normal_, is_transformed
-from bbq_torchrl.bayes.replicas import replica_shape, replica_values
+from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
-from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind, closed_kl, draw_with_kl
+from bbq_torchrl.bayes.settings import check_choice, checked_number
+from bbq_torchrl.bayes.weight_draw import KL_KINDS, KLKind, closed_kl, draw_with_kl
 
 __all__ = ["GaussianPosterior", "inverse_softplus", "kl_divergence", "posteriors"]
 
@@ -83,18 +84,17 @@ class GaussianPosterior(nn.Module):
 
     def _prior(self, prior_std: float | Sequence[float] | Tensor) -> Tensor:
         """Returns the prior's checked std, float64 [1], [groups] or [*replicas, 1]."""
-        if isinstance(prior_std, Tensor) and prior_std.ndim > 0:
-            return replica_values("prior_std", prior_std, self.replicas).unsqueeze(-1)
-        groups = list(prior_std) if isinstance(prior_std, Sequence) else [float(prior_std)]
-        for value in groups:
-            if not 0 < value < float("inf"):
-                raise ValueError(f"prior_std must be positive and finite, got {value}")
+        groups = prior_std if isinstance(prior_std, Sequence) else [prior_std]
         if len(groups) not in (1, len(self.group_sizes)):
             raise ValueError(
                 f"prior_std must be one number or one for each of the {len(self.group_sizes)} "
                 f"groups, got {len(groups)}"
             )
-        return torch.tensor(groups, dtype=torch.float64)
+        return torch.stack([self._std("prior_std", std) for std in groups], -1)
+
+    def _std(self, name: str, std: float | Tensor) -> Tensor:
+        """Returns a checked standard deviation, float64 [] or [*replicas]."""
+        return torch.as_tensor(checked_number(name, std, self.replicas), dtype=torch.float64)
 
     def reset_parameters(self) -> None:
         """Sets the posterior to the prior."""
@@ -104,13 +104,8 @@ class GaussianPosterior(nn.Module):
 
     def reset_std_(self, std: float | Tensor) -> None:
         """Sets every standard deviation to ``std``, one number or one a replica, [*replicas]."""
-        values = torch.as_tensor(std, dtype=torch.float64)
-        if values.ndim:
-            values = replica_values("std_init", values, self.replicas)
-        elif not 0 < std < float("inf"):
-            raise ValueError(f"std_init must be positive and finite, got {std}")
         with torch.no_grad():
-            self.rho.copy_(inverse_softplus(values).unsqueeze(-1))
+            self.rho.copy_(inverse_softplus(self._std("std_init", std)).unsqueeze(-1))
 
     def per_weight(self, per_group: Tensor) -> Tensor:
         """Returns values per group as values per weight: [groups] as [P], [*, 1] as it is."""
@@ -221,7 +216,7 @@ class GaussianPosterior(nn.Module):
         Raises:
             ValueError: for any other string, or a known KL of another kind than "closed".
         """
-        check_kl_kind(kind)
+        check_choice("kl", kind, KL_KINDS)
         if known_kl is not None and kind != "closed":
             raise ValueError(f"known_kl needs kl='closed', got {kind!r}")
         source = current_scope().noise

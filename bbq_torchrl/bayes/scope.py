@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from tensordict.nn.probabilistic import InteractionType, interaction_type
 
-from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
+from bbq_torchrl.bayes.settings import check_choice
+from bbq_torchrl.bayes.weight_draw import KL_KINDS, KLKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
     from bbq_torchrl.bayes.posterior import GaussianPosterior
 
 __all__ = [
+    "WEIGHT_MODES",
     "KLSum",
     "WeightMode",
     "WeightScope",
-    "check_weight_mode",
     "current_scope",
     "resolve_weight_mode",
     "weight_scope",
@@ -38,12 +39,6 @@ __all__ = [
 
 WeightMode = Literal["draw", "local", "mean"]
 WEIGHT_MODES: tuple[str, ...] = get_args(WeightMode)
-
-
-def check_weight_mode(mode: str) -> None:
-    """Raises ValueError unless ``mode`` is one of "draw", "local" and "mean"."""
-    if mode not in WEIGHT_MODES:
-        raise ValueError(f"mode must be one of {list(WEIGHT_MODES)}, got {mode!r}")
 
 
 class KLSum:
@@ -65,7 +60,7 @@ class KLSum:
     def __init__(
         self, kind: KLKind = "closed", known: dict[GaussianPosterior, Tensor] | None = None
     ) -> None:
-        check_kl_kind(kind)
+        check_choice("kl", kind, KL_KINDS)
         self.kind = kind
         self._known = known
         self._terms: dict[GaussianPosterior, Tensor] = {}
@@ -196,7 +191,7 @@ def weight_scope(
         False
     """
     if mode is not None:
-        check_weight_mode(mode)
+        check_choice("mode", mode, WEIGHT_MODES)
     outer, given = _here.scope, None
     if weights is not None:
         given = {getattr(module, "posterior", module): own for module, own in weights.items()}
@@ -235,6 +230,6 @@ def resolve_weight_mode(mode: WeightMode | None = None) -> WeightMode:
         ValueError: for any other string.
     """
     if mode is not None:
-        check_weight_mode(mode)
+        check_choice("mode", mode, WEIGHT_MODES)
         return mode
     return _here.scope.mode or ("draw" if interaction_type() is InteractionType.RANDOM else "mean")

@@ -18,7 +18,7 @@ from bbq_torchrl.bayes.noise import is_transformed
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["KLKind", "check_kl_kind", "closed_kl", "draw_with_kl"]
+__all__ = ["KL_KINDS", "KLKind", "closed_kl", "draw_with_kl"]
 
 KLKind = Literal["closed", "sampled"]
 KL_KINDS: tuple[str, ...] = get_args(KLKind)
@@ -38,12 +38,6 @@ _PIECE = 2**17
 _softplus = torch.ops.aten.softplus.out
 _softplus_backward = torch.ops.aten.softplus_backward.grad_input
 _hardshrink = torch.ops.aten.hardshrink.out
-
-
-def check_kl_kind(kind: str) -> None:
-    """Raises ValueError unless ``kind`` is "closed" or "sampled"."""
-    if kind not in KL_KINDS:
-        raise ValueError(f"kl must be one of {list(KL_KINDS)}, got {kind!r}")
 
 
 def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:

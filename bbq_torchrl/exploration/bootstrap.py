@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast, get_args
 import torch
 
 from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.bayes.settings import check_choice
 from bbq_torchrl.exploration.base import ActorPolicy, Per, begins, explores
 from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.networks.vote import VoteModule
@@ -133,8 +134,7 @@ class BootstrapSampling(_OnHeads):
     def __init__(
         self, actor: QValueActor, *, per: Per = "episode", init_key: NestedKey = "is_init"
     ) -> None:
-        if per not in get_args(Per):
-            raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
+        check_choice("per", per, get_args(Per))
         super().__init__(actor)
         if per == "episode":
             self.in_keys = [*self.in_keys, init_key]

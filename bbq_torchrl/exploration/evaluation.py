@@ -8,6 +8,7 @@ import torch
 
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.bayes.settings import check_choice
 from bbq_torchrl.exploration.base import ActorPolicy
 from bbq_torchrl.networks.q_actor import split_actor
 
@@ -64,8 +65,7 @@ class EvaluationPolicy(ActorPolicy):
     def __init__(
         self, actor: QValueActor, *, mode: EvaluationMode = "mean", num_draws: int = 10
     ) -> None:
-        if mode not in get_args(EvaluationMode):
-            raise ValueError(f"mode must be one of {list(get_args(EvaluationMode))}, got {mode!r}")
+        check_choice("mode", mode, get_args(EvaluationMode))
         if num_draws < 1:
             raise ValueError(f"num_draws must be at least 1, got {num_draws}")
         if mode != "mean":

@@ -8,6 +8,7 @@ import torch
 
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.bayes.settings import check_choice
 from bbq_torchrl.exploration.base import ActorPolicy, Per, begins, explores
 
 if TYPE_CHECKING:
@@ -74,8 +75,7 @@ class ThompsonSampling(ActorPolicy):
         shared: bool | None = None,
         init_key: NestedKey = "is_init",
     ) -> None:
-        if per not in get_args(Per):
-            raise ValueError(f"per must be one of {list(get_args(Per))}, got {per!r}")
+        check_choice("per", per, get_args(Per))
         super().__init__(actor)
         if per == "episode":
             self.in_keys = [*self.in_keys, init_key]

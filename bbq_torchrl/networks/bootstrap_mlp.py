@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
+from bbq_torchrl.bayes.settings import checked_number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,10 +109,7 @@ class BootstrapMLP(nn.Module):
                 f"trunk_layers must be from 0 to {len(hidden)}, the number of hidden layers, got "
                 f"{trunk_layers}"
             )
-        if not 0 <= prior_scale < float("inf"):
-            raise ValueError(
-                f"prior_scale must be a finite number and not negative, got {prior_scale}"
-            )
+        checked_number("prior_scale", prior_scale, minimum=0)
         self.in_features, self.out_features = in_features, out_features
         sizes = (in_features, *hidden, out_features)
         FlatLayout(sizes)  # refuses sizes that are no network before they are cut in two

@@ -11,6 +11,7 @@ from torchrl.modules import NoisyLinear
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, resolve_weight_mode
+from bbq_torchrl.bayes.settings import checked_number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,8 +70,7 @@ class ReplicaNoisyLinear(NoisyLinear):
                 f"in_features and out_features must be positive, got {in_features} and "
                 f"{out_features}"
             )
-        if not 0 < std_init < float("inf"):
-            raise ValueError(f"std_init must be positive and finite, got {std_init}")
+        checked_number("std_init", std_init)
         super().__init__(in_features, out_features, device=device, dtype=dtype, std_init=std_init)
         self.replicas = replica_shape(replicas)
         del self.weight_epsilon, self.bias_epsilon

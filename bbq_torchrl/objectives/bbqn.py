@@ -11,9 +11,9 @@ from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.bayes.noise import NoisePool, SharedNoise
 from bbq_torchrl.bayes.posterior import posteriors
-from bbq_torchrl.bayes.replicas import replica_values
 from bbq_torchrl.bayes.scope import KLSum
-from bbq_torchrl.bayes.weight_draw import KLKind, check_kl_kind
+from bbq_torchrl.bayes.settings import check_choice, checked_number
+from bbq_torchrl.bayes.weight_draw import KL_KINDS, KLKind
 from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
@@ -146,20 +146,13 @@ class BBQNLoss(NumData, OneStepQLoss):
         delay_value: bool = True,
         hold: bool = False,
     ) -> None:
-        if target not in get_args(Target):
-            raise ValueError(f"target must be one of {list(get_args(Target))}, got {target!r}")
+        check_choice("target", target, get_args(Target))
         if target_noise is not None and target_noise not in _TARGET_NOISES[target]:
             raise ValueError(
                 f"target_noise must be one of {list(_TARGET_NOISES[target])} or None for "
                 f"target={target!r}, got {target_noise!r}"
             )
-        check_kl_kind(kl)
-        if not isinstance(noise_std, Tensor) and not 0 < noise_std < float("inf"):
-            raise ValueError(f"noise_std must be positive and finite, got {noise_std}")
-        if not isinstance(kl_temperature, Tensor) and not 0 <= kl_temperature < float("inf"):
-            raise ValueError(
-                f"kl_temperature must be finite and not negative, got {kl_temperature}"
-            )
+        check_choice("kl", kl, KL_KINDS)
         super().__init__(
             value_network, gamma=gamma, action_space=action_space, delay_value=delay_value
         )
@@ -177,8 +170,8 @@ class BBQNLoss(NumData, OneStepQLoss):
 
     def _set(self, name: str, value: float | Tensor, *, minimum: float | None = None) -> None:
         """Sets a hyper-parameter; values [*replicas] are a buffer, for they follow the device."""
+        value = checked_number(name, value, self.replicas, minimum=minimum)
         if isinstance(value, Tensor):
-            value = replica_values(name, value, self.replicas, minimum=minimum)
             # As little part of the state as a number is.
             self.register_buffer(name, value.to(self.num_data.device), persistent=False)
         else:

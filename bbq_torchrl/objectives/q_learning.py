@@ -11,7 +11,8 @@ from tensordict.nn import dispatch
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
-from bbq_torchrl.bayes.replicas import replica_values, replicas_of
+from bbq_torchrl.bayes.replicas import replicas_of
+from bbq_torchrl.bayes.settings import check_choice, checked_number
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.rows import row_entry, row_weights
 from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
@@ -106,12 +107,7 @@ class OneStepQLoss(DQNLoss):
         double_dqn: bool = False,
         loss_function: Distance = "l2",
     ) -> None:
-        if not isinstance(gamma, torch.Tensor) and not 0 <= gamma <= 1:
-            raise ValueError(f"gamma must be in [0, 1], got {gamma}")
-        if loss_function not in DISTANCES:
-            raise ValueError(
-                f"loss_function must be one of {list(DISTANCES)}, got {loss_function!r}"
-            )
+        check_choice("loss_function", loss_function, DISTANCES)
         super().__init__(
             value_network,
             loss_function=loss_function,
@@ -124,12 +120,9 @@ class OneStepQLoss(DQNLoss):
                 f"action_space must be categorical or one-hot, got {self.action_space}"
             )
         self.replicas = replicas_of(self.value_network)
+        gamma = checked_number("gamma", gamma, self.replicas, minimum=0, maximum=1)
         # The estimator makes a tensor of numbers itself, and warns of a copy if it is given one.
-        discount: float | list[Any] = (
-            replica_values("gamma", gamma, self.replicas, minimum=0, maximum=1).tolist()
-            if isinstance(gamma, torch.Tensor)
-            else gamma
-        )
+        discount = gamma.tolist() if isinstance(gamma, torch.Tensor) else gamma
         device = next((parameter.device for parameter in self.parameters()), None)
         self.make_value_estimator(ValueEstimators.TD0, gamma=discount, device=device)
         self._function = ValueFunction(

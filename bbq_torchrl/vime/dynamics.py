@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.bayes_mlp import BayesMLP
+from bbq_torchrl.bayes.settings import checked_number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,9 +89,8 @@ class DynamicsModel(nn.Module):
         for name, size in (("observation_size", observation_size), ("action_size", action_size)):
             if size < 1:
                 raise ValueError(f"{name} must be at least 1, got {size}")
-        for name, value in (("noise_std", noise_std), ("std_floor", std_floor)):
-            if not 0 < value < float("inf"):
-                raise ValueError(f"{name} must be positive and finite, got {value}")
+        checked_number("noise_std", noise_std)
+        checked_number("std_floor", std_floor)
         self.observation_size = observation_size
         self.action_size = action_size
         self.noise_std = noise_std

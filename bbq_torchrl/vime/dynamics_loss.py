@@ -12,6 +12,7 @@ from tensordict.utils import unravel_key
 from torchrl.objectives import LossModule
 
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
+from bbq_torchrl.bayes.settings import checked_number
 from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.rows import rows_that_count
 
@@ -98,8 +99,7 @@ class DynamicsLoss(NumData, LossModule):
         kl_temperature: float = 1.0,
         num_data: int | Tensor | None = None,
     ) -> None:
-        if not kl_temperature >= 0:
-            raise ValueError(f"kl_temperature must not be negative, got {kl_temperature}")
+        checked_number("kl_temperature", kl_temperature, minimum=0)
         super().__init__()
         self.dynamics = dynamics
         self.replicas = dynamics.replicas

@@ -11,7 +11,7 @@ from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
-from bbq_torchrl.bayes.replicas import replica_values
+from bbq_torchrl.bayes.settings import check_choice, checked_number
 from bbq_torchrl.vime.information_gain import information_gain
 from bbq_torchrl.vime.running_median import RunningMedian
 
@@ -134,12 +134,8 @@ class VIMEReward(Transform):
         valid_key: NestedKey = "valid",
         intrinsic_reward_key: NestedKey = "intrinsic_reward",
     ) -> None:
-        if weights not in (known := list(get_args(GainWeights))):
-            raise ValueError(f"weights must be one of {known}, got {weights!r}")
-        if isinstance(eta, Tensor):
-            eta = replica_values("eta", eta, dynamics.replicas, minimum=0)
-        elif not 0 <= eta < float("inf"):
-            raise ValueError(f"eta must be finite and not negative, got {eta}")
+        check_choice("weights", weights, get_args(GainWeights))
+        eta = checked_number("eta", eta, dynamics.replicas, minimum=0)
         for name, value in (("step_size", step_size), ("clip", clip)):
             if not value > 0:
                 raise ValueError(f"{name} must be positive, got {value}")

@@ -145,7 +145,7 @@ def test_it_can_be_called_with_tensors():
 def test_what_is_missing_or_no_setting_is_refused():
     with pytest.raises(RuntimeError, match="num_data is not known: give it to DynamicsLoss"):
         dynamics_loss(num_data=None)(transitions())
-    with pytest.raises(ValueError, match="kl_temperature must not be negative, got -1"):
+    with pytest.raises(ValueError, match="kl_temperature must be at least 0 and finite, got -1"):
         dynamics_loss(kl_temperature=-1)
 
 

@@ -1,0 +1,71 @@
+"""What settings may be: numbers, one for all replicas or one for each, and words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["check_choice", "checked_number"]
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Raises ValueError unless the value is one of the choices.
+
+    Examples:
+        >>> check_choice("mode", "drawn", ("draw", "mean"))
+        Traceback (most recent call last):
+        ValueError: mode must be one of ['draw', 'mean'], got 'drawn'
+    """
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {list(choices)}, got {value!r}")
+
+
+def checked_number(
+    name: str,
+    value: float | Tensor,
+    replicas: Sequence[int] = (),
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+) -> float | Tensor:
+    """Returns a number as it is, and one for each replica as float64 [*replicas]; both checked.
+
+    In float64, so that what is computed from them rounds as it does from one Python number.
+
+    Args:
+        name: of the setting, for the message.
+        value: a number, or a tensor [*replicas] or [].
+        replicas: the shape.
+
+    Keyword Args:
+        minimum: the least value that is allowed. Defaults to None: any above 0.
+        maximum: the greatest. Defaults to None: any finite one.
+
+    Raises:
+        ValueError: for another shape, or a value that is not allowed.
+
+    Examples:
+        >>> checked_number("noise_std", 1.0), checked_number("eta", torch.tensor([1, 2]), (2,))
+        (1.0, tensor([1., 2.], dtype=torch.float64))
+    """
+    if isinstance(value, Tensor):
+        if value.shape not in (torch.Size(replicas), torch.Size()):
+            raise ValueError(
+                f"{name} must be one number or have the replicas' shape {list(replicas)}, got "
+                f"{list(value.shape)}"
+            )
+        value = value.detach().double()
+    values = torch.as_tensor(value)
+    fits = values > 0 if minimum is None else values >= minimum
+    fits &= values.isfinite() if maximum is None else values <= maximum
+    if not bool(fits.all()):
+        allowed = "positive" if minimum is None else f"at least {minimum:g}"
+        allowed += " and finite" if maximum is None else f" and at most {maximum:g}"
+        got = value.tolist() if isinstance(value, Tensor) else value
+        raise ValueError(f"{name} must be {allowed}, got {got}")
+    return value
