@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch.nn.functional as F
 
+from bbq_torchrl.bayes.functional import as_rows
 from bbq_torchrl.bayes.layers import BayesLayer, LayerSettings
 
 if TYPE_CHECKING:
@@ -82,20 +83,13 @@ class BayesConv2d(BayesLayer):
             weights: [*replicas, *rows, P]: the kernel as ``nn.Conv2d`` has it, then the bias.
         """
         lead = weights.shape[:-1]
-        n = len(lead)
-        if x.ndim < n + 3 or x.shape[:n] != lead or x.shape[-3] != self.in_channels:
-            shape = "".join(f"{size}, " for size in lead)
-            raise ValueError(
-                f"input must have shape [{shape}*batch, {self.in_channels}, height, width], got "
-                f"{list(x.shape)}"
-            )
-        count, image = prod(lead), x.shape[-3:]
+        rows = as_rows(x, lead, self.in_channels, "height", "width")
+        count = prod(lead)
         flat = weights.reshape(count, -1)
         kernel, bias = flat.split([flat.shape[-1] - self.out_channels, self.out_channels], -1)
         # networks side by side are groups of channels of one convolution
-        rows = x.reshape(count, -1, *image).transpose(0, 1).flatten(1, 2)
         out = F.conv2d(
-            rows,
+            rows.transpose(0, 1).flatten(1, 2),
             kernel.reshape(count * self.out_channels, self.in_channels, *self.kernel_size),
             bias.reshape(-1),
             self.stride,

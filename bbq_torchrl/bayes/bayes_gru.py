@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bbq_torchrl.bayes.functional import affine, affine_of_own_draws
 from bbq_torchrl.bayes.layers import BayesLayer, LayerSettings
 
 if TYPE_CHECKING:
@@ -132,10 +133,10 @@ class BayesGRU(BayesLayer):
         steps, state = self._split(x.reshape(count, -1, x.shape[-1]))
         from_input, from_state = self._matrices(weights.reshape(count, -1))
         # all steps' inputs in one product
-        gates = _affine(steps.flatten(1, 2), *from_input).unflatten(1, steps.shape[1:3])
+        gates = affine(steps.flatten(1, 2), *from_input).unflatten(1, steps.shape[1:3])
         states = []
         for gate in gates.unbind(2):
-            state = _next_state(gate, _affine(state, *from_state), state)
+            state = _next_state(gate, affine(state, *from_state), state)
             states.append(state)
         return torch.stack(states, -2).reshape(*x.shape[:-1], -1)
 
@@ -149,15 +150,11 @@ class BayesGRU(BayesLayer):
                 "noise for each step is no draw of weights that the steps share; use mode "
                 '"draw", or give each row weights of its own by draw_weights(rows)'
             )
-        sigma = self.posterior.sigma
         means = self._matrices(self.posterior.mu.reshape(count, -1))
-        variances = self._matrices(sigma.square().reshape(count, -1))
-        tiny = torch.finfo(x.dtype).tiny
-        gates = []
-        for inputs, mean, variance in zip((steps[:, :, 0], state), means, variances, strict=True):
-            std = _affine(inputs.square(), *variance).clamp_min(tiny).sqrt()
-            gates.append(torch.addcmul(_affine(inputs, *mean), std, torch.randn_like(std)))
-        return _next_state(gates[0], gates[1], state).reshape(*x.shape[:-1], -1)
+        variances = self._matrices(self.posterior.sigma.square().reshape(count, -1))
+        inputs = steps[:, :, 0], state
+        from_input, from_state = map(affine_of_own_draws, inputs, means, variances)
+        return _next_state(from_input, from_state, state).reshape(*x.shape[:-1], -1)
 
     def _split(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the inputs [count, rows, time, in] and the state [count, rows, hidden]."""
@@ -177,10 +174,6 @@ class BayesGRU(BayesLayer):
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""
         return f"{self.input_size}, {self.hidden_size}, replicas={tuple(self.replicas)}"
-
-
-def _affine(x: Tensor, matrix: Tensor, bias: Tensor) -> Tensor:
-    return torch.baddbmm(bias.unsqueeze(-2), x, matrix)
 
 
 def _next_state(from_input: Tensor, from_state: Tensor, state: Tensor) -> Tensor:

@@ -21,7 +21,16 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-__all__ = ["FlatLayout", "as_rows", "init_linear_", "mlp", "mlp_local"]
+__all__ = [
+    "FlatLayout",
+    "affine",
+    "affine_of_own_draws",
+    "as_rows",
+    "init_linear_",
+    "mlp",
+    "mlp_local",
+    "run_layers",
+]
 
 _relu_backward = torch.ops.aten.threshold_backward.grad_input
 
@@ -79,11 +88,11 @@ def init_linear_(flat: Tensor, layout: FlatLayout) -> None:
 
 
 class _FlatMLP(torch.autograd.Function):
-    """x [M, in] with flat [P], or x [L, M, in] with flat [L, P], to [M, out] or [L, M, out]."""
+    """x [L, M, in] with flat [L, P] to [L, M, out]."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float) -> Tensor:
-        out, inputs, matrices = _run(x, flat, layout, dropout)
+        out, inputs, matrices = run_layers(x, flat, layout, dropout)
         # of the first layer only if the input wants a gradient
         needed = matrices if ctx.needs_input_grad[0] else matrices[1:]
         ctx.save_for_backward(*inputs, *needed)
@@ -97,42 +106,42 @@ class _FlatMLP(torch.autograd.Function):
         inputs, matrices = ctx.saved_tensors[:depth], ctx.saved_tensors[depth:]
         grad_flat = grad.new_empty(ctx.shape)
         grads = ctx.layout.unflatten(grad_flat)
-        product = torch.mm if grad.ndim == 2 else torch.bmm
         for k in range(depth - 1, -1, -1):
             torch.sum(grad, -2, out=grads[k][1])
             if k > 0 and ctx.dropout > 0:
                 grad = grad * _dropout_scale(ctx.dropout)
-            product(inputs[k].mT, grad, out=grads[k][0])
+            torch.bmm(inputs[k].mT, grad, out=grads[k][0])
             if k > 0:
                 # a unit that is 0 after ReLU and dropout passes nothing back
-                below = product(grad, matrices[k - depth].mT)
+                below = torch.bmm(grad, matrices[k - depth].mT)
                 grad = _relu_backward(below, inputs[k], 0, grad_input=below)
-        grad_x = product(grad, matrices[0].mT) if ctx.needs_input_grad[0] else None
+        grad_x = torch.bmm(grad, matrices[0].mT) if ctx.needs_input_grad[0] else None
         return grad_x, grad_flat, None, None
 
 
-def _run(
-    x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float
+def run_layers(
+    x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0
 ) -> tuple[Tensor, list[Tensor], list[Tensor]]:
-    """Returns the outputs, the input of each layer (units dropped), and the matrices."""
+    """Returns the outputs, the input of each layer (units dropped), and the matrices.
+
+    Args:
+        x: inputs, shape [L, M, in].
+        flat: weights, shape [L, P].
+        layout: the layers.
+        dropout: probability with which a hidden unit is dropped.
+    """
     layers = layout.unflatten(flat)
     widths = layout.sizes[1:-1]
     kept: Sequence[Tensor] = ()
     if dropout > 0 and widths:
-        kept = _kept_units(x, sum(widths), dropout).split(widths, -1)
-    inputs = [x]
-    for k, (matrix, bias) in enumerate(layers[:-1]):
-        scale = _dropout_scale(dropout) if k > 0 else 1.0
-        hidden = _affine(inputs[-1], matrix, bias, scale).relu_()
+        kept = fill_kept_(x.new_empty((*x.shape[:-1], sum(widths))), dropout).split(widths, -1)
+    scale = _dropout_scale(dropout)
+    inputs, out = [x], affine(x, *layers[0])
+    for k, (matrix, bias) in enumerate(layers[1:]):
+        hidden = out.relu_()
         inputs.append(hidden * kept[k] if kept else hidden)
-    scale = _dropout_scale(dropout) if widths else 1.0
-    out = _affine(inputs[-1], *layers[-1], scale)
+        out = affine(inputs[-1], matrix, bias, scale)
     return out, inputs, [matrix for matrix, _ in layers]
-
-
-def _kept_units(x: Tensor, units: int, dropout: float) -> Tensor:
-    """Returns 1 with probability 1 - dropout, else 0, for all hidden units: [*rows, units]."""
-    return fill_kept_(x.new_empty((*x.shape[:-1], units)), dropout)
 
 
 def _dropout_scale(dropout: float) -> float:
@@ -140,29 +149,48 @@ def _dropout_scale(dropout: float) -> float:
     return 1 / (1 - dropout)
 
 
-def _affine(x: Tensor, matrix: Tensor, bias: Tensor, scale: float = 1.0) -> Tensor:
-    """Returns scale · x W + b."""
-    if matrix.ndim == 2:
-        return torch.addmm(bias, x, matrix, alpha=scale)
+def affine(x: Tensor, matrix: Tensor, bias: Tensor, scale: float = 1.0) -> Tensor:
+    """Returns scale · x W + b, shape [L, M, out], of x [L, M, in], W [L, in, out], b [L, out]."""
     return torch.baddbmm(bias.unsqueeze(-2), x, matrix, alpha=scale)
 
 
-def as_rows(x: Tensor, lead: Sequence[int], features: int) -> Tensor:
-    """Returns x [*lead, *rows, in] as [rows, in] where lead is (), else as [lead, rows, in].
+def affine_of_own_draws(
+    x: Tensor, mean: tuple[Tensor, Tensor], variance: tuple[Tensor, Tensor]
+) -> Tensor:
+    """Returns x W + b where each row has a draw of W and b of its own, shape [L, M, out].
+
+    Args:
+        x: inputs, shape [L, M, in].
+        mean: of W [L, in, out] and of b [L, out].
+        variance: of the same.
+    """
+    # keeps √'s gradient finite where no input is active and σ has underflowed
+    tiny = torch.finfo(x.dtype).tiny
+    std = affine(x.square(), *variance).clamp_min(tiny).sqrt()
+    return torch.addcmul(affine(x, *mean), std, torch.randn_like(std))
+
+
+def as_rows(x: Tensor, lead: Sequence[int], *features: int | str, name: str = "input") -> Tensor:
+    """Returns x [*lead, *rows, *features] as [L, rows, *features], L the product of lead.
+
+    Args:
+        x: the tensor.
+        lead: its first dimensions.
+        features: its last ones; those behind the first may be any, and have a name.
+
+    Keyword Args:
+        name: of the tensor, for the message.
 
     Raises:
         ValueError: if the shape of ``x`` does not fit.
     """
-    n = len(lead)
-    if x.ndim <= n or x.shape[:n] != torch.Size(lead) or x.shape[-1] != features:
-        raise ValueError(
-            f"input must have shape [{', '.join(str(d) for d in lead)}{', ' if lead else ''}"
-            f"*batch, {features}], got {list(x.shape)}"
-        )
-    if x.ndim == 2 + min(n, 1) and n < 2:
+    n, end = len(lead), x.ndim - len(features)
+    if end < n or x.shape[:n] != torch.Size(lead) or x.shape[end] != features[0]:
+        wanted = ", ".join(str(size) for size in (*lead, "*batch", *features))
+        raise ValueError(f"{name} must have shape [{wanted}], got {list(x.shape)}")
+    if n == 1 and end == 2:
         return x
-    rows = prod(x.shape[n:-1])
-    return x.reshape(prod(lead), rows, features) if lead else x.reshape(rows, features)
+    return x.reshape(prod(lead), prod(x.shape[n:end]), *x.shape[end:])
 
 
 def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Tensor:
@@ -185,7 +213,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
     """
     lead = flat.shape[:-1]
     rows = as_rows(x, lead, layout.sizes[0])
-    if len(lead) > 1:
+    if len(lead) != 1:
         flat = flat.reshape(-1, layout.numel)
     if (
         torch.is_grad_enabled()
@@ -195,7 +223,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
     ):
         out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
     else:
-        out = _run(rows, flat, layout, dropout)[0]
+        out = run_layers(rows, flat, layout, dropout)[0]
     return out if out.shape[:-1] == x.shape[:-1] else out.reshape(*x.shape[:-1], layout.sizes[-1])
 
 
@@ -215,17 +243,9 @@ def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tenso
     Raises:
         ValueError: if the shape of ``x`` does not fit.
     """
-    lead = mu.shape[:-1]
-    hidden = as_rows(x, lead, layout.sizes[0])
-    if len(lead) > 1:
-        mu, sigma = mu.reshape(-1, layout.numel), sigma.reshape(-1, layout.numel)
-    means = layout.unflatten(mu)
-    variances = layout.unflatten(sigma.square())
-    # keeps √'s gradient finite where no input is active and σ has underflowed
-    tiny = torch.finfo(x.dtype).tiny
+    hidden = as_rows(x, mu.shape[:-1], layout.sizes[0])
+    means = layout.unflatten(mu.reshape(-1, layout.numel))
+    variances = layout.unflatten(sigma.square().reshape(-1, layout.numel))
     for k, (mean, variance) in enumerate(zip(means, variances, strict=True)):
-        if k > 0:
-            hidden = hidden.relu()
-        std = _affine(hidden.square(), *variance).clamp_min(tiny).sqrt()
-        hidden = torch.addcmul(_affine(hidden, *mean), std, torch.randn_like(std))
-    return hidden if hidden.ndim == x.ndim else hidden.reshape(*x.shape[:-1], layout.sizes[-1])
+        hidden = affine_of_own_draws(hidden.relu() if k > 0 else hidden, mean, variance)
+    return hidden.reshape(*x.shape[:-1], layout.sizes[-1])

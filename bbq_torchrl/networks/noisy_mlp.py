@@ -102,9 +102,8 @@ class ReplicaNoisyLinear(NoisyLinear):
             ValueError: for another mode, or a shape that does not fit.
         """
         mode = resolve_weight_mode(mode)
-        rows = as_rows(x, self.replicas, self.in_features)
         # Features first, as W xᵀ: then the gradient of W comes in the order that W lies in.
-        columns = (rows if rows.ndim == 3 else rows.unsqueeze(0)).mT
+        columns = as_rows(x, self.replicas, self.in_features).mT
         count, _, batch = columns.shape
         weight, weight_sigma, bias, bias_sigma = (
             parameter.reshape(count, self.out_features, -1)

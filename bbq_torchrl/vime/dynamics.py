@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.bayes_mlp import BayesMLP
+from bbq_torchrl.bayes.functional import as_rows
 from bbq_torchrl.bayes.settings import checked_number
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ class DynamicsModel(nn.Module):
             valid: bool [*replicas, *rows], True for the rows that count; None for all. The others
                 may hold anything, and a replica without one keeps its statistics bitwise.
         """
-        x = self._states(observation).reshape(*self.replicas, -1, self.observation_size)
+        x = self._rows(observation).reshape(*self.replicas, -1, self.observation_size)
         if valid is None:
             mask = torch.ones(x.shape[:-1], dtype=torch.bool, device=x.device)
         else:
@@ -160,23 +161,13 @@ class DynamicsModel(nn.Module):
         Raises:
             ValueError: if the shape does not fit.
         """
-        x = self._states(observation)
-        shape = (
-            *self.replicas,
-            *(1 for _ in x.shape[len(self.replicas) : -1]),
-            self.observation_size,
-        )
-        return (x - self.mean.reshape(shape)) / self.std.reshape(shape)
+        mean, std = (each.reshape(-1, 1, self.observation_size) for each in (self.mean, self.std))
+        return ((self._rows(observation) - mean) / std).reshape(observation.shape)
 
-    def _states(self, x: Tensor) -> Tensor:
-        n = len(self.replicas)
-        if x.ndim <= n or x.shape[:n] != self.replicas or x.shape[-1] != self.observation_size:
-            lead = "".join(f"{d}, " for d in self.replicas)
-            raise ValueError(
-                f"observation must have shape [{lead}*rows, {self.observation_size}], got "
-                f"{list(x.shape)}"
-            )
-        return x.to(self.mean.dtype)
+    def _rows(self, observation: Tensor) -> Tensor:
+        """Returns states [*replicas, *rows, S] as [L, rows, S] in the model's dtype."""
+        rows = as_rows(observation, self.replicas, self.observation_size, name="observation")
+        return rows.to(self.mean.dtype)
 
     # -- network ----------------------------------------------------------------------------
 

@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.bayes.functional import affine, run_layers
+
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -85,23 +87,18 @@ def information_gain(
     if noise is not None:
         weights = torch.addcmul(weights, sigma, noise)
         variance.mul_(noise.square().mul_(0.5).add_(1))
-    layers = layout.unflatten(weights.reshape(flat))
     variances = layout.unflatten(variance.view(flat))
 
-    inputs = [x.reshape(count, -1, layout.sizes[0])]
-    for matrix, bias in layers[:-1]:
-        inputs.append(torch.baddbmm(bias.unsqueeze(-2), inputs[-1], matrix).relu_())
-    matrix, bias = layers[-1]
-    error = torch.baddbmm(bias.unsqueeze(-2), inputs[-1], matrix)
+    rows = x.reshape(count, -1, layout.sizes[0])
+    error, inputs, matrices = run_layers(rows, weights.reshape(flat), layout)
     error.sub_(target.reshape(error.shape)).div_(dynamics.noise_std**2)
 
     gain = error.new_zeros(error.shape[:-1])
-    for k in range(len(layers) - 1, -1, -1):
-        matrix_variance, bias_variance = variances[k]
-        spread = torch.baddbmm(bias_variance.unsqueeze(-2), inputs[k].square(), matrix_variance)
+    for k in range(len(matrices) - 1, -1, -1):
+        spread = affine(inputs[k].square(), *variances[k])
         gain += spread.mul_(error.square()).sum(-1)
         if k > 0:
-            error = torch.bmm(error, layers[k][0].mT).mul_(inputs[k] > 0)
+            error = torch.bmm(error, matrices[k].mT).mul_(inputs[k] > 0)
     # a posterior so wide that the sum overflows is as surprised as a number can tell
     gain = gain.mul_(0.5 * step_size**2).clamp_max_(torch.finfo(gain.dtype).max)
     return gain.reshape(x.shape[:-1])

@@ -149,9 +149,9 @@ def test_bad_settings_are_named(settings, message):
 
 def test_shapes_that_do_not_fit_are_named():
     dynamics = DynamicsModel(S, A, replicas=(2,))
-    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*rows, 4\]"):
+    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*batch, 4\]"):
         dynamics.standardize(torch.zeros(3, 5, S))
-    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*rows, 4\]"):
+    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*batch, 4\]"):
         dynamics.update_statistics(torch.zeros(2, 5, S + 1))
     with pytest.raises(ValueError, match=r"action must be an index of shape \[2, 5\] or .*2, 5, 3"):
         dynamics(torch.zeros(2, 5, S), torch.zeros(2, 4).long())
