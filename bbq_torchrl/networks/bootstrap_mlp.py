@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -15,28 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 __all__ = ["BootstrapMLP"]
-
-
-class _ShareAmongHeads(torch.autograd.Function):
-    """[*replicas, *batch, H] for each head, [*replicas, K, *batch, H]; the mean of gradients."""
-
-    generate_vmap_rule = True
-
-    @staticmethod
-    def forward(hidden: Tensor, dim: int, heads: int) -> Tensor:
-        return _for_each_head(hidden, dim, heads)
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, int, int], output: Tensor) -> None:
-        ctx.dim = inputs[1]
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
-        return grad.mean(ctx.dim), None, None
-
-
-def _for_each_head(x: Tensor, dim: int, heads: int) -> Tensor:
-    return x.unsqueeze(dim).expand(*x.shape[:dim], heads, *x.shape[dim:])
 
 
 class BootstrapMLP(nn.Module):
@@ -173,12 +151,12 @@ class BootstrapMLP(nn.Module):
     def _run(self, x: Tensor, trunk: Tensor | None, heads: Tensor) -> Tensor:
         """Returns [*replicas, K, *batch, out]."""
         dim = len(self.replicas)
-        if trunk is None or self.trunk_layout is None:
-            shared = _for_each_head(x, dim, self.num_heads)
-        else:
+        if trunk is not None and self.trunk_layout is not None:
             hidden = mlp(x, trunk, self.trunk_layout).relu()
-            shared = _ShareAmongHeads.apply(hidden, dim, self.num_heads)
-        return mlp(shared, heads, self.head_layout)
+            # the same numbers, with a K-th of the gradient: those of the heads add up
+            x = hidden.detach() + (hidden - hidden.detach()) / self.num_heads
+        x = x.unsqueeze(dim).expand(*x.shape[:dim], self.num_heads, *x.shape[dim:])
+        return mlp(x, heads, self.head_layout)
 
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""
