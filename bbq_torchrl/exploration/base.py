@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+from bbq_torchrl.bayes.settings import check_choice
 from bbq_torchrl.exploration.hooks import Resampled
 from bbq_torchrl.hooks import provides
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from typing_extensions import Self
 
-__all__ = ["ActorPolicy", "Per", "begins", "check_batch", "explores", "schedule"]
+__all__ = ["ActorPolicy", "Per", "check_batch", "explores", "schedule"]
 
 Per = Literal["step", "episode", "round"]
 
@@ -30,26 +31,6 @@ def explores() -> bool:
     None counts as RANDOM, as it does for TorchRL's ``EGreedyModule``.
     """
     return exploration_type() in (ExplorationType.RANDOM, None)
-
-
-def begins(tensordict: TensorDictBase, init_key: NestedKey) -> Tensor:
-    """Returns which rows begin an episode, bool [*batch].
-
-    Args:
-        tensordict: what a policy acts on.
-        init_key: the entry that says so, bool [*batch, 1] or [*batch].
-
-    Raises:
-        ValueError: if it is missing.
-    """
-    found = tensordict.get(init_key, None)
-    if found is None:
-        raise ValueError(
-            f"per='episode' needs the entry {init_key!r}, True where an episode begins: append "
-            "torchrl.envs.InitTracker() to the environment, or take per='step' or per='round'"
-        )
-    marks: Tensor = found.reshape(tensordict.batch_size)
-    return marks
 
 
 def schedule(
@@ -86,13 +67,41 @@ class ActorPolicy(TensorDictModuleBase):
 
     Args:
         actor: what chooses actions from values.
+        per: how long it acts on what it draws, if it draws.
+        init_key: bool [*batch, 1] or [*batch], True where a row begins an episode; read for
+            per="episode".
+
+    Raises:
+        ValueError: for another ``per``.
     """
 
-    def __init__(self, actor: QValueActor) -> None:
+    def __init__(
+        self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
+    ) -> None:
+        check_choice("per", per, get_args(Per))
         super().__init__()
         self.actor = actor
-        self.in_keys = actor.in_keys
+        self.per = per
+        self.init_key = init_key
+        self.in_keys = [*actor.in_keys, init_key] if per == "episode" else actor.in_keys
         self.out_keys = actor.out_keys
+
+    def _begins(self, tensordict: TensorDictBase) -> Tensor | None:
+        """Returns which rows begin an episode, bool [*batch]; None unless they are to know.
+
+        Raises:
+            ValueError: if the entry that says so is missing.
+        """
+        if self.per != "episode":
+            return None
+        found: Tensor | None = tensordict.get(self.init_key, None)
+        if found is None:
+            raise ValueError(
+                f"per='episode' needs the entry {self.init_key!r}, True where an episode begins: "
+                "append torchrl.envs.InitTracker() to the environment, or take per='step' or "
+                "per='round'"
+            )
+        return found.reshape(tensordict.batch_size)
 
     def _apply(self, *args: Any, **kwargs: Any) -> Self:
         if provides(type(self), Resampled):

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.bayes.settings import check_choice
-from bbq_torchrl.exploration.base import ActorPolicy, Per, begins, explores
+from bbq_torchrl.exploration.base import ActorPolicy, Per, explores
 from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.networks.vote import VoteModule
 
@@ -25,14 +24,14 @@ __all__ = ["BootstrapSampling", "MajorityVote"]
 class _OnHeads(ActorPolicy):
     """What acts on the heads of an actor, without writing the values of all of them."""
 
-    def __init__(self, actor: QValueActor) -> None:
+    def __init__(self, actor: QValueActor, *drawing: Any) -> None:
         network, choice = split_actor(actor)
         if not isinstance(choice, VoteModule):
             raise ValueError(
                 "actor must be one that chooses by a VoteModule, as bootstrap_actor returns it, "
                 f"got {type(actor).__name__} with {type(choice).__name__}"
             )
-        super().__init__(actor)
+        super().__init__(actor, *drawing)
         states = [key for key in network.out_keys if key != choice.action_value_key]
         self.out_keys = [*states, *choice.out_keys]
 
@@ -134,12 +133,7 @@ class BootstrapSampling(_OnHeads):
     def __init__(
         self, actor: QValueActor, *, per: Per = "episode", init_key: NestedKey = "is_init"
     ) -> None:
-        check_choice("per", per, get_args(Per))
-        super().__init__(actor)
-        if per == "episode":
-            self.in_keys = [*self.in_keys, init_key]
-        self.per = per
-        self.init_key = init_key
+        super().__init__(actor, per, init_key)
         self._held: Tensor | None = None
 
     @property
@@ -163,7 +157,7 @@ class BootstrapSampling(_OnHeads):
     @torch.inference_mode(False)  # the heads outlive the call
     def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
         rows = values.shape[:-2]
-        new = begins(tensordict, self.init_key) if self.per == "episode" else None
+        new = self._begins(tensordict)
         held = self._held
         if held is not None and held.shape != rows:
             held = None

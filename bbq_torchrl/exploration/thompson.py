@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import torch
 
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.bayes.settings import check_choice
-from bbq_torchrl.exploration.base import ActorPolicy, Per, begins, explores
+from bbq_torchrl.exploration.base import ActorPolicy, Per, explores
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -75,13 +74,8 @@ class ThompsonSampling(ActorPolicy):
         shared: bool | None = None,
         init_key: NestedKey = "is_init",
     ) -> None:
-        check_choice("per", per, get_args(Per))
-        super().__init__(actor)
-        if per == "episode":
-            self.in_keys = [*self.in_keys, init_key]
-        self.per = per
+        super().__init__(actor, per, init_key)
         self.shared = per == "round" if shared is None else shared
-        self.init_key = init_key
         self._held: dict[GaussianPosterior, Tensor] = {}
         self._held_rows: torch.Size | None = None
         posteriors(actor)
@@ -109,7 +103,7 @@ class ThompsonSampling(ActorPolicy):
         found = posteriors(self.actor)
         replicas = found[0].replicas
         rows = tensordict.batch_size[len(replicas) :]
-        new = begins(tensordict, self.init_key) if self.per == "episode" else None
+        new = self._begins(tensordict)
         if self._held_rows != rows:
             drawn = () if self.shared else tuple(rows)
             self._held = {posterior: posterior.sample(drawn) for posterior in found}
