@@ -15,18 +15,18 @@ FEATURES, ACTIONS, BATCH, HEADS = 5, 4, 32, 3
 REPLICAS = [(), (1,), (3,), (2, 2)]
 
 
-def transitions(replicas=(), batch=(BATCH,), dtype=torch.float):
+def transitions(replicas=(), batch=(BATCH,), dtype=torch.float, *, features=FEATURES, ends=0.3):
     """Random transitions; some end, and no state forbids every action."""
     shape = (*replicas, *batch)
 
     def state():
         mask = torch.rand(*shape, ACTIONS) < 0.6
         mask[..., 1] = True
-        return {"observation": torch.randn(*shape, FEATURES, dtype=dtype), "action_mask": mask}
+        return {"observation": torch.randn(*shape, features, dtype=dtype), "action_mask": mask}
 
     start = state()
     action = torch.distributions.Categorical(start["action_mask"].float()).sample()
-    end = torch.rand(*shape, 1) < 0.3
+    end = torch.rand(*shape, 1) < ends
     return TensorDict(
         {
             **start,
@@ -49,14 +49,14 @@ def bayes_loss(replicas=(), *, hidden=(8, 8), dtype=torch.float, net=None, **set
         net.posterior.mu.normal_(0, 0.3)
         net.posterior.rho.uniform_(-3, -1)
     loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), **{"num_data": 100, **settings})
-    return _away(loss)
+    return away(loss)
 
 
 def plain_loss(replicas=(), *, dropout=0.0, hidden=(8, 8), dtype=torch.float, **settings):
     """A DQN loss whose target lies away from the network."""
     net = FlatMLP(FEATURES, ACTIONS, hidden, replicas=replicas, dropout=dropout, dtype=dtype)
     loss = DropoutDQNLoss(q_actor(net, Categorical(ACTIONS)), **settings)
-    return _away(loss)
+    return away(loss)
 
 
 def heads_loss(replicas=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0, **settings):
@@ -71,17 +71,17 @@ def heads_loss(replicas=(), *, hidden=(8, 8), trunk_layers=None, prior_scale=0.0
         prior_scale=prior_scale,
         dtype=settings.pop("dtype", torch.float),
     )
-    return _away(BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)), **settings))
+    return away(BootstrapDQNLoss(bootstrap_actor(net, Categorical(ACTIONS)), **settings))
 
 
 def noisy_loss(replicas=(), *, hidden=(), dtype=torch.float, kind=NoisyDQNLoss, **settings):
     """A NoisyNet loss whose target lies away from the network; one layer unless told."""
     net = NoisyMLP(FEATURES, ACTIONS, hidden, replicas=replicas, dtype=dtype)
     loss = kind(q_actor(net, Categorical(ACTIONS)), **settings)
-    return _away(loss)
+    return away(loss)
 
 
-def _away(loss):
+def away(loss):
     """The loss, its parameters moved away from its targets, and what freezes those."""
     update = HardUpdate(loss, value_network_update_interval=0)
     with torch.no_grad():

@@ -7,7 +7,7 @@ import sys
 import pytest
 import torch
 from extended import EXAMPLES
-from tensordict import TensorDict
+from q_transitions import ACTIONS, FEATURES, transitions
 from tiny import rows
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
@@ -18,7 +18,7 @@ from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
 SCRIPT = EXAMPLES / "bbqn_from_scratch.py"
-FEATURES, ACTIONS, ROWS = 5, 4, 7
+ROWS = 7
 
 
 @pytest.fixture
@@ -45,18 +45,6 @@ def nets(example):
 def _flat(net, name):
     # With the bias as its last row a layer lies in memory as it does in the library's one vector.
     return torch.cat([getattr(layer, name).flatten() for layer in net.layers])
-
-
-def _transitions():
-    def state():
-        legal = torch.rand(ROWS, ACTIONS) < 0.5
-        legal[:, 0] = True
-        return {"observation": torch.rand(ROWS, FEATURES), "action_mask": legal}
-
-    end = {"reward": torch.randn(ROWS, 1), "terminated": torch.arange(ROWS)[:, None] % 3 == 0}
-    after = TensorDict({**state(), **end}, [ROWS])
-    action = torch.zeros(ROWS, dtype=torch.int64)
-    return TensorDict({**state(), "action": action, "next": after}, [ROWS])
 
 
 def test_kl_and_its_gradients_are_the_librarys(nets):
@@ -104,7 +92,7 @@ def test_target_and_loss_are_the_librarys(example, nets):
         num_data=1000,
     )
     HardUpdate(loss, value_network_update_interval=0).step()
-    data = _transitions()
+    data = transitions((), (ROWS,))
     expected = loss(data.clone())
     found = example["loss_of"](
         ours, data["observation"], data["action"], example["targets_of"](ours, data), 1000

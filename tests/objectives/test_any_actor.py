@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from q_transitions import away
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
@@ -95,21 +96,12 @@ def transitions(shapes):
     return td
 
 
-def away(loss):
-    """The loss, frozen, its parameters away from the targets."""
-    HardUpdate(loss, value_network_update_interval=0)
-    with torch.no_grad():
-        for parameter in loss.parameters():
-            parameter.add_(0.2 * torch.randn_like(parameter))
-    return loss
-
-
 @pytest.mark.parametrize("double", [False, True])
 @pytest.mark.parametrize("name", PLAIN)
 def test_the_loss_is_torchrls_dqn_loss(name, double):
     make, shapes = PLAIN[name]
     actor, td = make(), transitions(shapes)
-    ours = away(DropoutDQNLoss(actor, action_space="categorical", double_dqn=double, gamma=0.9))
+    ours, _ = away(DropoutDQNLoss(actor, action_space="categorical", double_dqn=double, gamma=0.9))
     theirs = DQNLoss(actor, action_space="categorical", delay_value=True, double_dqn=double)
     theirs.make_value_estimator(gamma=0.9)
     HardUpdate(theirs, value_network_update_interval=0)
@@ -129,7 +121,7 @@ def test_the_loss_is_torchrls_dqn_loss(name, double):
 def test_bbqn_learns_all_of_an_actor(name, settings):
     make, shapes = ACTORS[name]
     actor = make()
-    loss = away(BBQNLoss(actor, action_space="categorical", num_data=100, **settings))
+    loss, _ = away(BBQNLoss(actor, action_space="categorical", num_data=100, **settings))
     out = loss(transitions(shapes))
     torch.testing.assert_close(out["kl"], kl_divergence(actor))
     out["loss"].backward()
@@ -144,7 +136,7 @@ def test_bootstrap_and_noisy_losses_and_policies_take_sequences():
     actor = TensorDictSequential(trunk, heads, VoteModule(Categorical(ACTIONS)))
     td = transitions(RECURRENT)
     td["bootstrap_mask"] = torch.rand(ROWS, 3) < 0.5
-    loss = away(BootstrapDQNLoss(actor, action_space="categorical"))
+    loss, _ = away(BootstrapDQNLoss(actor, action_space="categorical"))
     td["observation"][~td["bootstrap_mask"].any(-1)] = torch.nan
     loss(td)["loss"].backward()
     assert all(p.grad.isfinite().all() for p in loss.parameters())
@@ -155,7 +147,8 @@ def test_bootstrap_and_noisy_losses_and_policies_take_sequences():
         assert out["next", "state"].shape == (ROWS, HIDDEN)  # where the next step goes on
 
     actor = recurrent(Cell, ReplicaNoisyLinear)
-    away(NoisyDQNLoss(actor, action_space="categorical"))(transitions(RECURRENT))["loss"].backward()
+    loss, _ = away(NoisyDQNLoss(actor, action_space="categorical"))
+    loss(transitions(RECURRENT))["loss"].backward()
     first, second = (NoisySampling(actor)(td.clone())["action_value"] for _ in range(2))
     assert not torch.equal(first, second)
 

@@ -2,41 +2,25 @@
 
 from __future__ import annotations
 
+import q_transitions
 import torch
-from tensordict import TensorDict
+from q_transitions import ACTIONS, FEATURES
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from bbq_torchrl.vime import DynamicsModel, VIMEReward
 
-S, A = 4, 3
-
-
 BONUS, REWARD = ("next", "intrinsic_reward"), ("next", "reward")
 
 
-def transitions(*batch, size=S, end=0.2):
-    """Random transitions of something like CartPole."""
-    action = torch.randint(A, batch)
-    terminated = torch.rand(*batch, 1) < end
-    return TensorDict(
-        {
-            "observation": torch.randn(*batch, size),
-            "action": action,
-            "next": {
-                "observation": torch.randn(*batch, size),
-                "reward": torch.randn(*batch, 1),
-                "done": terminated.clone(),
-                "terminated": terminated,
-            },
-        },
-        batch,
-    )
+def transitions(*batch, size=FEATURES, ends=0.2):
+    """Random transitions of any batch."""
+    return q_transitions.transitions((), batch, features=size, ends=ends)
 
 
-def transform(replicas=(), size=S, **settings):
+def transform(replicas=(), size=FEATURES, **settings):
     """A transform whose model starts from the same weights each time."""
     torch.manual_seed(1)
-    dynamics = DynamicsModel(size, A, (16,), replicas=replicas)
+    dynamics = DynamicsModel(size, ACTIONS, (16,), replicas=replicas)
     torch.seed()
     return VIMEReward(dynamics, **settings)
 

@@ -4,23 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
+from dynamics_losses import model
+from q_transitions import ACTIONS, FEATURES, REPLICAS, elements
 
 from bbq_torchrl.vime import DynamicsModel
 
-S, A = 4, 3
-REPLICAS = [(), (1,), (3,), (2, 2)]
-
-
-def model(replicas=(), **settings):
-    """A model whose statistics are not the ones at the start."""
-    dynamics = DynamicsModel(S, A, (8,), replicas=replicas, **settings)
-    dtype = dynamics.mean.dtype
-    dynamics.update_statistics(2 + 3 * torch.randn(*replicas, 50, S, dtype=dtype))
-    return dynamics
-
-
-def elements(tensor, replicas):
-    return tensor.reshape(-1, *tensor.shape[len(replicas) :])
+S, A = FEATURES, ACTIONS
 
 
 # -- statistics ------------------------------------------------------------------------------
@@ -149,11 +138,11 @@ def test_bad_settings_are_named(settings, message):
 
 def test_shapes_that_do_not_fit_are_named():
     dynamics = DynamicsModel(S, A, replicas=(2,))
-    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*batch, 4\]"):
+    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*batch, 5\]"):
         dynamics.standardize(torch.zeros(3, 5, S))
-    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*batch, 4\]"):
+    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*batch, 5\]"):
         dynamics.update_statistics(torch.zeros(2, 5, S + 1))
-    with pytest.raises(ValueError, match=r"action must be an index of shape \[2, 5\] or .*2, 5, 3"):
+    with pytest.raises(ValueError, match=r"action must be an index of shape \[2, 5\] or .*2, 5, 4"):
         dynamics(torch.zeros(2, 5, S), torch.zeros(2, 4).long())
     with pytest.raises(ValueError, match="action must be an index"):
         dynamics(torch.zeros(2, 5, S), torch.zeros(2, 5))  # an index must not be floating

@@ -70,13 +70,13 @@ def test_a_store_of_terminal_transitions_alone_leaves_the_median():
     vime = transform()
     vime.inv(transitions(40))
     state = {k: v.clone() for k, v in vime.median.state_dict().items()}
-    assert not vime.inv(transitions(5, end=1.0))[BONUS].any()
+    assert not vime.inv(transitions(5, ends=1.0))[BONUS].any()
     assert all(torch.equal(v, state[k]) for k, v in vime.median.state_dict().items())
 
 
 @pytest.mark.parametrize("weights", ["map", "mc"])
 def test_mc_is_one_draw_a_store_and_map_none(weights):
-    td = transitions(30, end=0.0)
+    td = transitions(30, ends=0.0)
     vime = transform(weights=weights, normalize=False, clip=1e9, step_size=0.5)
     torch.manual_seed(5)
     gain = vime.inv(td)[BONUS].squeeze(-1)
@@ -88,7 +88,7 @@ def test_mc_is_one_draw_a_store_and_map_none(weights):
 
 
 def test_single_rows_and_batches_of_any_shape():
-    td = transitions(12, end=0.0)
+    td = transitions(12, ends=0.0)
     expected = transform().inv(td)[BONUS]
     assert torch.equal(transform().inv(td.reshape(3, 4))[BONUS], expected.reshape(3, 4, 1))
     assert transform().inv(td[0])[BONUS].shape == (1,)
@@ -166,7 +166,7 @@ def test_replicas_are_transforms_side_by_side():
 
 def test_seeds_restart_the_noise_of_each_element():
     vime = transform((2,), weights="mc", normalize=False)
-    td = transitions(2, 20, end=0.0)
+    td = transitions(2, 20, ends=0.0)
     vime.inv(td)  # the statistics change with the first store
     gains = []
     for seeds in ((3, 4), (3, 5), (3, 4)):
