@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 from torch import nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesConv2d, BayesGRU, BayesMLP, GaussianPosterior, kl_divergence
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP
@@ -83,14 +86,45 @@ def test_a_masked_network_trains_as_a_smaller_one(kind, replicas, monkeypatch):
         torch.testing.assert_close(kl_divergence(masked), kl_divergence(small))
 
 
-def test_a_plain_network_starts_without_inactive_inputs_and_with_all_outputs():
-    inputs = torch.tensor([False, True, False])
-    net = FlatMLP(3, 2, (4,))
-    reset_inactive_(net, inputs=inputs, outputs=torch.tensor([True, False]))
-    (first, _), (last, _) = net.layout.unflatten(net.weight)
-    assert not first[inputs].any()
-    assert first[~inputs].all()
-    assert last.all()
+LATE = {
+    "plain": FlatMLP,
+    "noisy": NoisyMLP,
+    "trunk": BootstrapMLP,
+    "short trunk, prior": partial(BootstrapMLP, trunk_layers=1, prior_scale=1.0),
+    "no trunk": partial(BootstrapMLP, trunk_layers=0),
+    "no trunk, prior": partial(BootstrapMLP, trunk_layers=0, prior_scale=1.0),
+}
+
+
+@pytest.mark.parametrize("replicas", REPLICAS)
+@pytest.mark.parametrize("kind", LATE)
+def test_a_feature_that_appears_late_changes_nothing_before_it_is_learned(kind, replicas):
+    # wide enough that no layer is dead in all rows
+    net = LATE[kind](5, 4, (32, 32), replicas=replicas)
+    x = torch.randn(*replicas, 8, 5)
+    early = x.masked_fill(LATE_INPUTS, 0)
+
+    def values(x):
+        torch.manual_seed(0)  # one noise for all
+        with set_exploration_type(ExplorationType.RANDOM):
+            return net(x)
+
+    def learn(x):
+        optimizer.zero_grad()
+        values(x).square().sum().backward()
+        optimizer.step()
+
+    optimizer = torch.optim.Adam(net.parameters(), 0.01)
+    start = values(early)
+    reset_inactive_(net, inputs=LATE_INPUTS, outputs=LATE_OUTPUTS)
+    assert torch.equal(values(early), start)  # new outputs keep their start
+    assert torch.equal(values(x), start)
+    for _ in range(5):
+        learn(early)
+    assert not torch.equal(values(early), start)
+    assert torch.equal(values(x), values(early))
+    learn(x)
+    assert not torch.equal(values(x), values(early))
 
 
 @pytest.mark.parametrize("kind", [FlatMLP, BayesMLP, NoisyMLP, BootstrapMLP])
@@ -146,16 +180,3 @@ def test_another_network_is_refused_by_what_it_lacks(make):
     )
     with pytest.raises(TypeError, match=rf"{named}, .* reset_inactive_\(inputs, outputs\)"):
         reset_inactive_(net, inputs=torch.tensor([False, True, True]))
-
-
-@pytest.mark.parametrize("replicas", REPLICAS)
-def test_a_feature_that_appears_in_a_noisy_network_changes_nothing_before_it_is_learned(replicas):
-    net = NoisyMLP(5, 4, (8,), replicas=replicas)
-    start = {k: v.clone() for k, v in net.state_dict().items()}
-    reset_inactive_(net, inputs=LATE_INPUTS, outputs=LATE_OUTPUTS)
-    for name, value in net.state_dict().items():
-        if name in ("layers.0.weight_mu", "layers.0.weight_sigma"):
-            assert not value[..., LATE_INPUTS].any()
-            assert torch.equal(value[..., ~LATE_INPUTS], start[name][..., ~LATE_INPUTS])
-        else:  # new outputs keep their start
-            assert torch.equal(value, start[name])
