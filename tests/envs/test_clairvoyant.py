@@ -7,7 +7,7 @@ import torch
 
 from bbq_torchrl.domains import DONT_CARE, tensorize
 from bbq_torchrl.envs import ClairvoyantPolicy, DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.evaluation.rollouts import evaluate
+from bbq_torchrl.evaluation.rollouts import evaluate, evaluation_rollouts
 
 
 def can_be_met(domain):
@@ -24,12 +24,7 @@ def can_be_met(domain):
 def test_without_errors_exactly_the_goals_that_a_record_meets_are_booked(corpus, request):
     domain = request.getfixturevalue(corpus)
     env = DialogueEnv(domain, batch_size=(1000,), seed=0, slot_error_prob=0.0)
-    rollout = env.rollout(
-        env.max_agent_turns,
-        ClairvoyantPolicy(env),
-        break_when_any_done=False,
-        break_when_all_done=True,
-    )
+    (rollout,) = evaluation_rollouts(env, ClairvoyantPolicy(env), 1000)
     success = rollout["next", "success"].any(1).squeeze(-1)
     expected = can_be_met(domain)[rollout["goal_id"][:, 0, 0]]
     assert int(expected.sum()) > 0
@@ -64,12 +59,7 @@ def test_it_plays_legal_actions_in_every_round_of_domain_extension(movie):
     env = DialogueEnv(movie, batch_size=(2, 200), seed=0, schedule=ExtensionSchedule())
     for entered in (0, 90, 200):
         env.set_round(entered)
-        rollout = env.rollout(
-            env.max_agent_turns,
-            ClairvoyantPolicy(env),
-            break_when_any_done=False,
-            break_when_all_done=True,
-        )
+        (rollout,) = evaluation_rollouts(env, ClairvoyantPolicy(env), 200)
         chosen = rollout["action_mask"].gather(-1, rollout["action"][..., None])
         assert chosen.all()
         assert rollout["next", "success"].any(2).double().mean() > 0.7

@@ -17,6 +17,7 @@ from bbq_torchrl.envs import (
     UniformPolicy,
     scripted_policy,
 )
+from bbq_torchrl.evaluation.rollouts import evaluate
 
 
 def played(env, policy):
@@ -66,17 +67,10 @@ def test_the_careful_policy_asks_what_is_unfilled_answers_offers_and_ends(movie)
 
 def test_every_domain_brings_its_own_policies(restaurant):
     env = DialogueEnv(restaurant, batch_size=(200,), seed=0, slot_error_prob=0.0)
-    rates = {}
-    for name in ("random", *restaurant.policies):
-        env.set_seed(0)
-        torch.manual_seed(0)
-        rollout = env.rollout(
-            env.max_agent_turns,
-            scripted_policy(name, env),
-            break_when_any_done=False,
-            break_when_all_done=True,
-        )
-        rates[name] = rollout["next", "success"].any(1).double().mean().item()
+    rates = {
+        name: evaluate(env, scripted_policy(name, env), 200).success.double().mean()
+        for name in ("random", *restaurant.policies)
+    }
     assert rates["random"] < rates["rule"] < rates["careful"]
 
 

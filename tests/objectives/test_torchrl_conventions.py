@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from copy import deepcopy
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 import torch
@@ -19,15 +20,25 @@ from q_transitions import (
 from torchrl.data import MultiStep
 from torchrl.objectives.utils import ValueEstimators
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+OUT_KEYS = ["loss", "loss_value", "td_error", "q_value"]
+
+
+class Case(NamedTuple):
+    """What makes a loss and its update, and the names of its parameters."""
+
+    make: Callable
+    names: tuple[str, ...]
+    out_keys: list[str] = OUT_KEYS
+
+
 LOSSES = {
-    "bbqn": (bayes_loss, ("mu", "rho"), ["loss", "loss_value", "td_error", "q_value", "kl"]),
-    "dqn": (plain_loss, ("weight",), ["loss", "loss_value", "td_error", "q_value"]),
-    "bootstrap": (heads_loss, ("trunk", "heads"), ["loss", "loss_value", "td_error", "q_value"]),
-    "noisy": (
-        noisy_loss,
-        ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma"),
-        ["loss", "loss_value", "td_error", "q_value"],
-    ),
+    "bbqn": Case(bayes_loss, ("mu", "rho"), [*OUT_KEYS, "kl"]),
+    "dqn": Case(plain_loss, ("weight",)),
+    "bootstrap": Case(heads_loss, ("trunk", "heads")),
+    "noisy": Case(noisy_loss, ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma")),
 }
 
 
@@ -42,54 +53,49 @@ def result(loss, td):
 
 
 def test_parameters_are_the_online_networks_and_targets_are_buffers(case):
-    make, names, _ = case
-    loss, _ = make((2,))
+    loss, _ = case.make((2,))
     trainable = {name.rsplit(".", 1)[-1] for name, _ in loss.named_parameters()}
-    assert trainable == set(names)
+    assert trainable == set(case.names)
     assert all(p.requires_grad for p in loss.parameters())
     network = {id(p) for p in loss.value_network.parameters()}
     assert {id(p) for p in loss.parameters()} == network
-    for name in names:
+    for name in case.names:
         assert not flat(loss, name, target=True).requires_grad
 
 
 def test_in_and_out_keys(case):
-    make, _, out_keys = case
-    loss, _ = make()
+    loss, _ = case.make()
     assert set(loss.in_keys) == {
         "observation",
         "action_mask",
         "action",
         *(("next", k) for k in ("observation", "action_mask", "reward", "done", "terminated")),
     }
-    assert loss.out_keys == out_keys
-    assert set(loss(transitions()).keys()) == set(out_keys)
+    assert loss.out_keys == case.out_keys
+    assert set(loss(transitions()).keys()) == set(case.out_keys)
 
 
 @pytest.mark.parametrize("replicas", [(), (3,)])
 def test_only_the_scalar_loss_has_a_graph(case, replicas):
-    make, _, out_keys = case
-    loss, _ = make(replicas)
+    loss, _ = case.make(replicas)
     out = loss(transitions(replicas))
     assert out.batch_size == ()
-    for key in out_keys:
+    for key in case.out_keys:
         assert out[key].shape == (() if key == "loss" else replicas)
         assert out[key].requires_grad == (key == "loss")
 
 
 def test_it_can_be_called_with_tensors(case):
-    make, _, out_keys = case
-    loss, _ = make()
+    loss, _ = case.make()
     td = transitions()
     flat_td = td.flatten_keys("_")
     torch.manual_seed(0)
     out = loss(**dict(flat_td.items()))
-    torch.testing.assert_close(out[out_keys.index("loss")], result(loss, td))
+    torch.testing.assert_close(out[case.out_keys.index("loss")], result(loss, td))
 
 
 def test_keys_can_be_set(case):
-    make, _, _ = case
-    loss, _ = make()
+    loss, _ = case.make()
     td = transitions()
     expected = result(loss, td)
     moved = td.exclude("td_error")
@@ -103,10 +109,12 @@ def test_keys_can_be_set(case):
 
 
 def test_gamma_is_the_value_estimators(case):
-    make, _, _ = case
-    loss, _ = make(gamma=0.9)
+    loss, _ = case.make(gamma=0.9)
     td = transitions()
-    expected = result(make_again(make, loss, gamma=0.3), td)
+    other, _ = case.make(gamma=0.3)
+    state = {k: v for k, v in loss.state_dict().items() if "gamma" not in k}
+    other.load_state_dict(state, strict=False)
+    expected = result(other, td)
     assert loss.value_estimator.gamma == pytest.approx(0.9)
     loss.make_value_estimator(ValueEstimators.TD0, gamma=0.3)
     torch.testing.assert_close(result(loss, td), expected)
@@ -116,7 +124,7 @@ def test_gamma_is_the_value_estimators(case):
 
 
 def test_targets_of_n_step_data_are_torchrls(case):
-    loss, _ = case[0](gamma=0.5)
+    loss, _ = case.make(gamma=0.5)
     td = MultiStep(gamma=0.5, n_steps=3)(transitions((4,), (8,)))
     assert td["steps_to_next_obs"].unique().numel() > 1
     value = torch.randn(4, 8, 1)
@@ -127,7 +135,7 @@ def test_targets_of_n_step_data_are_torchrls(case):
 
 
 def test_the_discount_of_n_step_data_may_differ_between_replicas(case):
-    loss, _ = case[0]((2,), gamma=torch.tensor([0.5, 0.9]))
+    loss, _ = case.make((2,), gamma=torch.tensor([0.5, 0.9]))
     td = transitions((2,))
     td["steps_to_next_obs"] = torch.full((2, 32), 2)
     found = result(loss, td)
@@ -136,23 +144,15 @@ def test_the_discount_of_n_step_data_may_differ_between_replicas(case):
 
 
 def test_average_rewards_are_refused(case):
-    loss, _ = case[0]()
+    loss, _ = case.make()
     loss.make_value_estimator(ValueEstimators.TD0, average_rewards=True)
     with pytest.raises(ValueError, match="average_rewards of the value estimator must be False"):
         loss(transitions())
 
 
-def make_again(make, loss, **settings):
-    other, _ = make(**settings)
-    state = {k: v for k, v in loss.state_dict().items() if "gamma" not in k}
-    other.load_state_dict(state, strict=False)
-    return other
-
-
 @pytest.mark.parametrize("assign", [False, True])
 def test_states_round_trip(case, assign):
-    make, _, _ = case
-    loss, other = make((2,))[0], make((2,))[0]
+    loss, other = case.make((2,))[0], case.make((2,))[0]
     td = transitions((2,))
     result(other, td)
     other.load_state_dict(loss.state_dict(), assign=assign)
@@ -160,7 +160,7 @@ def test_states_round_trip(case, assign):
 
 
 def test_copies_are_independent(case):
-    loss, _ = case[0]()
+    loss, _ = case.make()
     td = transitions()
     expected = result(loss, td)
     for copy in (deepcopy(loss), pickle.loads(pickle.dumps(loss))):
@@ -173,8 +173,7 @@ def test_copies_are_independent(case):
 
 
 def test_the_dtype_can_change(case):
-    make, names, _ = case
-    loss, _ = make((2,))
+    loss, _ = case.make((2,))
     td = transitions((2,))
     loss(td)
     loss.double()
@@ -182,22 +181,20 @@ def test_the_dtype_can_change(case):
     out = loss(double)
     out["loss"].backward()
     assert out["loss"].dtype == torch.double
-    for name in names:
+    for name in case.names:
         assert flat(loss, name).grad.dtype == torch.double
 
 
 def test_parameters_can_be_reset(case):
-    make, names, _ = case
-    loss, _ = make((2,))
-    before = {n: flat(loss, n).detach().clone() for n in names}
+    loss, _ = case.make((2,))
+    before = {n: flat(loss, n).detach().clone() for n in case.names}
     loss.reset_parameters_recursive()
-    for n in names:
+    for n in case.names:
         assert not torch.equal(flat(loss, n), before[n])
 
 
 def test_a_failing_network_leaves_its_parameters_in_place(case):
-    make, _names, _ = case
-    loss, _ = make()
+    loss, _ = case.make()
     td = transitions()
     td["next", "observation"] = torch.randn(32, FEATURES + 1)
     own = list(loss.value_network.parameters())
@@ -208,7 +205,7 @@ def test_a_failing_network_leaves_its_parameters_in_place(case):
 
 
 def test_a_missing_mask_is_an_error_and_not_that_all_is_legal(case):
-    loss, _ = case[0]()
+    loss, _ = case.make()
     td = transitions()
     del td["next"]["action_mask"]
     with pytest.raises(KeyError, match=r"'next', 'action_mask'.* is missing.*action_mask_key=None"):
@@ -217,7 +214,7 @@ def test_a_missing_mask_is_an_error_and_not_that_all_is_legal(case):
 
 @pytest.mark.parametrize("key", ["action", "observation", ("next", "terminated")])
 def test_a_missing_entry_is_named(case, key):
-    loss, _ = case[0]()
+    loss, _ = case.make()
     name = key if isinstance(key, str) else key[-1]
     with pytest.raises(KeyError, match=f'key "{name}" not found'):
         loss(transitions().exclude(key))
@@ -225,7 +222,7 @@ def test_a_missing_entry_is_named(case, key):
 
 @pytest.mark.parametrize("key", ["reward", "terminated"])
 def test_a_reward_or_end_without_its_last_dimension_is_refused(case, key):
-    loss, _ = case[0]((2,))
+    loss, _ = case.make((2,))
     td = transitions((2,))
     td["valid"] = torch.ones(2, 32).bool()
     td["next", key] = td["next", key].squeeze(-1)
@@ -236,7 +233,7 @@ def test_a_reward_or_end_without_its_last_dimension_is_refused(case, key):
 
 
 def test_actions_of_the_other_action_space_are_refused(case):
-    loss, _ = case[0]()
+    loss, _ = case.make()
     td = transitions()
     one_hot = td.clone().set("action", torch.nn.functional.one_hot(td["action"], 4))
     with pytest.raises(ValueError, match=r"'action' must be categorical with batch \[32\]"):
@@ -250,7 +247,7 @@ def test_actions_of_the_other_action_space_are_refused(case):
 
 @pytest.mark.parametrize(("mask", "shape"), [("valid", (32,)), ("bootstrap_mask", (32, 3))])
 def test_rewards_may_be_whole_numbers(case, mask, shape):
-    loss, _ = case[0]()
+    loss, _ = case.make()
     td = transitions()
     td[mask] = torch.rand(shape) < 0.6
     td["next", "reward"] = td["next", "reward"].round()
@@ -260,7 +257,7 @@ def test_rewards_may_be_whole_numbers(case, mask, shape):
 
 
 def test_ends_may_be_numbers(case):
-    loss, _ = case[0]()
+    loss, _ = case.make()
     td = transitions()
     expected = result(loss, td)
     td["next", "terminated"] = td["next", "terminated"].to(torch.uint8)
@@ -277,8 +274,7 @@ def everything(loss, td):
 
 @pytest.mark.parametrize("entry", ["observation", ("next", "observation"), ("next", "reward")])
 def test_rows_that_do_not_count_change_nothing_whatever_they_hold(case, entry):
-    make, _, _ = case
-    loss, _ = make((2,), dtype=torch.double)
+    loss, _ = case.make((2,), dtype=torch.double)
     td = transitions((2,), (6,), dtype=torch.double)
     td["valid"] = torch.arange(6).expand(2, 6) < 4
     spoilt = td.clone()
@@ -291,8 +287,7 @@ def test_rows_that_do_not_count_change_nothing_whatever_they_hold(case, entry):
 
 
 def test_a_replica_without_rows_has_no_loss_and_no_gradient(case):
-    make, names, _ = case
-    loss, _ = make((2,), **({"kl_temperature": 0.0} if make is bayes_loss else {}))
+    loss, _ = case.make((2,), **({"kl_temperature": 0.0} if case.make is bayes_loss else {}))
     td = transitions((2,))
     td["valid"] = torch.tensor([[False] * 32, [True] * 32])
     out = loss(td)
@@ -300,21 +295,20 @@ def test_a_replica_without_rows_has_no_loss_and_no_gradient(case):
     for key in ("loss_value", "td_error", "q_value"):
         assert out[key][0] == 0
         assert out[key][1] != 0
-    for name in names:
+    for name in case.names:
         assert not flat(loss, name).grad[0].any()
         assert flat(loss, name).grad[1].any()
 
 
 @pytest.mark.parametrize("replicas", [(), (2,)])
 def test_a_batch_without_rows_has_no_loss_and_no_gradient(case, replicas):
-    make, names, _ = case
-    loss, _ = make(replicas, **({"kl_temperature": 0.0} if make is bayes_loss else {}))
+    loss, _ = case.make(replicas, **({"kl_temperature": 0.0} if case.make is bayes_loss else {}))
     td = transitions(replicas, (0,))
     out = loss(td)
     out["loss"].backward()
     for key in ("loss", "loss_value", "td_error", "q_value"):
         assert not out[key].any()
-    assert not any(flat(loss, name).grad.any() for name in names)
+    assert not any(flat(loss, name).grad.any() for name in case.names)
     assert td["td_error"].shape == (*replicas, 0, 1)
 
 
@@ -322,7 +316,7 @@ def test_a_batch_without_rows_has_no_loss_and_no_gradient(case, replicas):
 def test_what_one_replica_sees_leaves_the_others_bits_alone(case, where):
     def seen(spoil):
         torch.manual_seed(0)
-        loss, _ = case[0]((3,), hidden=(33, 17))
+        loss, _ = case.make((3,), hidden=(33, 17))
         td = transitions((3,))
         if spoil:
             (td if where == "root" else td["next"])["observation"][1] = torch.nan
