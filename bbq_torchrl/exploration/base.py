@@ -50,14 +50,12 @@ def schedule(
 
 def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
     """Raises ValueError unless values have a shape that broadcasts to the batch's."""
-    missing = len(batch) - values.ndim
-    fits = missing >= 0 and all(
-        size in (1, rows) for size, rows in zip(values.shape, batch[missing:], strict=True)
-    )
-    if not fits:
+    try:
+        values.expand(batch)
+    except RuntimeError:
         raise ValueError(
             f"{name} of shape {list(values.shape)} must broadcast with the batch, got {list(batch)}"
-        )
+        ) from None
 
 
 class ActorPolicy(TensorDictModuleBase):

@@ -84,12 +84,9 @@ class Boltzmann(TensorDictModuleBase):
             self.in_keys.append(action_mask_key)
         self.out_keys = [action_key]
         self.annealing_num_steps = annealing_num_steps
-        for name, value in {
-            "temperature_init": start,
-            "temperature_end": end,
-            "temperature": start.clone(),
-        }.items():
-            self.register_buffer(name, value.to(device))
+        self.register_buffer("temperature_init", start.to(device))
+        self.register_buffer("temperature_end", end.to(device))
+        self.register_buffer("temperature", start.to(device, copy=True))
 
     def step(self, frames: int = 1) -> None:
         """Lowers the temperature by ``frames`` steps of the schedule."""

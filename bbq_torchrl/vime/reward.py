@@ -160,7 +160,7 @@ class VIMEReward(Transform):
         self.normalize = normalize
         self.clip = clip
         self.valid_key = valid_key
-        self.median = RunningMedian(dynamics.replicas, median_window, like=dynamics.mean)
+        self.median = RunningMedian(dynamics.replicas, median_window, dynamics.mean)
         # sum and number of the bonuses since they were last reported; not worth a checkpoint
         self.register_buffer(
             "_given", dynamics.mean.new_zeros((2, *dynamics.replicas)).double(), persistent=False

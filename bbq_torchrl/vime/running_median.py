@@ -21,21 +21,16 @@ class RunningMedian(nn.Module):
 
     Args:
         replicas: leading shape.
-        window: how many calls count.
-
-    Keyword Args:
+        window: how many calls count, at least 1.
         like: a tensor of the wanted dtype and device.
 
     Attributes:
         medians: buffer [*replicas, window], the medians of the last calls, overwritten in turn.
         calls: int64 buffer [*replicas], how many calls had a value that counts.
 
-    Raises:
-        ValueError: if ``window`` is not positive.
-
     Examples:
         >>> import torch
-        >>> median = RunningMedian((), 2)
+        >>> median = RunningMedian((), 2, torch.zeros(1))
         >>> for values in ([1.0, 2.0, 9.0], [4.0], [5.0, 7.0]):
         ...     median.update(torch.tensor(values))
         tensor(2.)
@@ -46,11 +41,8 @@ class RunningMedian(nn.Module):
     medians: Tensor
     calls: Tensor
 
-    def __init__(self, replicas: Sequence[int], window: int, *, like: Tensor | None = None) -> None:
+    def __init__(self, replicas: Sequence[int], window: int, like: Tensor) -> None:
         super().__init__()
-        if window < 1:
-            raise ValueError(f"window must be at least 1, got {window}")
-        like = torch.empty(0) if like is None else like
         self.register_buffer("medians", like.new_zeros((*replicas, window)))
         self.register_buffer("calls", like.new_zeros(tuple(replicas), dtype=torch.int64))
 
