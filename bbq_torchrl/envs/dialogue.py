@@ -283,9 +283,7 @@ class DialogueEnv(EnvBase):
         dialogues = self._dialogues
         return {
             "domain": self.domain.name,
-            "dialogues": None
-            if dialogues is None
-            else {key: value.clone() for key, value in dialogues.items()},
+            "dialogues": None if dialogues is None else dialogues.clone().to_dict(),
             "generator": self._generator.get_state(),
             "round": self._round,
         }

@@ -210,8 +210,6 @@ def test_dropout_is_off():
 
 
 def test_arguments_outside_of_what_is_listed_are_refused():
-    with pytest.raises(ValueError, match=r"per must be one of \['step', 'episode', 'round'\]"):
-        BootstrapSampling(fixed(), per="game")
     single = q_actor(FlatMLP(FEATURES, ACTIONS), Categorical(ACTIONS))
     for policy in (MajorityVote, BootstrapSampling):
         with pytest.raises(ValueError, match="actor must be one that chooses by a VoteModule"):

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from q_transitions import plain_mlp
+from q_transitions import REPLICAS, plain_mlp
 from torch.func import functional_call, grad, stack_module_state, vmap
 
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP
 
 FEATURES, OUT, HIDDEN, HEADS = 5, 3, (7, 6), 4
-REPLICAS = [(), (1,), (3,), (2, 2)]
 TRUNKS = [0, 1, 2]
 
 

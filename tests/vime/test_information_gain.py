@@ -7,12 +7,12 @@ from copy import deepcopy
 import pytest
 import torch
 import torch.nn.functional as F
+from q_transitions import REPLICAS, plain_mlp
 from torch.distributions import Normal, kl_divergence
 from torch.func import grad, vmap
 
 from bbq_torchrl.vime import DynamicsModel, information_gain
 
-REPLICAS = [(), (1,), (3,), (2, 2)]
 NOISE_STD, STEP = 0.7, 0.03
 
 
@@ -31,9 +31,8 @@ def case(replicas=(), hidden=(6, 5), rows=(7,), dtype=torch.double):
 def surprise(mu, rho, noise, x, target, layout):
     """-log p(target | x, w) of one transition, w = μ + σ ε; by its definition."""
     weights = mu + F.softplus(rho) * noise
-    for k, (matrix, bias) in enumerate(layout.unflatten(weights)):
-        x = (x if k == 0 else x.relu()) @ matrix + bias
-    return -Normal(x, NOISE_STD).log_prob(target).sum()
+    predicted = plain_mlp(x, layout.unflatten(weights))
+    return -Normal(predicted, NOISE_STD).log_prob(target).sum()
 
 
 def slopes(mu, rho, noise, x, target, layout):
