@@ -88,7 +88,7 @@ def init_linear_(flat: Tensor, layout: FlatLayout) -> None:
 
 
 class _FlatMLP(torch.autograd.Function):
-    """x [L, M, in] with flat [L, P] to [L, M, out]."""
+    """x [L, M, in] with flat [*lead, P] to [L, M, out]."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float) -> Tensor:
@@ -105,7 +105,7 @@ class _FlatMLP(torch.autograd.Function):
         depth = len(ctx.layout.shapes)
         inputs, matrices = ctx.saved_tensors[:depth], ctx.saved_tensors[depth:]
         grad_flat = grad.new_empty(ctx.shape)
-        grads = ctx.layout.unflatten(grad_flat)
+        grads = ctx.layout.unflatten(grad_flat.view(-1, ctx.layout.numel))
         for k in range(depth - 1, -1, -1):
             torch.sum(grad, -2, out=grads[k][1])
             if k > 0 and ctx.dropout > 0:
@@ -126,11 +126,11 @@ def run_layers(
 
     Args:
         x: inputs, shape [L, M, in].
-        flat: weights, shape [L, P].
+        flat: weights, shape [*lead, P].
         layout: the layers.
         dropout: probability with which a hidden unit is dropped.
     """
-    layers = layout.unflatten(flat)
+    layers = layout.unflatten(flat.reshape(-1, layout.numel))
     widths = layout.sizes[1:-1]
     kept: Sequence[Tensor] = ()
     if dropout > 0 and widths:
@@ -211,10 +211,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
         >>> mlp(torch.ones(5, 7, 3), torch.ones(5, 26), layout).shape
         torch.Size([5, 7, 2])
     """
-    lead = flat.shape[:-1]
-    rows = as_rows(x, lead, layout.sizes[0])
-    if len(lead) != 1:
-        flat = flat.reshape(-1, layout.numel)
+    rows = as_rows(x, flat.shape[:-1], layout.sizes[0])
     if (
         torch.is_grad_enabled()
         and (flat.requires_grad or rows.requires_grad)

@@ -80,17 +80,16 @@ def information_gain(
         raise ValueError(
             f"noise must have shape {list(posterior.mu.shape)}, got {list(noise.shape)}"
         )
-    count, flat = prod(posterior.replicas), (prod(posterior.replicas), layout.numel)
     weights: Tensor = posterior.mu
     sigma = posterior.sigma
     variance = sigma.square()
     if noise is not None:
         weights = torch.addcmul(weights, sigma, noise)
         variance.mul_(noise.square().mul_(0.5).add_(1))
-    variances = layout.unflatten(variance.view(flat))
+    variances = layout.unflatten(variance.view(-1, layout.numel))
 
-    rows = x.reshape(count, -1, layout.sizes[0])
-    error, inputs, matrices = run_layers(rows, weights.reshape(flat), layout)
+    rows = x.reshape(prod(posterior.replicas), -1, layout.sizes[0])
+    error, inputs, matrices = run_layers(rows, weights, layout)
     error.sub_(target.reshape(error.shape)).div_(dynamics.noise_std**2)
 
     gain = error.new_zeros(error.shape[:-1])
