@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.extras import needed
+from bbq_torchrl.language.english import word_set
 from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.quantities import (
     DAY_WORDS,
@@ -256,17 +257,6 @@ def _class(word: str) -> str:
     return "mark" if not compact(word) else "word"
 
 
-_STARTS = (
-    NUMBER_WORDS
-    | ORDINAL_WORDS
-    | DAY_WORDS
-    | MONTH_WORDS
-    | PART_WORDS
-    | RELATION_WORDS
-    | frozenset("next this me my i just only with half a both alone solo couple".split())
-)
-_ENDS = frozenset("at the in of on for , . and it is a by or i with".split())  # end no quantity
-
 _CLASSES = (
     ("number", NUMBER_WORDS),
     ("ordinal", ORDINAL_WORDS),
@@ -277,3 +267,5 @@ _CLASSES = (
     ("meridian", frozenset(("am", "pm", "a.m", "p.m", "a.m.", "p.m."))),
     ("suffix", frozenset(("st", "nd", "rd", "th"))),
 )
+_STARTS = word_set("quantities_begin").union(*(words for _, words in _CLASSES[:6]))
+_ENDS = word_set("quantities_never_end")

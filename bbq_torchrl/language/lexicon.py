@@ -11,24 +11,22 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
 from bbq_torchrl.extras import needed
+from bbq_torchrl.language.english import pairs, word_set
 from bbq_torchrl.language.phrases import load_phrases
 from bbq_torchrl.language.quantities import READERS, Kind, kind_of
-from bbq_torchrl.language.words import compact, pairs, tokenize
+from bbq_torchrl.language.words import compact, tokenize
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
 __all__ = ["Lexicon", "Link"]
 
-_SMALL = frozenset("the a an of in at on and or to for & : - , . ' / ! ? ( )".split())
+_SMALL = word_set("small")
 _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045
 _LEAST = 0.6
 _MOST_TIES = 6
-_SAME_WORD = pairs(
-    "ii:2 iii:3 iv:4 vi:6 one:1 two:2 three:3 four:4 five:5 six:6 saint:st sq:square "
-    "ctr:center centre:center mt:mount ft:fort and:& vol:volume movies:movie"
-)
+_SAME_WORD = pairs("same_word")
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
+from bbq_torchrl.language.english import word_set
 from bbq_torchrl.language.frames import Unclear, asked_slot
 from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
@@ -27,13 +28,8 @@ LONGEST = 8
 SHORT = 4
 """The most words of an answer that may be no more than a name."""
 
-_CORRECTS = frozenset(
-    "no not nope nah actually instead rather better sorry wait meant mean wrong".split()
-)
-_CONCLUDES = frozenset(
-    "so let's lets make makes put give otherwise prefer better please but now want wants need "
-    "then".split()
-)
+_CORRECTS = word_set("corrects")
+_CONCLUDES = word_set("concludes")
 _REASONS = frozenset(("since", "because", "although", "though", "unless", "cause", "cuz", "as"))
 _NOT = frozenset(("not", "isn't", "isnt", "except", "anything"))
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.language.english import pairs, word_set
 from bbq_torchrl.language.tagger import OUTSIDE
-from bbq_torchrl.language.words import pairs
 
 if TYPE_CHECKING:
     import random
@@ -13,26 +13,10 @@ if TYPE_CHECKING:
 
 __all__ = ["DROPPED", "as_second_language", "lowered", "slangy", "typo", "with_typos"]
 
-_KEYS = pairs(
-    "a:sq b:vn c:xv d:sf e:wr f:dg g:fh h:gj i:uo j:hk k:jl l:ko m:n n:bm o:ip p:o q:w r:et "
-    "s:ad t:ry u:yi v:cb w:qe x:zc y:tu z:x"
-)
-_SLANG = pairs(
-    "you:u are:r for:4 to:2 want:wanna movie:flick going:gonna i:im what's:whats don't:dont "
-    "i'd:id we'd:wed the:da see:c great:gr8 okay:k and:n at:@ with:w/ time:tym doesn't:doesnt "
-    "i'm:im it's:its that:dat give:gimme probably:prolly can't:cant where's:wheres let's:lets "
-    "i'll:ill"
-)
-DROPPED = frozenset("the a an to is are do does of on at in it i me we would can for there".split())
-_SWAPPED = {
-    word: tuple(others.split(","))
-    for word, others in pairs(
-        "in:at,on,to on:in,at at:in,on to:for for:to what:which which:what movie:film "
-        "movies:films theater:cinema theaters:cinemas people:persons,peoples tickets:ticket "
-        "would:will is:are,be are:is does:do any:some like:want see:look start:begin,starts "
-        "much:many have:has showing:given,projected"
-    ).items()
-}
+_KEYS = pairs("keys")
+_SLANG = pairs("slang")
+DROPPED = word_set("dropped")
+_SWAPPED = {word: others.split(",") for word, others in pairs("swapped").items()}
 
 
 def typo(word: str, rng: random.Random) -> str:

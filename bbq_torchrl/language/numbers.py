@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from bbq_torchrl.language.english import ENGLISH, word_set
 from bbq_torchrl.language.words import tokenize
 
 __all__ = [
@@ -17,45 +18,23 @@ __all__ = [
     "read_count",
 ]
 
-UNITS = """
-    zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen
-    fifteen sixteen seventeen eighteen nineteen
-""".split()
+UNITS = ENGLISH["units"].split()
 """Zero to nineteen."""
 
 TENS = {20: "twenty", 30: "thirty", 40: "forty", 50: "fifty"}
 
-ORDINALS = """
-    first second third fourth fifth sixth seventh eighth ninth tenth eleventh twelfth
-    thirteenth fourteenth fifteenth sixteenth seventeenth eighteenth nineteenth twentieth
-""".split()
+ORDINALS = ENGLISH["ordinals"].split()
 """First to twentieth."""
 
 TEN_WORDS = {word: ten for ten, word in TENS.items()}
 _NUMBERS = {word: number for number, word in enumerate(UNITS)} | TEN_WORDS
 NUMBER_WORDS = frozenset(_NUMBERS)
 
-_ALONE = {"alone", "myself", "single", "solo", "1x"}
-_COMPANIONS = frozenset(
-    (
-        "wife husband girlfriend boyfriend partner friend brother sister mother father mom dad son "
-        "mum daughter date fiance roommate colleague buddy spouse cousin aunt uncle boss grandma "
-        "grandmother neighbor neighbour gf bf hubby wifey bestie bro sis nephew niece grandpa "
-        "grandfather grandson granddaughter kid child mate pal roomie flatmate lady"
-    ).split()
-)
-_PAIRS = frozenset(("parents", "grandparents", "folks", "twins"))
-_COMPANIES = frozenset(
-    (
-        "friends buddies colleagues pals mates kids children sons daughters others more boys girls "
-        "brothers sisters cousins coworkers nephews nieces neighbors roommates "
-        "flatmates aunts uncles classmates"
-    ).split()
+_ALONE, _COMPANIONS, _PAIRS, _COMPANIES = map(
+    word_set, ("alone", "companions", "pairs", "companies")
 )
 COUNT_WORDS = frozenset(
-    {*NUMBER_WORDS, *_ALONE, *_COMPANIONS, *_COMPANIES, *_PAIRS}
-    | set("me my i our and & + plus n of us a couple pair both dozen half just only with".split())
-    | set(", w / go".split())
+    NUMBER_WORDS | _ALONE | _COMPANIONS | _PAIRS | _COMPANIES | word_set("around_counts")
 )
 
 
@@ -100,18 +79,6 @@ def read_count(text: str) -> str | None:
     companions = sum((word in _COMPANIONS) + 2 * (word in _PAIRS) for word in words)
     if companions and (has_me or "with" in words or words[:1] == ["a"]):
         return str(1 + companions)
-    if _ALONE & set(words) or " ".join(words) in (
-        "me",
-        "just me",
-        "only me",
-        "for me",
-        "just for me",
-        "only for me",
-        "only i",
-        "just i",
-        "on my own",
-        "it's just for me",
-        "it's just me",
-    ):
+    if _ALONE & set(words) or " ".join(words) in ENGLISH["just_me"]:
         return "1"
     return None

@@ -10,6 +10,7 @@ import calendar
 import re
 from typing import TYPE_CHECKING, Literal, get_args
 
+from bbq_torchrl.language.english import ENGLISH, pairs, word_set
 from bbq_torchrl.language.numbers import ORDINALS, TEN_WORDS, number_of, read_count
 from bbq_torchrl.language.words import tokenize
 
@@ -31,18 +32,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 _ORDINALS = {word: number for number, word in enumerate(ORDINALS, 1)} | {"thirtieth": 30}
 _DAYS = tuple(day.lower() for day in calendar.day_name)
-_DAY = {day[:length]: day for day in _DAYS for length in (3, len(day))} | {
-    "tues": "tuesday",
-    "weds": "wednesday",
-    "thur": "thursday",
-    "thurs": "thursday",
-    "wensday": "wednesday",
-    "wendsday": "wednesday",
-    "wednsday": "wednesday",
-    "thirsday": "thursday",
-    "saterday": "saturday",
-    "tusday": "tuesday",
-}
+_DAY = {day[:length]: day for day in _DAYS for length in (3, len(day))} | pairs("days")
 _MONTH = {
     name.lower(): number
     for names in (calendar.month_name, calendar.month_abbr)
@@ -52,36 +42,7 @@ _MONTH = {
 _PART = {part: part for part in ("morning", "afternoon", "evening", "night", "noon")}
 _PART["eve"] = "evening"
 _TOMORROW = {"tomorrow", "tomorow", "tommorow", "tommorrow"}
-_DATE_FILLERS = frozenset(("on the of in for at day st nd rd th , . ' s by a").split())
-_RELATIONS = (
-    ("not before", "after"),
-    ("not earlier than", "after"),
-    ("not after", "before"),
-    ("no later than", "before"),
-    ("after", "after"),
-    ("from", "after"),
-    ("past", "after"),
-    ("later than", "after"),
-    ("before", "before"),
-    ("earlier than", "before"),
-    ("until", "before"),
-    ("by", "before"),
-    ("around", "around"),
-    ("about", "around"),
-    ("near", "around"),
-    ("approximately", "around"),
-    ("more or less", "around"),
-    ("roughly", "around"),
-    ("like", "around"),
-    ("circa", "around"),
-    ("ish", "around"),
-)
-_TIME_FILLERS = frozenset(
-    (
-        "at the in o clock o'clock oclock sharp somewhere of on for hours hour hrs , . and it is "
-        "exactly latest"
-    ).split()
-)
+_DATE_FILLERS, _TIME_FILLERS = word_set("date_fillers"), word_set("time_fillers")
 ORDINAL_WORDS = frozenset(_ORDINALS)
 DAY_WORDS = frozenset({*_DAY, *_TOMORROW, "today", "tonight", "weekend", "wknd", "week"})
 MONTH_WORDS = frozenset(_MONTH)
@@ -108,7 +69,7 @@ def read_time(text: str) -> str | None:
     joined = " ".join(tokenize(text))
     joined = re.sub(r"\b(?:around )?([\w:.]+?) ?-? ?ish\b", r"around \1", joined)
     relation = "at"
-    for phrase, name in _RELATIONS:
+    for phrase, name in ENGLISH["relations"].items():
         if phrase in joined and re.search(
             rf"(^|\b(at|in|somewhere|something|anything|only|a bit|is) ){phrase}\b", joined
         ):

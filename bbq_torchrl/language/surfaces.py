@@ -7,6 +7,7 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.language.english import ENGLISH
 from bbq_torchrl.language.numbers import ORDINALS, TENS, UNITS
 from bbq_torchrl.language.words import compact
 
@@ -16,17 +17,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.lexicon import Lexicon
 
 __all__ = ["Surfaces"]
-
-_MATES = "wife husband girlfriend boyfriend friend brother mother son partner".split()
-_ALONE = (
-    "just me,only me,just one,alone,myself,me,just myself,single,me alone,solo,only i,on my own,"
-    "by myself,a single seat"
-).split(",")
-_RELATIONS = {
-    "after": ("after", "from", "not before", "later than", "any time after", "after the"),
-    "before": ("before", "not after", "by", "earlier than", "until"),
-    "around": ("around", "about", "somewhere around", "approximately", "near"),
-}
 
 
 class Surfaces:
@@ -93,48 +83,31 @@ class Surfaces:
             return self._alias(slot, value, rng)
         hour, minute = int(clock[:2]), int(clock[3:])
         short = hour % 12 or 12
-        meridian = rng.choice(
-            ("am", " am", " a.m.", "AM") if hour < 12 else ("pm", " pm", " p.m.", "PM")
-        )
+        meridian = rng.choice(ENGLISH["meridian"]["am" if hour < 12 else "pm"])
         part = "morning" if hour < 12 else "afternoon" if hour < 17 else "evening"
-        part = rng.choice(("", "", f"in the {part}"))
-        spelled = _spell(minute)
-        options = [
-            f"{short}{rng.choice(':::.')}{minute:02}{meridian}",
-            f"{short}:{minute:02}",
-            f"{hour:02}:{minute:02}",
-            f"{hour}{rng.choice('.h:')}{minute:02}",
-            f"{short}:{minute:02} {part}",
-            f"{hour:02}{minute:02}",
-        ]
-        if not minute:
-            options += [
-                f"{short}{meridian}",
-                f"{short} o'clock",
-                UNITS[short],
-                f"{UNITS[short]} o'clock {part}",
-                str(short),
-                f"{short} {part}",
-                f"{UNITS[short]} {meridian.strip()}",
-                f"{short} o clock {part}",
-            ]
-        else:
-            options += [
-                f"{UNITS[short]} {spelled}",
-                f"{UNITS[short]} {spelled} {part}",
-                f"{UNITS[short]} {spelled} {meridian.strip()}",
-            ]
-            if minute in (15, 30, 45):
-                name = {15: "quarter past", 30: "half past", 45: "quarter to"}[minute]
-                named = short if minute < 45 else short % 12 + 1
-                options += [f"{name} {rng.choice((str(named), UNITS[named]))} {part}"] * 4
-            if minute in (5, 10, 20, 25):
-                options.append(f"{spelled} past {UNITS[short]}")
-            if minute in (35, 40, 50, 55):
-                options.append(f"{_spell(60 - minute)} to {UNITS[short % 12 + 1]}")
-        written = rng.choice(options).strip()
-        if relation in _RELATIONS:
-            written = f"{rng.choice(_RELATIONS[relation])} {written}"
+        parts: dict[str, str | int] = {
+            "hour": hour,
+            "minute": minute,
+            "short": short,
+            "word": UNITS[short],
+            "spelled": _spell(minute),
+            "meridian": meridian,
+            "meridian_word": meridian.strip(),
+            "part": rng.choice(("", "", f"in the {part}")),
+            "dot": rng.choice(":::."),
+            "mark": rng.choice(".h:"),
+        }
+        ways = ENGLISH["times"] + ENGLISH["minutes" if minute else "full_hours"]
+        if (quarter := ENGLISH["quarters"].get(minute)) is not None:
+            named = short if minute < 45 else short % 12 + 1
+            ways += [f"{quarter} {rng.choice((str(named), UNITS[named]))} {{part}}"] * 4
+        if minute in (5, 10, 20, 25):
+            ways.append("{spelled} past {word}")
+        if minute in (35, 40, 50, 55):
+            ways.append(f"{_spell(60 - minute)} to {UNITS[short % 12 + 1]}")
+        written = rng.choice(ways).format(**parts).strip()
+        if relation in ENGLISH["before_times"]:
+            written = f"{rng.choice(ENGLISH['before_times'][relation])} {written}"
         return written
 
     def _date(self, slot: str, value: str, rng: random.Random) -> str:
@@ -146,103 +119,49 @@ class Surfaces:
             names = (calendar.month_name[month], calendar.month_abbr[month])
             name = rng.choice(names).lower()
             nth = rng.choice((str(day), f"{day}{_suffix(day)}", _ordinal(day)))
-            return rng.choice(
-                (
-                    f"{name} {nth}",
-                    f"{nth} of {name}",
-                    f"the {nth} of {name}",
-                    f"{nth} {name}",
-                    f"{month}/{day}",
-                    f"the {day} {name}",
-                    f"{name} the {nth}",
-                )
-            )
+            parts = {"name": name, "nth": nth, "month": month, "day": day}
+            return rng.choice(ENGLISH["dates"]).format(**parts)
         if match := re.fullmatch(r"day (\d+)", key):
             day = int(match[1])
-            return rng.choice(
-                (
-                    f"the {day}{_suffix(day)}",
-                    f"{day}{_suffix(day)}",
-                    f"the {_ordinal(day)}",
-                    f"the day {day}",
-                    f"the {day}",
-                )
-            )
+            parts = {"day": day, "nth": f"{day}{_suffix(day)}", "ordinal": _ordinal(day)}
+            return rng.choice(ENGLISH["days_of_a_month"]).format(**parts)
         words = key.split()
         for index, word in enumerate(words):
             if word.capitalize() in calendar.day_name and rng.random() < 0.4:
                 words[index] = rng.choice((word[:3], word[:4].rstrip("n"), word))
             elif word == "tomorrow":
-                words[index] = rng.choice(("tomorrow", "tomorow", "tommorrow"))
+                words[index] = rng.choice(ENGLISH["tomorrow"])
         if key == "today night":
-            return rng.choice(
-                ("tonight", "today night", "today in the night", "today at night", "this night")
-            )
+            return rng.choice(ENGLISH["today_night"])
         if key.startswith("today "):
-            return rng.choice((f"today {words[1]}", f"this {words[1]}", f"today in the {words[1]}"))
+            return rng.choice(ENGLISH["today"]).format(part=words[1])
         written = " ".join(words)
         if len(words) == 2 and words[1] in ("night", "evening", "afternoon", "morning"):
-            written = rng.choice(
-                (written, f"{words[0]} in the {words[1]}", f"the {written}", written)
-            )
+            written = rng.choice(ENGLISH["parts_of_a_day"]).format(day=words[0], part=words[1])
         if len(words) == 1 and rng.random() < 0.4:
-            written = rng.choice(
-                (f"this {written}", f"the {written}", f"{written}s", f"this coming {written}")
-            )
-        if key == "weekend":
-            return rng.choice(
-                ("the weekend", "this weekend", "weekend", "the week end", "this week end")
-            )
-        return written
+            written = rng.choice(ENGLISH["one_day"]).format(day=written)
+        return rng.choice(ENGLISH["weekend"]) if key == "weekend" else written
 
     def _count(self, slot: str, value: str, rng: random.Random) -> str:
         key = self._lexicon.key(slot, value)
         if not key.isdecimal() or int(key) > 19:
             return self._alias(slot, value, rng)
         number = int(key)
-        mate = rng.choice(_MATES)
-        options = [str(number), UNITS[number]] * 2
+        mate = rng.choice(ENGLISH["mates"].split())
+        ways = [str(number), UNITS[number]] * 2
         if slot not in self._lexicon.domain.free_slots:  # those count people: "me and my wife"
-            return rng.choice(options)
-        if number == 1:
-            options += _ALONE
-        if number == 2:
-            options += [
-                f"me and my {mate}",
-                f"my {mate} and me",
-                f"my {mate} and i",
-                "a couple",
-                f"i and my {mate}",
-                "a couple of",
-                "a pair of",
-                f"with my {mate}",
-                f"a {mate} and me",
-                f"me and a {mate}",
-                f"{mate} and me",
-                f"{mate} + me",
-                f"for me and for my {mate}",
-            ]
-        if number > 2:
-            some = rng.choice((str(number - 1), UNITS[number - 1]))
-            options += [
-                f"me and {some} friends",
-                f"{some} friends and me",
-                f"with {some} friends",
-                f"{some} of my friends and me",
-                f"with {some} friend",
-            ]
-        return rng.choice(options)
+            return rng.choice(ways)
+        some = rng.choice((str(number - 1), UNITS[number - 1])) if number > 2 else ""
+        ways += ENGLISH["counts"].get(number if number <= 2 else "more", [])
+        return rng.choice(ways).format(mate=mate, some=some)
 
     def _price(self, slot: str, value: str, rng: random.Random) -> str:
         key = self._lexicon.key(slot, value)
         match = re.fullmatch(r"(under )?\$(\d+)", key)
         if match is None:
             return self._alias(slot, value, rng)
-        money = rng.choice((f"${match[2]}", f"{match[2]} dollars", f"{match[2]} bucks"))
-        if match[1]:
-            most = ("under", "less than", "below", "at most", "max", "not more than", "up to")
-            return f"{rng.choice(most)} {money}"
-        return money
+        money = rng.choice(ENGLISH["prices"]).format(number=match[2])
+        return f"{rng.choice(ENGLISH['most'])} {money}" if match[1] else money
 
 
 def _spell(number: int) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import unicodedata
 
+from bbq_torchrl.language.english import pairs
+
 __all__ = [
     "BREAKS",
     "MAX_CHARACTERS",
@@ -12,7 +14,6 @@ __all__ = [
     "clean",
     "compact",
     "normalize",
-    "pairs",
     "tokenize",
     "words_of",
 ]
@@ -35,19 +36,7 @@ _TOKEN = re.compile(
 )
 
 
-def pairs(text: str) -> dict[str, str]:
-    """Returns the pairs of a table that is written as ``"word:other word:other"``."""
-    return dict(pair.split(":") for pair in text.split())
-
-
-_SHORT = pairs(
-    "nite:night tonite:tonight 2nite:tonight 2night:tonight 2day:today 2morrow:tomorrow "
-    "tmrw:tomorrow tmw:tomorrow tmrow:tomorrow 2moro:tomorrow tomoz:tomorrow plz:please "
-    "pls:please thx:thanks thnx:thanks ty:thanks tix:tickets tkts:tickets ppl:people "
-    "aft:afternoon aftr:after qtr:quarter wat:what wut:what wats:whats abt:about "
-    "2gether:together theatre:theater theatres:theaters cuz:because smth:something "
-    "sth:something b4:before"
-)
+_SHORT = pairs("short")
 """Words as short messages have them, which are read as the long ones."""
 _APOSTROPHES = str.maketrans({"’": "'", "‘": "'", "`": "'", "´": "'", "“": '"', "”": '"', "–": "-"})
 
