@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
-from bbq_torchrl.language.frames import Unclear, asked_slot
+from bbq_torchrl.language.frames import OPENING, Unclear, asked_slot
 from bbq_torchrl.language.mentions import LONGEST, SHORT, values_of
 from bbq_torchrl.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.language.tagger import OUTSIDE
@@ -36,7 +36,7 @@ _ANY = frozenset(("any", "anything", "whatever", "either"))
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
 
-def chosen(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> str | None:
+def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | None:
     """Returns the offered value that a short answer takes: "the second", "the later one".
 
     Args:
@@ -44,7 +44,7 @@ def chosen(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> st
         question: the agent's last act; its ``choices`` are what is offered.
         lexicon: the domain's values.
     """
-    if question is None or not question.choices:
+    if not question.choices:
         return None
     slot, choices = question.requests[0], question.choices
     text = " ".join(words)
@@ -77,7 +77,7 @@ def chosen(words: Sequence[str], question: Frame | None, lexicon: Lexicon) -> st
 def assemble(
     words: Sequence[str],
     reading: Reading,
-    question: Frame | None,
+    question: Frame,
     lexicon: Lexicon,
 ) -> tuple[Frame, tuple[Unclear, ...]]:
     """Returns the frame of a reading, and what is unclear.
@@ -102,7 +102,7 @@ def assemble(
         return Frame("inform", short), ()
     if not (informs or unclear) and act == "inform" and reading.dont_care.max() < _FAINT:
         informs = _named(words, asked, lexicon)
-    checked = question.informs if question and question.act == "confirm_question" else {}
+    checked = question.informs if question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= SHORT:
         return Frame("inform", dict(checked)), ()
     is_strange = reading.unknown == 1.0 and not (informs or unclear)
@@ -115,7 +115,7 @@ def assemble(
 def _decided(
     words: Sequence[str],
     reading: Reading,
-    question: Frame | None,
+    question: Frame,
     lexicon: Lexicon,
     told: dict[str, str],
     unclear: tuple[Unclear, ...],
@@ -129,10 +129,11 @@ def _decided(
     open_ = [slot for slot in lexicon.slots if slot not in told]
     free = {slot: ANY for slot in open_ if is_known and cares[slot] > 0.5}
     has_content = bool(told or unclear)
-    is_offer = question is not None and domain.complete_slot in question.informs
+    is_offer = domain.complete_slot in question.informs
     likely = max((s for s in asked if s not in told), key=lambda s: asked[s])
-    before = question.informs if question is not None else {}
-    is_repeated = all(lexicon.key(s, before.get(s, "")) == lexicon.key(s, told[s]) for s in told)
+    is_repeated = all(
+        lexicon.key(s, question.informs.get(s, "")) == lexicon.key(s, told[s]) for s in told
+    )
     keeps = {"deny", "closing", *(["thanks"] if is_offer else [])}  # may ask something besides
     lost = sum(_odds(asked[slot]) for slot in requests)
     scores = {}
@@ -141,7 +142,7 @@ def _decided(
             score += 0.0 if requests else _odds(asked[likely])
         elif act == "inform":
             tells = has_content or free or score > _PLAINLY  # "I said that already. And where?"
-            if requests and (question is None or not tells):
+            if requests and (question is OPENING or not tells):
                 continue
         elif has_content and act != "confirm_question":
             if act not in ("thanks", "deny") or requests or unclear or not is_repeated:
@@ -158,7 +159,7 @@ def _decided(
             act = "thanks"
     elif act != "inform" and act not in keeps:
         requests = ()
-    if act == "inform" and question is not None and not (has_content or free or requests):
+    if act == "inform" and question is not OPENING and not (has_content or free or requests):
         # Who answers and names nothing does not care, if that is at all likely.
         best = max(lexicon.slots, key=lambda slot: cares[slot])
         if cares[best] > _RATHER and is_known:
@@ -215,8 +216,7 @@ def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str
     return {}
 
 
-def _accepts(words: Sequence[str], question: Frame | None, offer: str) -> bool:
+def _accepts(words: Sequence[str], question: Frame, offer: str) -> bool:
     """Returns whether a booking is offered, and the sentence begins by agreeing to it."""
-    if question is None or question.informs.get(offer, NO_MATCH_TEXT) == NO_MATCH_TEXT:
-        return False
-    return words[0] in _YES
+    is_offered = question.informs.get(offer, NO_MATCH_TEXT) != NO_MATCH_TEXT
+    return is_offered and words[0] in _YES

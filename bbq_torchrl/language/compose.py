@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
-from bbq_torchrl.language.frames import asked_slot
+from bbq_torchrl.language.frames import OPENING, asked_slot
 from bbq_torchrl.language.templates import Piece, Template, choose, expand, is_possible, plain
 from bbq_torchrl.language.words import compact
 
@@ -31,7 +32,7 @@ class _Turn:
     """One sentence in the making."""
 
     rng: random.Random
-    question: Frame | None
+    question: Frame
     values: dict[str, list[Piece]]
     left: list[str]
     is_terse: bool
@@ -73,11 +74,13 @@ class Composer:
         """
         told = {slot: value for slot, value in frame.informs.items() if value != ANY}
         values = {slot: [Piece(surface(slot, value, rng), slot)] for slot, value in told.items()}
-        asked = question.requests if question is not None else ()
+        question = question or OPENING
         hidden = {
             slot
             for slot, value in told.items()
-            if is_clear and slot not in asked and self._owners.get(compact(value), slot) != slot
+            if is_clear
+            and slot not in question.requests
+            and self._owners.get(compact(value), slot) != slot
         }
         turn = _Turn(
             rng,
@@ -93,47 +96,35 @@ class Composer:
             clear = self._phrases.slots[slot].phrases["clear"]
             parts.append(self._fill(clear, turn, slot, {slot: values[slot]}))
         said = _join(parts, rng, [". "] if is_clear else _MARKS)
-        # Simulated users, whose owners are given, make no remarks.
-        return said if self._owners or turn.is_terse else self._with_asides(said, rng)
-
-    def _with_asides(self, said: list[Piece], rng: random.Random) -> list[Piece]:
-        """Returns a sentence with remarks that mean nothing, at times, around it."""
+        if self._owners or turn.is_terse:
+            return said  # Simulated users, whose owners are given, make no remarks.
+        aside = partial(choose, self._rules["aside"], {}, self._rules, rng)
         if rng.random() < _ASIDES:
-            said = [*self._aside(rng), Piece(rng.choice(_AFTER_ASIDE)), *said]
+            said = [*aside(), Piece(rng.choice(_AFTER_ASIDE)), *said]
         if rng.random() < _ASIDES:
-            said = [*said, Piece(rng.choice(_BEFORE_ASIDE)), *self._aside(rng)]
+            said = [*said, Piece(rng.choice(_BEFORE_ASIDE)), *aside()]
         return said
-
-    def _aside(self, rng: random.Random) -> list[Piece]:
-        return choose(self._rules["aside"], {}, self._rules, rng)
 
     def _parts(self, frame: Frame, turn: _Turn) -> list[list[Piece]]:
         rng, question = turn.rng, turn.question
         cares = list(frame.dont_care)
         requests = list(frame.requests)
         rng.shuffle(requests)
-        parts: list[list[Piece]] = []
-        has_content = bool(frame.informs)
-        is_offer = question is not None and self._domain.complete_slot in question.informs
         if frame.act == "request" and requests:
-            parts += self._ask(requests, turn)
-            parts += self._rest(turn, is_first=False)
-            parts += [self._any(slot, turn) for slot in cares]
-            return parts
-        if frame.act == "inform" and has_content:
-            parts += self._tell(cares, turn)
+            parts = self._ask(requests, turn)
+            requests = []
+        elif frame.act == "inform" and frame.informs:
+            parts = self._tell(cares, turn)
         elif frame.act == "confirm_question" and turn.left:
-            slot = turn.left.pop()
-            parts.append(self._slot_phrase(slot, "check", turn))
-            parts += self._rest(turn, is_first=False)
+            parts = [self._slot_phrase(turn.left.pop(), "check", turn)]
         else:
+            is_offer = self._domain.complete_slot in question.informs
             use = "accept" if frame.act == "thanks" and is_offer else frame.act
             options = self._phrases.user.get(use) or self._phrases.user["inform"]
-            parts.append(self._fill(options, turn, asked_slot(question)))
-            parts += self._rest(turn, is_first=False)
-            parts += [self._any(slot, turn) for slot in cares]
-        if requests:
-            parts += [self._wrap("also", asked, turn) for asked in self._questions(requests, turn)]
+            parts = [self._fill(options, turn, asked_slot(question))]
+        parts += self._rest(turn, is_first=not parts)
+        parts += [self._any(slot, turn) for slot in cares]
+        parts += [self._wrap("also", asked, turn) for asked in self._questions(requests, turn)]
         return parts
 
     def _ask(self, requests: Sequence[str], turn: _Turn) -> list[list[Piece]]:
@@ -144,7 +135,7 @@ class Composer:
         while turn.left and turn.rng.random() < 0.85:
             slot = turn.left.pop()
             piece = self._slot_phrase(slot, "with", turn)
-            if turn.question is None and turn.rng.random() < (0.5 if turn.is_terse else 0.15):
+            if turn.question is OPENING and turn.rng.random() < (0.5 if turn.is_terse else 0.15):
                 front += [*piece, Piece(turn.rng.choice([", ", " ", ". ", ": "]))]
             else:
                 first = [*first, Piece(" "), *piece]
@@ -160,7 +151,7 @@ class Composer:
             return [_join([_join(said[:-1], turn.rng, [", "]), said[-1]], turn.rng, [" and "])]
         for slot in requests:
             phrases = self._phrases.slots[slot].phrases
-            was_asked = turn.question is not None and slot in turn.question.requests
+            was_asked = slot in turn.question.requests
             use = "options" if was_asked and turn.rng.random() < 0.5 else "want"
             asked.append(self._fill(phrases[use], turn, slot))
         return asked
@@ -176,19 +167,13 @@ class Composer:
         return [Piece(turn.rng.choice(("the ", "")) + entry.name)]
 
     def _tell(self, cares: list[str], turn: _Turn) -> list[list[Piece]]:
-        """Returns an answer, a correction or a statement, then the other values."""
-        question, rng = turn.question, turn.rng
+        """Returns an answer, a correction or a statement, and takes what it says out of `cares`."""
+        rng, asked, wrong = turn.rng, turn.question.requests, turn.question.informs
         parts: list[list[Piece]] = []
-        asked = question.requests if question is not None else ()
-        wrong = question.informs if question is not None else {}
         for slot in [slot for slot in cares if slot in asked]:
             cares.remove(slot)
-            use_own = rng.random() < 0.4
-            parts.append(
-                self._any(slot, turn)
-                if use_own
-                else self._fill(self._phrases.user["dont_care"], turn, slot)
-            )
+            own, any_ = self._phrases.slots[slot].phrases["any"], self._phrases.user["dont_care"]
+            parts.append(self._fill(own if rng.random() < 0.4 else any_, turn, slot))
         answered = [slot for slot in turn.left if slot in asked]
         corrected = [slot for slot in turn.left if slot in wrong and slot not in asked]
         if answered:
@@ -211,10 +196,8 @@ class Composer:
             other = "that" if other in (ANY, NO_MATCH_TEXT) else other
             around = {"": said, "<wrong>": [Piece(other)]}
             parts.append(self._fill(self._phrases.user["correct"], turn, slot, around))
-        elif turn.left and question is None:
+        elif turn.left and turn.question is OPENING:
             parts.append(self._open(turn))
-        parts += self._rest(turn, is_first=not parts)
-        parts += [self._any(slot, turn) for slot in cares]
         return parts
 
     def _open(self, turn: _Turn) -> list[Piece]:
@@ -253,8 +236,7 @@ class Composer:
 
     def _books_by_chance(self, said: list[Piece], slot: str, turn: _Turn) -> bool:
         """Returns whether a value is said in words that also ask for the ticket: "2 tickets"."""
-        asked = turn.question.requests if turn.question is not None else ()
-        if turn.is_booking or slot in asked:
+        if turn.is_booking or slot in turn.question.requests:
             return False
         words = {word for piece in said if piece.slot is None for word in piece.text.split()}
         return not words.isdisjoint(self._phrases.slots[self._domain.ticket_slot].nouns)

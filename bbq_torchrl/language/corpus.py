@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.language.compose import Composer
+from bbq_torchrl.language.frames import OPENING
 from bbq_torchrl.language.noise import as_second_language, slangy, with_typos
 from bbq_torchrl.language.simulated import play
 from bbq_torchrl.language.surfaces import Surfaces
@@ -31,6 +32,7 @@ _SLOTLESS = tuple(
 _SMALL_WORDS = frozenset(("in", "or", "ok", "hi", "me", "oh"))
 _DIALOGUES = 1_000
 _KEPT = 100  # of 500
+_Count = int | tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -41,13 +43,13 @@ class Example:
         words: as :func:`~bbq_torchrl.language.words.tokenize` makes them.
         tags: the slot whose value each word is part of, else :data:`OUTSIDE`.
         frame: what is meant.
-        question: the agent's last act; ``None`` at the opening.
+        question: the agent's last act; :data:`OPENING` before its first.
     """
 
     words: list[str]
     tags: list[str]
     frame: Frame
-    question: Frame | None
+    question: Frame
 
 
 def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
@@ -90,39 +92,34 @@ def make_examples(
         question, frame = rng.choice(turns) if simulated else frames.draw(rng)
         is_clear = simulated and rng.random() < 0.5
         words, tags = tag(composer.compose(frame, question, rng, surfaces, is_clear=is_clear))
-        words, tags = _spoil(words, tags, rng, noise)
-        if words and len(words) <= 60:
-            examples.append(Example(words, tags, frame, question))
+        example = _spoil(Example(words, tags, frame, question or OPENING), rng, noise)
+        if example.words and len(example.words) <= 60:
+            examples.append(example)
     return examples
 
 
 def spoiled(examples: Sequence[Example], seed: int) -> list[Example]:
     """Returns sentences of people spoiled as those of the grammar are."""
     rng = random.Random(seed)
-    found = []
-    for example in examples:
-        words, tags = _spoil(example.words, example.tags, rng, 1.0)
-        found.append(replace(example, words=words, tags=tags))
-    return found
+    return [_spoil(example, rng, 1.0) for example in examples]
 
 
-def _spoil(
-    words: list[str], tags: list[str], rng: random.Random, noise: float
-) -> tuple[list[str], list[str]]:
+def _spoil(example: Example, rng: random.Random, noise: float) -> Example:
+    tagged = list(zip(example.words, example.tags, strict=True))
     if rng.random() < 0.5 * noise:
-        kept = [
+        tagged = [
             (w, t)
-            for w, t in zip(words, tags, strict=True)
+            for w, t in tagged
             if t != OUTSIDE or w.isalnum() or "'" in w or rng.random() < 0.15
         ]
-        words, tags = [word for word, _ in kept], [tag for _, tag in kept]
     if rng.random() < 0.3 * noise:
-        words, tags = as_second_language(words, tags, rng)
+        tagged = as_second_language(tagged, rng)
     if rng.random() < 0.15 * noise:
-        words, tags = slangy(words, tags, rng)
+        tagged = slangy(tagged, rng)
+    words = [word for word, _ in tagged]
     if rng.random() < 0.35 * noise:
         words = with_typos(words, 0.12, rng)
-    return words, tags
+    return replace(example, words=words, tags=[tag for _, tag in tagged])
 
 
 def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
@@ -133,17 +130,6 @@ def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
         is_read = lexicon.kinds[slot] != "text" and any(letter.isdigit() for letter in key)
         shapes.setdefault(re.sub(r"\d+", "0", key) if is_read else "", []).append(value)
     return list(shapes.values()), [len(values) ** 0.5 for values in shapes.values()]
-
-
-def _drawn(
-    weights: Mapping[str, float], rng: random.Random, count: int, but: Sequence[str]
-) -> list[str]:
-    """Returns slots drawn by their weights, one perhaps several times, but none of some.
-
-    None at all where there are no others.
-    """
-    slots = [slot for slot in weights if slot not in but]
-    return rng.choices(slots, [weights[slot] for slot in slots], k=count) if slots else []
 
 
 class _Frames:
@@ -173,11 +159,11 @@ class _Frames:
         }
         self._shapes = {slot: _shapes(lexicon, slot) for slot in lexicon.slots}
 
-    def draw(self, rng: random.Random) -> tuple[Frame | None, Frame]:
+    def draw(self, rng: random.Random) -> tuple[Frame, Frame]:
         """Returns the agent's last act and what the user means."""
         kind = rng.random()
         if kind < 0.32:
-            return None, self._opening(rng)
+            return OPENING, self._opening(rng)
         if kind < 0.70 and self._asked:
             slot = rng.choices(self._asked, [self._valued[s] for s in self._asked])[0]
             return Frame("request", {}, (slot,)), self._answer(slot, rng)
@@ -188,7 +174,7 @@ class _Frames:
         if kind < 0.93:
             complete = self._domain.complete_slot
             verdict = rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))
-            question = Frame("inform", {complete: verdict, **self._values(rng, rng.randint(1, 4))})
+            question = self._frame("inform", rng, {complete: verdict}, values=(1, 2, 3, 4))
             return question, self._verdict(question, rng)
         act = rng.choice(("greeting", "deny", "confirm_question", "confirm_answer"))
         if rng.random() < 0.3:
@@ -206,14 +192,38 @@ class _Frames:
         value = rng.choice(rng.choices(shapes, weights)[0])
         return rng.choice(self._lexicon.values(slot)) if value in _SMALL_WORDS else value
 
-    def _values(self, rng: random.Random, count: int, but: tuple[str, ...] = ()) -> dict[str, str]:
-        slots = _drawn(self._valued, rng, count, but)
-        return {slot: self._value(slot, rng) for slot in slots}
+    def _drawn(
+        self, weights: Mapping[str, float], rng: random.Random, count: _Count, but: Sequence[str]
+    ) -> list[str]:
+        """Returns slots drawn by their weights, one perhaps several times, but none of some."""
+        size = count if isinstance(count, int) else rng.choice(count)
+        slots = [slot for slot in weights if slot not in but]
+        return rng.choices(slots, [weights[slot] for slot in slots], k=size) if slots else []
 
-    def _requests(
-        self, rng: random.Random, count: int, but: tuple[str, ...] = ()
-    ) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(_drawn(self._wanted, rng, count, but)))
+    def _frame(
+        self,
+        act: str,
+        rng: random.Random,
+        told: Mapping[str, str] | None = None,
+        *,
+        requests: _Count = 0,
+        values: _Count = 0,
+        but: tuple[str, ...] = (),
+    ) -> Frame:
+        """Returns an act with questions and values that are drawn; none of both, and none of some.
+
+        Args:
+            act: the act.
+            rng: draws.
+            told: values that are told besides.
+            requests: how many questions, or of what to draw how many.
+            values: how many values, or of what to draw how many.
+            but: slots that are left out.
+        """
+        asked = tuple(dict.fromkeys(self._drawn(self._wanted, rng, requests, but)))
+        slots = self._drawn(self._valued, rng, values, (*but, *asked))
+        drawn = {slot: self._value(slot, rng) for slot in slots}
+        return Frame(act, {**(told or {}), **drawn}, asked)
 
     def _slotless_act(self, rng: random.Random) -> Frame:
         return Frame(rng.choice(self._slotless))
@@ -222,12 +232,12 @@ class _Frames:
         kind = rng.random()
         count = rng.choices((0, 1, 2, 3, 4, 5), (2, 5, 6, 5, 3, 1))[0]
         if kind < 0.62:
-            requests = self._requests(rng, rng.choices((1, 2, 3), (16, 3, 1))[0])
-            return Frame("request", self._values(rng, count, requests), requests)
+            asked = rng.choices((1, 2, 3), (16, 3, 1))[0]
+            return self._frame("request", rng, requests=asked, values=count)
         if kind < 0.66:
-            return Frame("confirm_question", self._values(rng, rng.randint(1, 3)))
+            return self._frame("confirm_question", rng, values=(1, 2, 3))
         if kind < 0.9:
-            return Frame("inform", self._values(rng, max(count, 1)))
+            return self._frame("inform", rng, values=max(count, 1))
         return Frame("greeting") if rng.random() < 0.5 else self._slotless_act(rng)
 
     def _answer(self, slot: str, rng: random.Random) -> Frame:
@@ -236,22 +246,22 @@ class _Frames:
         if kind < 0.36:
             return Frame("inform", value)
         if kind < 0.46:
-            return Frame("inform", value | self._values(rng, 1, (slot,)))
+            return self._frame("inform", rng, value, values=1, but=(slot,))
         if kind < 0.56:
-            return Frame("inform", value, self._requests(rng, 1, (slot,)))
+            return self._frame("inform", rng, value, requests=1, but=(slot,))
         if kind < 0.67:
             return Frame("inform", {slot: ANY})
         if kind < 0.70:
-            return Frame("inform", {slot: ANY}, self._requests(rng, 1, (slot,)))
+            return self._frame("inform", rng, {slot: ANY}, requests=1, but=(slot,))
         if kind < 0.72:
             return Frame("inform", {rng.choice(self._asked): ANY})
         if kind < 0.79:
-            return Frame("inform", self._values(rng, rng.choice((1, 1, 2)), (slot,)))
+            return self._frame("inform", rng, values=(1, 1, 2), but=(slot,))
         if kind < 0.88:
-            asked = (
-                (slot,) if rng.random() < 0.7 and slot in self._wanted else self._requests(rng, 1)
-            )
-            return Frame("request", self._values(rng, rng.choice((0, 0, 0, 1)), asked), asked)
+            if rng.random() < 0.7 and slot in self._wanted:
+                other = self._frame("request", rng, values=(0, 0, 0, 1), but=(slot,))
+                return replace(other, requests=(slot,))
+            return self._frame("request", rng, requests=1, values=(0, 0, 0, 1))
         if kind < 0.93:
             return Frame("not_sure") if "not_sure" in self._slotless else self._slotless_act(rng)
         return self._slotless_act(rng)
@@ -259,18 +269,14 @@ class _Frames:
     def _reaction(self, slot: str | None, rng: random.Random) -> Frame:
         kind = rng.random()
         if kind < 0.2 and slot is not None:
-            return Frame(
-                "inform",
-                {slot: self._value(slot, rng)} | self._values(rng, rng.choice((0, 0, 1)), (slot,)),
-            )
+            value = {slot: self._value(slot, rng)}
+            return self._frame("inform", rng, value, values=(0, 0, 1), but=(slot,))
         if kind < 0.3:
-            requests = self._requests(rng, rng.choice((0, 0, 1)))
-            return Frame("inform", self._values(rng, 1, requests), requests)
+            return self._frame("inform", rng, requests=(0, 0, 1), values=1)
         if kind < 0.62:
-            requests = self._requests(rng, 1)
-            return Frame("request", self._values(rng, rng.choice((0, 0, 0, 1)), requests), requests)
+            return self._frame("request", rng, requests=1, values=(0, 0, 0, 1))
         if kind < 0.69:
-            return Frame("confirm_question", self._values(rng, 1))
+            return self._frame("confirm_question", rng, values=1)
         if kind < 0.82:
             return Frame("thanks")
         if kind < 0.92:
@@ -282,7 +288,7 @@ class _Frames:
         if kind < 0.29:
             return Frame("thanks")
         if kind < 0.46:
-            return Frame("thanks", {}, self._requests(rng, rng.choice((1, 1, 1, 2))))
+            return self._frame("thanks", rng, requests=(1, 1, 1, 2))
         if kind < 0.62:
             return Frame("deny")
         if kind < 0.82:
@@ -291,8 +297,7 @@ class _Frames:
             is_any = slot in self._asked and rng.random() < 0.2
             return Frame("inform", {slot: ANY if is_any else self._value(slot, rng)})
         if kind < 0.88:
-            requests = self._requests(rng, 1)
-            return Frame("request", self._values(rng, rng.choice((0, 1)), requests), requests)
+            return self._frame("request", rng, requests=1, values=(0, 1))
         return Frame("closing") if rng.random() < 0.9 else self._slotless_act(rng)
 
     def _after_act(self, act: str, rng: random.Random) -> Frame:

@@ -92,7 +92,7 @@ class Features:
         letters = [word for word in words if word[0].isalpha()]
         return sum(self.spelled(word) == UNKNOWN for word in letters) / max(len(letters), 1)
 
-    def of_words(self, words: Sequence[str], question: Frame | None) -> list[list[str]]:
+    def of_words(self, words: Sequence[str], question: Frame) -> list[list[str]]:
         """Returns the features of each word."""
         spelled = [self.spelled(word) for word in words]
         classes = [_class(word) for word in spelled]
@@ -179,15 +179,12 @@ class Features:
                 at += max(length, 1)
         return found
 
-    def of_sentence(
-        self, words: Sequence[str], tags: Sequence[str], question: Frame | None
-    ) -> list[str]:
+    def of_sentence(self, words: Sequence[str], tags: Sequence[str], question: Frame) -> list[str]:
         """Returns the features of the whole sentence, values written as their slots."""
         line: list[str] = []
         asked = _question(question)
-        act = question.act if question is not None else "none"
-        told = question.informs if question is not None else {}
-        act = "offer" if self._offer in told else act
+        told = question.informs
+        act = "offer" if self._offer in told else question.act
         slots = []
         spans = {span.start: span.slot for span in spans_of(tags)}
         for at, (word, tag) in enumerate(zip(words, tags, strict=True)):
@@ -234,11 +231,9 @@ def _is_read(kind: Kind, text: str) -> bool:
     return READERS[kind](text) is not None
 
 
-def _question(question: Frame | None) -> list[str]:
-    if question is None:
-        return ["none"]
+def _question(question: Frame) -> list[str]:
     told = [f"inform:{slot}" for slot in question.informs]
-    return [f"{question.act}", *(f"ask:{slot}" for slot in question.requests), *told[:1]]
+    return [question.act, *(f"ask:{slot}" for slot in question.requests), *told[:1]]
 
 
 def _class(word: str) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.domains.frames import Frame
 
-__all__ = ["Unclear", "Understood", "asked_slot"]
+__all__ = ["OPENING", "Unclear", "Understood", "asked_slot"]
+
+OPENING = Frame("none")
+"""What stands for the agent's last act where it has said nothing yet."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,6 @@ class Understood:
     source: str = "own"
 
 
-def asked_slot(question: Frame | None) -> str | None:
+def asked_slot(question: Frame) -> str | None:
     """Returns the slot that an agent's act asks for, of several the first."""
-    return question.requests[0] if question is not None and question.requests else None
+    return question.requests[0] if question.requests else None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.language.corpus import Example
+from bbq_torchrl.language.frames import OPENING
 from bbq_torchrl.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.language.words import compact, tokenize, words_of
 from bbq_torchrl.text import FaultsError
@@ -110,7 +111,7 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
                 continue  # of a slot without values, such as "anything of that series"
             if (place := _place(words, tags, slot, value, lexicon)) is not None:
                 tags[place.start : place.stop] = [slot] * len(place)
-        examples.append(Example(words, tags, frame, question))
+        examples.append(Example(words, tags, frame, question or OPENING))
     return examples
 
 

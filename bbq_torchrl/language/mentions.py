@@ -46,7 +46,7 @@ class _Mention(NamedTuple):
 
 
 def values_of(
-    words: Sequence[str], reading: Reading, question: Frame | None, lexicon: Lexicon
+    words: Sequence[str], reading: Reading, question: Frame, lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
     """Returns slot to value, and what is unclear.
 
@@ -103,7 +103,7 @@ def values_of(
             unclear.append(Unclear(slot, mentions[-1].text))
             continue
         keys = {lexicon.key(slot, value): value for one in known for value in one.link.values}
-        if len(keys) > 1 and question is not None and slot in question.informs:
+        if len(keys) > 1 and slot in question.informs:
             # "Tulsa? I live in Tucson": what the agent has said is repeated to be denied.
             keys.pop(lexicon.key(slot, question.informs[slot]), None)
         if len(keys) == 1:

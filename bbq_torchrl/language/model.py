@@ -60,7 +60,7 @@ class Model:
     net: IntentNet
 
     @torch.no_grad()
-    def read(self, words: Sequence[str], question: Frame | None) -> Reading:
+    def read(self, words: Sequence[str], question: Frame) -> Reading:
         """Returns the reading of a sentence of one word or more."""
         tags, chance, each = self.tagger(self.features.of_words(words, question))
         parts = [(words, tags), *_clauses(words, tags)]
@@ -153,14 +153,11 @@ def fit(
     requests = torch.zeros(len(examples), len(slots) + 1)
     dont_care = torch.zeros(len(examples), len(slots) + 1)
     for row, example in enumerate(examples):
-        asked = example.question.requests if example.question is not None else ()
-        for target, own in (
-            (requests, example.frame.requests),
-            (dont_care, example.frame.dont_care),
-        ):
+        frame, asked = example.frame, asked_slot(example.question)
+        for target, own in ((requests, frame.requests), (dont_care, frame.dont_care)):
             for slot in own:
                 # "Any" means the slot asked for; "any city" means the city whatever was asked.
-                target[row, len(slots) if slot in asked[:1] else slots.index(slot)] = 1.0
+                target[row, len(slots) if slot == asked else slots.index(slot)] = 1.0
     net = train_intents(
         [features.of_sentence(e.words, e.tags, e.question) for e in examples],
         [domain.acts.index(e.frame.act) for e in examples],

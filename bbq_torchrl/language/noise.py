@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
 __all__ = ["DROPPED", "as_second_language", "lowered", "slangy", "typo", "with_typos"]
 
+Tagged = list[tuple[str, str]]
+"""Words, each with its tag."""
+
 _KEYS = pairs("keys")
 _SLANG = pairs("slang")
 DROPPED = word_set("dropped")
@@ -52,22 +55,19 @@ def lowered(text: str) -> str:
     return " ".join("".join(kept).lower().split())
 
 
-def slangy(words: list[str], tags: list[str], rng: random.Random) -> tuple[list[str], list[str]]:
+def slangy(tagged: Tagged, rng: random.Random) -> Tagged:
     """Returns a sentence in which some words are written as in short messages."""
     share = rng.choice((0.2, 0.5))
-    written = [
-        _SLANG.get(word, word) if tag == OUTSIDE and rng.random() < share else word
-        for word, tag in zip(words, tags, strict=True)
+    return [
+        (_SLANG.get(word, word) if tag == OUTSIDE and rng.random() < share else word, tag)
+        for word, tag in tagged
     ]
-    return written, tags
 
 
-def as_second_language(
-    words: list[str], tags: list[str], rng: random.Random
-) -> tuple[list[str], list[str]]:
+def as_second_language(tagged: Tagged, rng: random.Random) -> Tagged:
     """Returns a sentence that lost small words, with others in their place."""
     kept = []
-    for word, tag in zip(words, tags, strict=True):
+    for word, tag in tagged:
         if tag == OUTSIDE and word in DROPPED and rng.random() < 0.3:
             continue
         if tag == OUTSIDE and word in _SWAPPED and rng.random() < 0.2:
@@ -75,6 +75,4 @@ def as_second_language(
         if tag == OUTSIDE and rng.random() < 0.02:
             kept.append(("the", OUTSIDE))
         kept.append((word, tag))
-    if not kept:
-        return words, tags
-    return [word for word, _ in kept], [tag for _, tag in kept]
+    return kept or tagged

@@ -15,7 +15,7 @@ from bbq_torchrl.language.assemble import assemble
 from bbq_torchrl.language.confidence import CUES, cues_of, fit_confidence, probability
 from bbq_torchrl.language.corpus import make_examples, spoiled
 from bbq_torchrl.language.features import Features
-from bbq_torchrl.language.frames import Understood
+from bbq_torchrl.language.frames import OPENING, Understood
 from bbq_torchrl.language.intents import IntentNet
 from bbq_torchrl.language.labeled import DRILLED_FILE, LEARNED_FILE, as_examples, lines_of, varied
 from bbq_torchrl.language.lexicon import Lexicon
@@ -158,7 +158,7 @@ class Understander:
                 is too long.
         """
         words = words_of(text)[:_MOST_WORDS]
-        frame, unclear, cues = self._hear(words, question)
+        frame, unclear, cues = self._hear(words, question or OPENING)
         return Understood(frame, probability(cues, self._calibration), unclear)
 
     def asks(self, understood: Understood) -> bool:
@@ -166,7 +166,7 @@ class Understander:
         return understood.confidence < self.threshold or bool(understood.unclear)
 
     def _hear(
-        self, words: Sequence[str], question: Frame | None
+        self, words: Sequence[str], question: Frame
     ) -> tuple[Frame, tuple[Unclear, ...], np.ndarray]:
         """Returns the frame of some words, what is unclear, and the cues of how sure that is."""
         reading = self._model.read(words, question)

@@ -11,6 +11,7 @@ from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.language import ANY, MAX_CHARACTERS, Frame, TextError, Understander
 from bbq_torchrl.language import __main__ as command
 from bbq_torchrl.language.assemble import assemble, chosen
+from bbq_torchrl.language.frames import OPENING
 from bbq_torchrl.language.model import Reading
 from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
@@ -168,7 +169,7 @@ def test_a_sentence_of_a_text_is_heard_though_the_whole_hides_it(understand):
     reading = understand._model.read
     question = Frame("request", {}, ("city",))
     whole = reading(tokenize("any city is fine . what time does it start ?"), question)
-    clause = reading(tokenize("what time does it start ?"), None)
+    clause = reading(tokenize("what time does it start ?"), OPENING)
     time = movie_domain().slots.index("starttime")
     assert clause.requests[time] > 0.75
     assert whole.requests[time] > 0.5
