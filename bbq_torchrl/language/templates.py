@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     import random
@@ -44,18 +46,14 @@ class Piece(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Slot:
+class _Name:
+    kind: Literal["slot", "rule"]
     name: str
 
-
-@dataclass(frozen=True)
-class _Rule:
-    name: str
-
-
-@dataclass(frozen=True)
-class _Choice:
-    options: tuple[Template, ...]
+    @property
+    def key(self) -> str:
+        """What it is called among the values of a sentence."""
+        return self.name if self.kind == "slot" else f"<{self.name}>"
 
 
 @dataclass(frozen=True)
@@ -63,21 +61,22 @@ class Template:
     """A phrase as it is read: parts one after another.
 
     Attributes:
-        parts: texts, values, rules and choices.
+        parts: texts, names of slots and rules, and choices among phrases.
     """
 
-    parts: tuple[str | _Slot | _Rule | _Choice, ...]
+    parts: tuple[_Part, ...]
 
     def names(self) -> Iterator[tuple[str, str]]:
         """Yields ``("slot", name)`` and ``("rule", name)`` for all that the phrase names."""
         for part in self.parts:
-            if isinstance(part, _Choice):
-                for option in part.options:
+            if isinstance(part, tuple):
+                for option in part:
                     yield from option.names()
-            elif isinstance(part, _Slot):
-                yield "slot", part.name
-            elif isinstance(part, _Rule):
-                yield "rule", part.name
+            elif isinstance(part, _Name):
+                yield part.kind, part.name
+
+
+_Part = str | _Name | tuple[Template, ...]
 
 
 def parse(text: str, own: str = "") -> Template:
@@ -86,39 +85,41 @@ def parse(text: str, own: str = "") -> Template:
     Raises:
         TemplateError: if a bracket is not closed, or opened.
     """
-    tokens = _TOKEN.findall(text)
-    options, rest = _options(tokens, 0, own, 0)
-    if rest != len(tokens) or len(options) != 1:
-        raise TemplateError(f"a phrase must close what it opens, and choose in [a|b], got {text!r}")
-    return options[0]
+    tokens = iter(_TOKEN.findall(text))
+    fault = TemplateError(
+        f"a phrase must close what it opens, and choose in [a|b], got {shown(text)}"
+    )
 
-
-def _options(tokens: list[str], at: int, own: str, depth: int) -> tuple[list[Template], int]:
-    options: list[Template] = []
-    parts: list[str | _Slot | _Rule | _Choice] = []
-    if depth > _DEEPEST:
-        raise TemplateError(f"a phrase must not be nested deeper than {_DEEPEST}")
-    while at < len(tokens) and tokens[at] != "]":
-        token = tokens[at]
-        at += 1
-        if token == "|":
-            options.append(Template(tuple(parts)))
-            parts = []
-        elif token == "[":
-            inner, at = _options(tokens, at, own, depth + 1)
-            if at >= len(tokens):
-                raise TemplateError(f"a phrase must close what it opens, got {''.join(tokens)!r}")
-            parts.append(_Choice(tuple(inner)))
-            at += 1
-        elif token[0] == "{" and token[-1] == "}" and len(token) > 1:
-            parts.append(_Slot(token[1:-1] or own))
-        elif token[0] == "<" and len(token) > 2:
-            parts.append(_Rule(token[1:-1]))
-        elif token in "{}<>":
-            raise TemplateError(f"a phrase must close what it opens, got {''.join(tokens)!r}")
+    def options(depth: int) -> tuple[Template, ...]:
+        """Returns the phrases up to the bracket that closes them, or to the end."""
+        if depth > _DEEPEST:
+            raise TemplateError(f"a phrase must not be nested deeper than {_DEEPEST}")
+        found: list[Template] = []
+        parts: list[_Part] = []
+        for token in tokens:
+            if token == "|":
+                found.append(Template(tuple(parts)))
+                parts = []
+            elif token == "[":
+                parts.append(options(depth + 1))
+            elif token == "]" and depth:
+                break
+            elif len(token) > 1 and token[0] in "{<":
+                is_slot = token[0] == "{"
+                parts.append(_Name("slot" if is_slot else "rule", token[1:-1] or own))
+            elif token in "]{}<>":
+                raise fault
+            else:
+                parts.append(token)
         else:
-            parts.append(token)
-    return [*options, Template(tuple(parts))], at
+            if depth:
+                raise fault
+        return (*found, Template(tuple(parts)))
+
+    read = options(0)
+    if len(read) != 1:
+        raise fault
+    return read[0]
 
 
 def is_possible(
@@ -127,17 +128,21 @@ def is_possible(
     rules: Mapping[str, Sequence[Template]],
 ) -> bool:
     """Returns whether the values that the phrase needs are there."""
-    for part in template.parts:
-        if isinstance(part, _Slot) and part.name not in values:
-            return False
-        if isinstance(part, _Rule) and f"<{part.name}>" not in values:
-            if not any(is_possible(option, values, rules) for option in rules.get(part.name, ())):
-                return False
-        elif isinstance(part, _Choice) and not any(
-            is_possible(option, values, rules) for option in part.options
-        ):
-            return False
-    return True
+    return all(
+        isinstance(part, str)
+        or (isinstance(part, _Name) and part.key in values)
+        or any(is_possible(option, values, rules) for option in _options_of(part, rules))
+        for part in template.parts
+    )
+
+
+def _options_of(
+    part: _Name | tuple[Template, ...], rules: Mapping[str, Sequence[Template]]
+) -> Sequence[Template]:
+    """Returns the phrases of which one stands for a part that has no value."""
+    if isinstance(part, tuple):
+        return part
+    return rules.get(part.name, ()) if part.kind == "rule" else ()
 
 
 def expand(
@@ -158,13 +163,10 @@ def expand(
     for part in template.parts:
         if isinstance(part, str):
             pieces.append(Piece(part))
-        elif isinstance(part, _Slot):
-            pieces += values[part.name]
-        elif isinstance(part, _Rule) and (made := values.get(f"<{part.name}>")) is not None:
-            pieces += made
+        elif isinstance(part, _Name) and part.key in values:
+            pieces += values[part.key]
         else:
-            options = part.options if isinstance(part, _Choice) else rules[part.name]
-            pieces += choose(options, values, rules, rng)
+            pieces += choose(_options_of(part, rules), values, rules, rng)
     return pieces
 
 
