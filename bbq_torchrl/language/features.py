@@ -166,15 +166,12 @@ class Features:
                 continue
             at = 0
             while at < len(words):
-                names = by_first.get(words[at])
-                length = 0
-                if names:
-                    for size in range(min(_LONGEST, len(words) - at), 0, -1):
-                        if " ".join(words[at : at + size]) in names:
-                            length = size
-                            break
+                names = by_first.get(words[at], ())
+                sizes = range(min(_LONGEST, len(words) - at), 0, -1) if names else ()
+                fits = (size for size in sizes if " ".join(words[at : at + size]) in names)
+                length = next(fits, 0)
                 for index in range(length):
-                    extent = "1" if length == 1 else "2" if length == 2 else "n"
+                    extent = str(length) if length < 3 else "n"
                     found[at + index].append(f"g:{slot}:{'I' if index else 'B'}{extent}")
                 at += max(length, 1)
         return found

@@ -68,12 +68,17 @@ class Model:
         acts, requests, dont_care = self.net(*self.net.encode(named))
         slot = asked_slot(question)
         asked = self.net.slots.index(slot) if slot in self.net.slots else None
+        asks = _of_slots(requests[0], asked)
+        for row in requests[1:]:
+            clause = _of_slots(row, None)  # counts where it is sure
+            asks = torch.where(clause > _SURE, torch.maximum(asks, clause), asks)
         return Reading(
             tags,
             chance,
             each,
-            _begun(acts.log_softmax(-1)),
-            _united(_of_slots(requests[0], asked), [_of_slots(row, None) for row in requests[1:]]),
+            # By the labeling guide the act is what a sentence begins with: its first clause's.
+            acts.log_softmax(-1)[:2].mean(0).log_softmax(-1),
+            asks,
             _of_slots(dont_care[0], asked),
             self.features.share_unknown(words),
         )
@@ -92,21 +97,6 @@ def _clauses(
         if end - start > 1
     ]
     return found[:_MOST_CLAUSES] if len(found) > 1 else []
-
-
-def _begun(acts: torch.Tensor) -> torch.Tensor:
-    """Returns the log-probabilities of acts ``[A]`` of a sentence and its clauses, ``[1 + C, A]``.
-
-    By the labeling guide a sentence has the act that it begins with, which its first clause shows.
-    """
-    return acts[:2].mean(0).log_softmax(-1)
-
-
-def _united(whole: torch.Tensor, clauses: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Returns the chances of a sentence ``[S]``, raised where one of its clauses is sure."""
-    for clause in clauses:
-        whole = torch.where(clause > _SURE, torch.maximum(whole, clause), whole)
-    return whole
 
 
 def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -82,12 +83,9 @@ def spans_of(tags: Sequence[str]) -> list[Span]:
         >>> spans_of([OUTSIDE, "city", "city", "date"])
         [Span(slot='city', start=1, end=3), Span(slot='date', start=3, end=4)]
     """
-    spans: list[Span] = []
-    for at, tag in enumerate(tags):
-        if tag == OUTSIDE:
-            continue
-        if spans and spans[-1].end == at and spans[-1].slot == tag:
-            spans[-1] = spans[-1]._replace(end=at + 1)
-        else:
-            spans.append(Span(tag, at, at + 1))
+    spans = []
+    for slot, tagged in groupby(enumerate(tags), key=lambda item: item[1]):
+        places = [at for at, _ in tagged]
+        if slot != OUTSIDE:
+            spans.append(Span(slot, places[0], places[-1] + 1))
     return spans
