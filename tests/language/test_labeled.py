@@ -23,30 +23,30 @@ def test_the_sentences_that_measure_are_labeled_with_values_of_the_domain(lexico
                 assert value == "I do not care" or value in lexicon.values(slot)
 
 
-def test_own_lines_become_examples_with_the_place_of_each_value(lexicon, tmp_path):
+@pytest.mark.parametrize(
+    ("text", "meaning", "tags"),
+    [
+        (
+            "two for top gun, half past seven",
+            "inform(numberofpeople=2, moviename=top gun: maverick, starttime=7:30 pm)",
+            ["numberofpeople", "-", *["moviename"] * 2, "-", *["starttime"] * 3],
+        ),
+        (  # a name in full, not a part of it
+            "dune part two, late night",
+            "inform(moviename=dune: part two, starttime=late night)",
+            [*["moviename"] * 3, "-", *["starttime"] * 2],
+        ),
+        # of a slot without values
+        ("anything of that series", "inform(movie_series=harry potter)", ["-"] * 4),
+    ],
+)
+def test_own_lines_become_examples_with_the_place_of_each_value(
+    lexicon, tmp_path, text, meaning, tags
+):
     path = tmp_path / "own.txt"
-    path.write_text("# mine\n | two for top gun, half past seven | inform(numberofpeople=2, "
-                    "moviename=top gun: maverick, starttime=7:30 pm)\n")  # fmt: skip
+    path.write_text(f"# mine\n | {text} | {meaning}\n")
     (example,) = as_examples(read_lines(path, movie_domain()), lexicon)
-    placed: dict[str, list[str]] = {}
-    for word, tag in zip(example.words, example.tags, strict=True):
-        placed.setdefault(tag, []).append(word)
-    assert placed["numberofpeople"] == ["two"]
-    assert placed["moviename"] == ["top", "gun"]
-    assert placed["starttime"] == ["half", "past", "seven"]
-
-
-def test_a_value_of_a_slot_without_values_has_no_place(lexicon):
-    line = Line(None, "anything of that series", Frame.parse("inform(movie_series=harry potter)"))
-    (example,) = as_examples([line], lexicon)
-    assert set(example.tags) == {"-"}
-
-
-def test_a_name_in_full_is_placed_as_a_whole(lexicon):
-    line = Line(None, "dune part two, late night", Frame.parse("inform(moviename=dune: part two, "
-                "starttime=late night)"))  # fmt: skip
-    (example,) = as_examples([line], lexicon)
-    assert example.tags == [*["moviename"] * 3, "-", *["starttime"] * 2]
+    assert example.tags == tags
 
 
 def test_what_chance_alone_gives_a_calibration_error_is_told():

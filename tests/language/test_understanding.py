@@ -16,6 +16,8 @@ from bbq_torchrl.language.model import Reading
 from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
 
+WEEKEND = "multiple_choice(date=saturday, date=sunday)"
+
 
 @pytest.mark.parametrize(
     ("question", "text", "informs"),
@@ -30,69 +32,53 @@ from bbq_torchrl.language.words import tokenize
         ("request(starttime)", "tonight", {"starttime": "tonight"}),
         ("request(date)", "tonight", {"date": "tonight"}),
         ("request(city)", "any", {"city": ANY}),
+        ("confirm_question inform(city=reno)", "yes", {"city": "reno"}),
+        (WEEKEND, "the second one please", {"date": "sunday"}),
+        (WEEKEND, "saturday", {"date": "saturday"}),
+        (
+            "multiple_choice(starttime=7pm, starttime=9:30 pm)",
+            "the later one",
+            {"starttime": "9:30 pm"},
+        ),
     ],
 )
 def test_a_short_answer_is_read_in_the_light_of_the_question(understand, question, text, informs):
     assert understand(text, Frame.parse(question)).frame == Frame("inform", informs)
 
 
-def test_a_choice_is_taken_by_its_place_or_its_words(understand):
-    question = Frame("multiple_choice", requests=("date",), choices=("saturday", "sunday"))
-    assert understand("the second one please", question).frame.informs == {"date": "sunday"}
-    assert understand("saturday", question).frame.informs == {"date": "saturday"}
-    times = Frame("multiple_choice", requests=("starttime",), choices=("7pm", "9:30 pm"))
-    assert understand("the later one", times).frame.informs == {"starttime": "9:30 pm"}
-
-
 @pytest.mark.parametrize(
-    ("choices", "text", "taken"),
+    ("slot", "choices", "text", "taken"),
     [
-        (("godzilla minus one", "kong"), "the second one", "kong"),
-        (("kong", "godzilla minus one"), "the first one", "kong"),
-        (("kong", "wicked"), "number one", "kong"),
-        (("kong", "wicked"), "one", "kong"),
-        (("kong", "wicked"), "not that one", None),
-        (("kong", "wicked"), "the later one", None),  # of what has no order
+        ("moviename", ("godzilla minus one", "kong"), "the second one", "kong"),
+        ("moviename", ("kong", "godzilla minus one"), "the first one", "kong"),
+        ("moviename", ("kong", "wicked"), "number one", "kong"),
+        ("moviename", ("kong", "wicked"), "one", "kong"),
+        ("moviename", ("kong", "wicked"), "not that one", None),
+        ("moviename", ("kong", "wicked"), "the later one", None),  # of what has no order
+        # Not by the letters of "after" and "at".
+        ("starttime", ("2:15 pm", "after 6pm"), "the later one", "after 6pm"),
+        ("starttime", ("2:15 pm", "after 6pm"), "the earlier one", "2:15 pm"),
+        ("starttime", ("7:30 pm", "matinee"), "the later one", None),  # which has no clock
+        ("starttime", ("7:30 pm", "matinee"), "the earlier one", None),
+        ("starttime", ("7pm", "9:30 pm"), "the earlier one", "7pm"),
     ],
 )
-def test_one_is_a_place_only_where_it_stands_for_one(lexicon, choices, text, taken):
-    question = Frame("multiple_choice", requests=("moviename",), choices=choices)
+def test_a_choice_is_taken_by_its_place(lexicon, slot, choices, text, taken):
+    question = Frame("multiple_choice", requests=(slot,), choices=choices)
     assert chosen(text.split(), question, lexicon) == taken
 
 
 @pytest.mark.parametrize(
-    ("choices", "later"),
+    ("slot", "text", "candidates"),
     [
-        (("2:15 pm", "after 6pm"), "after 6pm"),  # not by the letters of "after" and "at"
-        (("7:30 pm", "matinee"), None),  # which has no clock
-        (("7pm", "9:30 pm"), "9:30 pm"),
+        ("moviename", "godzilla", {"godzilla minus one", "godzilla x kong: the new empire"}),
+        ("city", "seattle or portland", {"seattle", "portland"}),
     ],
 )
-def test_the_later_one_of_two_times_is_told_by_the_clock(lexicon, choices, later):
-    question = Frame("multiple_choice", requests=("starttime",), choices=choices)
-    assert chosen(["the", "later", "one"], question, lexicon) == later
-    earlier = None if later is None else choices[0]
-    assert chosen(["the", "earlier", "one"], question, lexicon) == earlier
-
-
-def test_yes_to_a_value_tells_the_value(understand):
-    question = Frame("confirm_question", {"city": "reno"})
-    assert understand("yes", question).frame == Frame("inform", {"city": "reno"})
-
-
-def test_a_name_that_fits_two_values_is_asked_about_not_picked(understand):
-    heard = understand("godzilla", Frame("request", {}, ("moviename",)))
-    assert "moviename" not in heard.frame.informs
-    assert {v for u in heard.unclear for v in u.candidates} == {
-        "godzilla minus one",
-        "godzilla x kong: the new empire",
-    }
-    assert understand.asks(heard)
-
-
-def test_two_cities_are_asked_about(understand):
-    heard = understand("seattle or portland", Frame("request", {}, ("city",)))
-    assert "city" not in heard.frame.informs
+def test_what_may_be_two_values_is_asked_about_not_picked(understand, slot, text, candidates):
+    heard = understand(text, Frame("request", {}, (slot,)))
+    assert slot not in heard.frame.informs
+    assert {v for u in heard.unclear for v in u.candidates} == candidates
     assert understand.asks(heard)
 
 
