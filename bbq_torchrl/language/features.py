@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -47,27 +48,25 @@ class Features:
     def __init__(self, lexicon: Lexicon, known: Iterable[str]) -> None:
         self._offer = lexicon.domain.complete_slot
         self._names: dict[str, dict[str, set[str]]] = {}
-        self._part: dict[str, set[str]] = {}
+        self._part: dict[str, set[str]] = defaultdict(set)
         for slot, names in lexicon.names.items():
-            by_first: dict[str, set[str]] = {}
-            for name in names:
-                if name:
-                    by_first.setdefault(name[0], set()).add(" ".join(name))
-            self._names[slot] = by_first
-            if lexicon.kinds[slot] == "text":
-                for word in {word for name in names for word in name if len(word) > 2}:
-                    self._part.setdefault(word, set()).add(slot)
-        self._nouns: dict[str, list[str]] = {}
+            self._names[slot] = defaultdict(set)
+            for name in filter(None, names):
+                self._names[slot][name[0]].add(" ".join(name))
+                for word in name if lexicon.kinds[slot] == "text" else ():
+                    if len(word) > 2:
+                        self._part[word].add(slot)
+        self._nouns: dict[str, list[str]] = defaultdict(list)
         for slot, entry in lexicon.phrases.slots.items():
             for noun in entry.nouns:
-                self._nouns.setdefault(noun, []).append(slot)
+                self._nouns[noun].append(slot)
         self.known = frozenset(word.replace("'", "") for word in known)
         self._all = {*self.known, *self._part}
-        self._alike: dict[tuple[int, str], list[str]] = {}
+        self._alike: dict[tuple[int, str], list[str]] = defaultdict(list)
         for word in sorted(self._all):
             if word.isalpha() and len(word) > 3:
                 for part in (word[0], word[1:]):
-                    self._alike.setdefault((len(word), part), []).append(word)
+                    self._alike[len(word), part].append(word)
         self.spelled = lru_cache(maxsize=20_000)(self._spelled)
 
     def _spelled(self, word: str) -> str:
@@ -117,39 +116,29 @@ class Features:
                 row += [f"{step}:w={spelled[near]}", f"{step}:c={classes[near]}"]
                 if abs(step) == 1:
                     row += [f"{step}:{name}" for name in found[near]]
-                    pair = (
-                        (spelled[near], spelled[at]) if step < 0 else (spelled[at], spelled[near])
-                    )
-                    row += [
-                        f"{step}:2={'_'.join(pair)}",
-                        f"{step}:cc={classes[near]}_{classes[at]}",
-                    ]
+                    pair = "_".join(spelled[min(at, near) : max(at, near) + 1])
+                    row += [f"{step}:2={pair}", f"{step}:cc={classes[near]}_{classes[at]}"]
             row += [f"q={item}" for item in asked]
             if any(f"ask:{name.split(':')[1]}" in asked for name in found[at]):
                 row += ["asked", f"asked&n={min(len(words), 4)}"]
             if len(words) < 3:
                 row += [f"short&{item}" for item in asked]
-            row += [
-                f"q={item}&{name}" for item in asked for name in (f"c={classes[at]}", *found[at])
-            ]
+            seen = (f"c={classes[at]}", *found[at])
+            row += [f"q={item}&{name}" for item in asked for name in seen]
             rows.append(row)
         return rows
 
     def _quantities(self, words: Sequence[str], found: list[list[str]]) -> None:
         """Adds for each word of which kinds it begins, or goes on, a quantity."""
-        starts = [
-            at
-            for at, word in enumerate(words)
-            if word in _STARTS or word[0].isdigit() or word[1:].isdecimal()
-        ]
         for kind in QUANTITIES:
             end = 0
-            for start in starts:
-                if start < end:
+            for start, word in enumerate(words):
+                can_start = word in _STARTS or word[0].isdigit() or word[1:].isdecimal()
+                if start < end or not can_start:
                     continue
                 for stop in range(min(start + _LONGEST_QUANTITY, len(words)), start, -1):
                     # "night at 7" has begun a word before: "friday night at 7".
-                    is_part = kind == "time" and stop > start + 1 and words[start] in PART_WORDS
+                    is_part = kind == "time" and stop > start + 1 and word in PART_WORDS
                     if is_part or words[stop - 1] in _ENDS:
                         continue
                     if _is_read(kind, " ".join(words[start:stop])):

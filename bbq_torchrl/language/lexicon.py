@@ -56,6 +56,8 @@ class Lexicon:
     Attributes:
         domain: the same.
         phrases: of the domain, see :func:`~bbq_torchrl.language.phrases.load_phrases`.
+        kinds: the kind of quantity of each slot's values.
+        keys: by slot, the canonical key of every name of its values.
 
     Raises:
         PhrasesError: if the domain's phrases do not fit it.
@@ -77,18 +79,24 @@ class Lexicon:
             slot: self.phrases.slots[slot].kind or kind_of(values)
             for slot, values in self._values.items()
         }
-        self._group = {slot: self._groups(slot) for slot in self._values}
+        self._group = {
+            slot: {
+                compact(text): compact(value)
+                for value, others in self.phrases.slots[slot].aliases.items()
+                for text in (value, *others)
+            }
+            for slot in self._values
+        }
+        self.keys = {slot: self._keys(slot) for slot in self._values}
         self._by_key: dict[str, dict[str, list[str]]] = {}
-        self._names: dict[str, dict[str, str]] = {}
         for slot, values in self._values.items():
-            keys: dict[str, list[str]] = defaultdict(list)
+            self._by_key[slot] = defaultdict(list)
             for value in values:
-                keys[self.key(slot, value)].append(value)
-            self._by_key[slot] = keys
-            names = {compact(value): self.key(slot, value) for value in values}
-            for group in self._group[slot].items():
-                names.setdefault(*group)
-            self._names[slot] = {name: key for name, key in names.items() if key in keys}
+                self._by_key[slot][self.keys[slot][value]].append(value)
+        self._names = {
+            slot: {compact(text): key for text, key in reversed(keys.items())}
+            for slot, keys in self.keys.items()
+        }
         self._exact = {
             slot: {fold(value): value for value in values} for slot, values in self._values.items()
         }
@@ -104,13 +112,14 @@ class Lexicon:
         """Returns the values of a slot, as the domain spells them."""
         return self._values[slot]
 
-    def _groups(self, slot: str) -> dict[str, str]:
-        """Returns the key of every spelling that the phrases call equal to a value."""
-        return {
-            compact(text): compact(value)
-            for value, others in self.phrases.slots[slot].aliases.items()
-            for text in (value, *others)
-        }
+    def _keys(self, slot: str) -> dict[str, str]:
+        """Returns the key of every name of a slot's values: their spellings, then other names."""
+        keys = {value: self.key(slot, value) for value in self._values[slot]}
+        known = set(keys.values())
+        for value, others in self.phrases.slots[slot].aliases.items():
+            if (key := self.key(slot, value)) in known:
+                keys |= dict.fromkeys(others, key)
+        return keys
 
     def key(self, slot: str, value: str) -> str:
         """Returns the canonical key of a value: equal for all its spellings."""
@@ -136,16 +145,7 @@ class Lexicon:
     @cached_property
     def names(self) -> dict[str, set[tuple[str, ...]]]:
         """All names of each slot's values, in words."""
-        return {
-            slot: {
-                tuple(tokenize(text))
-                for text in (
-                    *values,
-                    *(a for texts in self.phrases.slots[slot].aliases.values() for a in texts),
-                )
-            }
-            for slot, values in self._values.items()
-        }
+        return {slot: {tuple(tokenize(text)) for text in keys} for slot, keys in self.keys.items()}
 
     def spelling(self, slot: str, key: str) -> str:
         """Returns the spelling of a key that most records have."""
@@ -222,11 +222,7 @@ class _Names:
     """The names of one slot's values, ready to be compared with what somebody typed."""
 
     def __init__(self, lexicon: Lexicon, slot: str) -> None:
-        names = {value: lexicon.key(slot, value) for value in lexicon.values(slot)}
-        known = set(names.values())
-        for value, texts in lexicon.phrases.slots[slot].aliases.items():
-            names |= dict.fromkeys(texts, lexicon.key(slot, value))
-        names = {name: key for name, key in names.items() if key in known}
+        names = lexicon.keys[slot]
         self._keys = list(names.values())
         self._joined = [compact(name) for name in names]
         # No sets: sums and ties would follow the order of their hashes, another in every process.
