@@ -113,14 +113,9 @@ class Generator:
         else:
             wishes = {**(held or {}), **told}
             parts += [self._tell(slot, value, wishes, rng) for slot, value in told.items()]
-            parts += [
-                self._fill(self._phrases.slots[slot].phrases["care"], rng, slot)
-                for slot in frame.dont_care
-            ]
-            parts += [
-                self._fill(self._phrases.slots[slot].phrases["ask"], rng, slot)
-                for slot in frame.requests
-            ]
+            for use, slots in (("care", frame.dont_care), ("ask", frame.requests)):
+                for slot in slots:
+                    parts.append(self._fill(self._phrases.slots[slot].phrases[use], rng, slot))
         if not parts:
             agent = self._phrases.agent
             parts.append(self._fill(agent.get(frame.act) or agent["inform"], rng))

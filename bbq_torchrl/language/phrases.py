@@ -170,14 +170,12 @@ class _Reader:
         if not isinstance(content, dict):
             self.faults.append(f"{where} must be a mapping, got {shown(content)}")
             return {}
-        for key in content:
-            if allowed is not None and key not in allowed:
-                self.faults.append(
-                    f"{where} has the unknown key {shown(key)}; allowed are {', '.join(allowed)}"
-                )
-        return {
-            str(key): value for key, value in content.items() if allowed is None or key in allowed
-        }
+        unknown = [key for key in content if allowed is not None and key not in allowed]
+        self.faults += [
+            f"{where} has the unknown key {shown(key)}; allowed are {', '.join(allowed or ())}"
+            for key in unknown
+        ]
+        return {str(key): value for key, value in content.items() if key not in unknown}
 
     def _texts(self, where: str, content: object) -> tuple[str, ...]:
         if (
