@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from bbq_torchrl.text import shown
@@ -50,7 +51,7 @@ class _Name:
     kind: Literal["slot", "rule"]
     name: str
 
-    @property
+    @cached_property
     def key(self) -> str:
         """What it is called among the values of a sentence."""
         return self.name if self.kind == "slot" else f"<{self.name}>"
@@ -128,12 +129,12 @@ def is_possible(
     rules: Mapping[str, Sequence[Template]],
 ) -> bool:
     """Returns whether the values that the phrase needs are there."""
-    return all(
-        isinstance(part, str)
-        or (isinstance(part, _Name) and part.key in values)
-        or any(is_possible(option, values, rules) for option in _options_of(part, rules))
-        for part in template.parts
-    )
+    for part in template.parts:
+        if isinstance(part, str) or (isinstance(part, _Name) and part.key in values):
+            continue
+        if not any(is_possible(option, values, rules) for option in _options_of(part, rules)):
+            return False
+    return True
 
 
 def _options_of(
