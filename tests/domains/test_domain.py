@@ -71,6 +71,10 @@ def test_action_index_names_the_actions_where_there_is_no_such_one(restaurant: D
         restaurant.action_index("request(moviename)")
 
 
+def test_a_domain_survives_pickling(restaurant: Domain):
+    assert pickle.loads(pickle.dumps(restaurant)) == restaurant
+
+
 ACTIONS = (Action("thanks"), Action("request", "area"), Action("inform", "booking"))
 SLOTS = (
     *("table", "party_size", "cuisine", "area", "day", "hour", "price_range", "restaurant"),
@@ -118,11 +122,13 @@ FAULTS = {
         {"policies": {"": ScriptedPolicySpec("script", ("thanks",))}},
         "policies must have names of their own.*got ''",
     ),
+    "slot all": ({"slots": (*SLOTS, "all")}, "slots must consist of letters.*got 'all'"),
     "slot of digits": ({"slots": (*SLOTS, "0")}, "slots must consist of letters.*got '0'"),
     "all slots free": (
         {"slots": SLOTS, "free_slots": SLOTS},
         "free_slots must leave a slot to constrain the records by",
     ),
+    "record slot": ({"records": ({"zip": "1"},)}, "record 0.*unknown slot 'zip'"),
     "record number": ({"records": ({"area": 3},)}, "record 0.*area.*3"),
     "goal request": ({"goals": (Goal({}, ("zip",)),)}, "goal 0.*unknown slot 'zip'"),
     "values reserved": ({"error_values": {"area": ("I do not care",)}}, "reserved"),
@@ -150,3 +156,8 @@ def test_an_error_with_all_its_faults_survives_pickling(restaurant: Domain):
             replace(restaurant, **change)
         other = pickle.loads(pickle.dumps(caught.value))
         assert (str(other), other.found) == (str(caught.value), caught.value.found)
+
+
+def test_a_user_may_not_care(restaurant: Domain):
+    goal = Goal({"area": "i do NOT care"})
+    assert replace(restaurant, goals=(goal,)).goals == (goal,)
