@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, fields
-from functools import partial
 from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,18 +19,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Study", "StudyError", "Terms", "load_study"]
 
-MAX_PARTICIPANTS = 10_000
-MAX_SESSIONS = 100
-
 _MOVIE = "movie"
+_DOMAIN = f"be {_MOVIE} or a domain's folder"
 _ATTAINABLE = "attainable"
-_REQUIRED = ("name", "consent", "agents", "pairs", "participants")
-_COUNTS = {
-    "participants": (1, MAX_PARTICIPANTS),
-    "sessions": (1, MAX_SESSIONS),
-    "max_turns": (1, 500),
-    "idle_minutes": (1, 10_080),
+_DEFAULTS = {
+    "domain": _MOVIE,
+    "goals": _ATTAINABLE,
+    "max_turns": 20,
+    "idle_minutes": 60,
+    "ask_below": {},
 }
+"""Without ``sessions``: one with each agent."""
+_REQUIRED = ("name", "consent", "agents", "pairs", "participants")
 
 
 class StudyError(FaultsError):
@@ -123,11 +122,41 @@ def load_study(path: str | Path) -> Study:
         raise StudyError(str(file), ["it is nested too deeply"]) from None
     except (ValueError, yaml.YAMLError) as error:
         raise StudyError(str(file), [f"it cannot be read: {error}"]) from error
-    reader = _Reader(file, content)
-    terms = reader.terms()
-    if reader.faults:
-        raise StudyError(str(file), reader.faults)
-    return Study(file, terms, reader.domain)
+    given = {**_DEFAULTS, **content}
+    agents = given["agents"] if _are_sources(given.get("agents")) else {}
+    given.setdefault("sessions", max(1, len(agents)))
+    wrong = _wrong_values(given, agents)
+    faults = [*_key_faults(content), *wrong.values()]
+    if "sessions" not in wrong and agents and given["sessions"] % len(agents):
+        faults.append(
+            f"sessions must be a multiple of the number of agents ({len(agents)}), so that "
+            f"everybody meets all agents equally often, got {given['sessions']}"
+        )
+    if "pairs" in content and "pairs" not in wrong:
+        faults += _pair_faults(given["pairs"], agents)
+    domain = None
+    if "domain" not in wrong:
+        try:
+            domain = _domain(file, given["domain"])
+        except FileNotFoundError as error:
+            faults.append(f"domain must {_DOMAIN}: {error}")
+        except FaultsError as error:
+            faults += [f"domain {shown(given['domain'])}: {fault}" for fault in error.faults]
+    if domain is not None:
+        from bbq_torchrl.study.outcome import Judge
+
+        judge, goals = Judge(domain), enumerate(domain.goals, start=1)
+        attainable = [number for number, goal in goals if judge.is_attainable(goal)]
+        if given["goals"] == _ATTAINABLE:
+            given["goals"] = attainable
+        sessions = 1 if "sessions" in wrong else given["sessions"]
+        faults += _goal_faults(given["goals"], attainable, len(domain.goals), sessions)
+    if faults or domain is None:
+        raise StudyError(str(file), faults)
+    for key in ("name", "consent"):
+        given[key] = given[key].strip()
+    given |= {"pairs": tuple(map(tuple, given["pairs"])), "goals": tuple(given["goals"])}
+    return Study(file, Terms(**given), domain)
 
 
 def _content(file: Path) -> dict[str, Any]:
@@ -139,138 +168,75 @@ def _content(file: Path) -> dict[str, Any]:
     return content
 
 
-class _Reader:
-    """Takes the terms out of a mapping, and notes what is wrong with each key."""
+def _key_faults(content: Mapping[str, Any]) -> Iterator[str]:
+    keys = [item.name for item in fields(Terms)]
+    for key in content:
+        if key not in keys:
+            yield f"{shown(key)} is not a key of a study; allowed are {', '.join(keys)}"
+    if missing := [key for key in _REQUIRED if key not in content]:
+        yield f"it lacks the keys {', '.join(missing)}"
 
-    def __init__(self, file: Path, content: Mapping[str, Any]) -> None:
-        self._file, self._given = file, content
-        self.faults: list[str] = []
 
-    def terms(self) -> Terms:
-        """Returns the terms, with ``None`` for what could not be read."""
-        keys = [item.name for item in fields(Terms)]
-        self.faults += [
-            f"{shown(key)} is not a key of a study; allowed are {', '.join(keys)}"
-            for key in self._given
-            if key not in keys
-        ]
-        if missing := [key for key in _REQUIRED if key not in self._given]:
-            self.faults.append(f"it lacks the keys {', '.join(missing)}")
-        self._agents = self._read("agents", _agents) or {}
-        self.domain = self._read("domain", self._domain, _MOVIE)
-        sessions = self._read("sessions", self._sessions, max(1, len(self._agents)))
-        return Terms(
-            name=self._read("name", _words),
-            consent=self._read("consent", _words),
-            agents=self._agents,
-            pairs=self._read("pairs", self._pairs),
-            participants=self._read("participants", _count),
-            domain=self._given.get("domain", _MOVIE),
-            sessions=sessions,
-            goals=self._read("goals", partial(self._goals, sessions or 1), _ATTAINABLE),
-            max_turns=self._read("max_turns", _count, 20),
-            idle_minutes=self._read("idle_minutes", _count, 60),
-            ask_below=self._read("ask_below", self._ask_below, {}),
+def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[str, str]:
+    """Returns key to sentence of each value that is of another kind than its key's."""
+
+    def are_limits(value: Any) -> bool:
+        is_known = isinstance(value, dict) and set(value) <= set(agents or value)
+        return is_known and all(map(_is_probability, value.values()))
+
+    kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
+        "name": (_is_text, "be text, not blank"),
+        "consent": (_is_text, "be text, not blank"),
+        "agents": (_are_sources, "map one name or more to where the agent is, both text"),
+        "pairs": (
+            lambda value: isinstance(value, list),
+            "be a list of pairs of agents, [] for none",
+        ),
+        "domain": (_is_text, _DOMAIN),
+        "ask_below": (are_limits, "map agents of the study to numbers between 0 and 1"),
+        "participants": _count(10_000),
+        "sessions": _count(100),
+        "max_turns": _count(500),
+        "idle_minutes": _count(10_080),
+    }
+    return {
+        key: f"{key} must {allowed}, got {shown(given[key])}"
+        for key, (holds, allowed) in kinds.items()
+        if key in given and not holds(given[key])
+    }
+
+
+def _domain(file: Path, name: str) -> Domain:
+    from bbq_torchrl.domains import load_domain, movie_domain
+
+    return movie_domain() if name == _MOVIE else load_domain(file.parent / expanduser(name))
+
+
+def _goal_faults(chosen: Any, attainable: list[int], count: int, sessions: int) -> Iterator[str]:
+    if not (isinstance(chosen, list) and all(_is_whole(n, 1, count) for n in chosen)):
+        allowed = f"{_ATTAINABLE} or a list of numbers between 1 and {count}"
+        yield f"goals must be {allowed}, got {shown(chosen)}"
+        return
+    if hopeless := sorted(set(chosen) - set(attainable)):
+        yield (
+            f"goals must be ones that some record of the domain can meet, which holds not of "
+            f"{shown(hopeless)}"
+        )
+    if len(set(chosen)) < max(len(chosen), sessions):
+        yield (
+            f"goals must be distinct and at least as many as sessions ({sessions}), "
+            f"got {shown(chosen)}"
         )
 
-    def _read(self, key: str, take: Callable[[str, Any], Any], default: Any = None) -> Any:
-        if key in self._given or key not in _REQUIRED:
-            try:
-                return take(key, self._given.get(key, default))
-            except FaultsError as error:
-                self.faults += error.faults
-            except ValueError as error:
-                self.faults.append(str(error))
-        return None
 
-    def _domain(self, key: str, name: Any) -> Domain:
-        from bbq_torchrl.domains import load_domain, movie_domain
-
-        allowed = f"{key} must be {_MOVIE} or a domain's folder"
-        _expect(_is_text(name), allowed, name)
-        folder = self._file.parent / Path(expanduser(name))
-        try:
-            return movie_domain() if name == _MOVIE else load_domain(folder)
-        except FileNotFoundError as error:
-            raise ValueError(f"{allowed}: {error}") from error
-        except FaultsError as error:
-            faults = [f"{key} {shown(name)}: {fault}" for fault in error.faults]
-            raise FaultsError(key, faults) from error
-
-    def _sessions(self, key: str, value: Any) -> int:
-        sessions, agents = _count(key, value), len(self._agents)
-        if agents and sessions % agents:
-            raise ValueError(
-                f"{key} must be a multiple of the number of agents ({agents}), so that "
-                f"everybody meets all agents equally often, got {sessions}"
-            )
-        return sessions
-
-    def _pairs(self, key: str, value: Any) -> tuple[tuple[str, str], ...]:
-        is_list = isinstance(value, list)
-        _expect(is_list, f"{key} must be a list of pairs of agents, [] for none", value)
-        if faults := list(_pair_faults(value, self._agents)):
-            raise FaultsError(key, faults)
-        return tuple((better, worse) for better, worse in value)
-
-    def _ask_below(self, key: str, value: Any) -> dict[str, float]:
-        is_known = isinstance(value, dict) and set(value) <= set(self._agents or value)
-        holds = is_known and all(map(_is_probability, value.values()))
-        _expect(holds, f"{key} must map agents of the study to numbers between 0 and 1", value)
-        return {name: float(below) for name, below in value.items()}
-
-    def _goals(self, sessions: int, key: str, value: Any) -> tuple[int, ...]:
-        from bbq_torchrl.study.outcome import Judge
-
-        if self.domain is None:
-            return ()
-        judge, goals = Judge(self.domain), self.domain.goals
-        attainable = [
-            number for number, goal in enumerate(goals, start=1) if judge.is_attainable(goal)
-        ]
-        chosen = attainable if value == _ATTAINABLE else value
-        holds = isinstance(chosen, list) and all(_is_whole(n, 1, len(goals)) for n in chosen)
-        allowed = f"{_ATTAINABLE} or a list of numbers between 1 and {len(goals)}"
-        _expect(holds, f"{key} must be {allowed}", value)
-        faults = []
-        if hopeless := sorted(set(chosen) - set(attainable)):
-            faults.append(
-                f"{key} must be ones that some record of the domain can meet, which holds not of "
-                f"{shown(hopeless)}"
-            )
-        if len(set(chosen)) < max(len(chosen), sessions):
-            faults.append(
-                f"{key} must be distinct and at least as many as sessions ({sessions}), "
-                f"got {shown(chosen)}"
-            )
-        if faults:
-            raise FaultsError(key, faults)
-        return tuple(chosen)
+def _count(most: int) -> tuple[Callable[[Any], bool], str]:
+    allowed = f"be a whole number between 1 and {most}"
+    return (lambda value: _is_whole(value, 1, most)), allowed
 
 
-def _expect(holds: bool, sentence: str, value: Any) -> None:
-    """Refuses a value with a sentence that says what is allowed."""
-    if not holds:
-        raise ValueError(f"{sentence}, got {shown(value)}")
-
-
-def _words(key: str, value: Any) -> str:
-    _expect(_is_text(value), f"{key} must be text, not blank", value)
-    return str(value.strip())
-
-
-def _count(key: str, value: Any) -> int:
-    low, high = _COUNTS[key]
-    holds = _is_whole(value, low, high)
-    _expect(holds, f"{key} must be a whole number between {low} and {high}", value)
-    return int(value)
-
-
-def _agents(key: str, value: Any) -> dict[str, str]:
-    holds = isinstance(value, dict) and bool(value)
-    holds = holds and all(map(_is_text, [*value, *value.values()]))
-    _expect(holds, f"{key} must map one name or more to where the agent is, both text", value)
-    return dict(value)
+def _are_sources(value: Any) -> bool:
+    is_map = isinstance(value, dict) and value != {}
+    return is_map and all(map(_is_text, [*value, *value.values()]))
 
 
 def _is_text(value: object) -> bool:
