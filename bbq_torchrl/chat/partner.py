@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDict
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     Mouth = Generator | EndpointGenerator
 
 __all__ = ["Answer", "Partner", "as_act"]
-
-_FLAGS = ("heard_requests", "open_requests", "agent_requests")
 
 
 @dataclass(frozen=True)
@@ -74,13 +72,10 @@ class _Memory:
 
     def text(self) -> str:
         """Returns it as JSON."""
-        asking = self.asking
-        content: dict[str, Any] = {"slot": asking.slot, "choices": asking.choices}
-        content |= {"asks": asking.times, "texts": self.texts}
+        state = None
         if self.state is not None:
-            content["state"] = {key: value.tolist() for key, value in self.state.items()}
-        if (waiting := asking.waiting) is not None:
-            content["waiting"] = [waiting.act, dict(waiting.informs), waiting.requests]
+            state = {key: value.tolist() for key, value in self.state.items()}
+        content = {"state": state, "asking": asdict(self.asking), "texts": self.texts}
         return json.dumps(content)
 
     @classmethod
@@ -89,19 +84,14 @@ class _Memory:
         if text is None:
             return cls()
         content = json.loads(text)
-        state = waiting = None
-        if "state" in content:
-            tensors = {
-                key: torch.tensor(value, dtype=torch.bool if key in _FLAGS else torch.long)
-                for key, value in content["state"].items()
-            }
-            state = TensorDict(tensors, batch_size=[])
-        if "waiting" in content:
-            act, informs, requests = content["waiting"]
-            waiting = Frame(act, informs, tuple(requests))
-        choices = tuple(content["choices"])
+        state, asking = content["state"], content["asking"]
+        if state is not None:
+            state = TensorDict({key: torch.tensor(value) for key, value in state.items()}, [])
+        if (waiting := asking["waiting"]) is not None:
+            waiting = Frame(waiting["act"], waiting["informs"], tuple(waiting["requests"]))
+        choices = tuple(asking["choices"])
         return cls(
-            state, Asking(content["asks"], waiting, content["slot"], choices), content["texts"]
+            state, Asking(asking["times"], waiting, asking["slot"], choices), content["texts"]
         )
 
 
@@ -164,14 +154,13 @@ class Partner:
         if asking.asks(self._ears, understood, self._ask_below):
             sentence = self._mouth.clarify(understood, session=seed, turn=now.texts)
             return self._ask_again(now, understood, sentence)
-        heard = asking.joined(understood.frame)
-        now = replace(now, asking=Asking())
-        if heard.act == "greeting" and not (heard.informs or heard.requests):
-            return self._say(now, understood, heard, Frame("greeting"), seed)
+        heard, now = asking.joined(understood.frame), replace(now, asking=Asking())
+        if heard.act == "closing" or heard == Frame("greeting"):
+            # Not the agent's decision: a greeting is returned, a farewell ends it.
+            said, ended = Frame(heard.act), "person" if heard.act == "closing" else ""
+            sentence = self._mouth.agent(said, session=seed, turn=now.texts)
+            return Answer(sentence, understood, heard, said, now.text(), ended=ended)
         state = self._hear(now.state, heard)
-        if heard.act == "closing":
-            now = replace(now, state=state)
-            return self._say(now, understood, heard, Frame("closing"), seed, ended="person")
         action = self.agent.decide(self._tracking.observe(state), seed)
         after = self._tracking.act(state, action)
         said = self._tracking.said(after)
@@ -225,20 +214,6 @@ class Partner:
                 unclear = understood.unclear[0]
                 said = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
         return Answer(sentence, understood, heard, said, now.text())
-
-    def _say(
-        self,
-        now: _Memory,
-        understood: Understood,
-        heard: Frame,
-        said: Frame,
-        seed: int,
-        *,
-        ended: str = "",
-    ) -> Answer:
-        """Returns an act that is not the agent's decision: greeting back, and farewell."""
-        sentence = self._mouth.agent(said, session=seed, turn=now.texts)
-        return Answer(sentence, understood, heard, said, now.text(), ended=ended)
 
 
 def as_act(frame: Frame, confidence: float | None = None) -> Act:
