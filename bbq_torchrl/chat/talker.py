@@ -17,7 +17,6 @@ from bbq_torchrl.shipped import run_folder
 from bbq_torchrl.study import Reply, StudyError
 
 if TYPE_CHECKING:
-    from bbq_torchrl.chat.partner import Ears, Mouth
     from bbq_torchrl.study import Study
 
 __all__ = ["AgentTalker", "make_talker"]
@@ -26,11 +25,10 @@ __all__ = ["AgentTalker", "make_talker"]
 class AgentTalker:
     """The agents of a study, of run folders or shipped: text in, text out, frames and beliefs.
 
+    Without an understander in the user's cache it is trained first, in about a minute.
+
     Args:
         study: whose agents; a run folder is looked for from the study file's folder on.
-        ears: who understands.
-        mouth: who speaks.
-        language: a hash of both.
 
     Attributes:
         domain: the study's, in the spelling that all acts have.
@@ -38,13 +36,15 @@ class AgentTalker:
 
     Raises:
         StudyError: with every agent that cannot be loaded, or is of another domain.
+        ModuleNotFoundError: the extra ``language`` is not installed.
     """
 
-    def __init__(self, study: Study, ears: Ears, mouth: Mouth, *, language: str) -> None:
+    def __init__(self, study: Study) -> None:
+        ears, mouth = kept_understander(study.domain), Generator(study.domain)
+        self._language = language_key(study.domain)
         self.labels = load_phrases(study.domain).names
         spelling = Spelling(study.domain)
         self.domain = spelling.domain
-        self._language = language
         # The tagger is not safe to be used by several threads at once.
         self._lock = threading.Lock()
         self._partners: dict[str, Partner] = {}
@@ -88,18 +88,6 @@ class AgentTalker:
 
 
 def make_talker(study: Study) -> AgentTalker:
-    """Returns the agents of a study with the own language layer.
-
-    Without an understander in the user's cache it is trained first, in about a minute.
-
-    Args:
-        study: whose agents are run folders.
-
-    Raises:
-        StudyError: with every agent that cannot be loaded.
-        ModuleNotFoundError: the extra ``language`` is not installed.
-    """
+    """Returns the agents of a study with the own language layer, on one thread of torch."""
     torch.set_num_threads(1)
-    domain = study.domain
-    ears, mouth = kept_understander(domain), Generator(domain)
-    return AgentTalker(study, ears, mouth, language=language_key(domain))
+    return AgentTalker(study)
