@@ -41,11 +41,12 @@ def draw_success(file: Path, results: Results, comparisons: Sequence[Comparison]
             level = max(level, share.high)
     level += 0.04
     for comparison in comparisons:
-        if comparison.people:
+        if comparison.success.people:
             left, right = agents.index(comparison.better), agents.index(comparison.worse)
             heights = [level, level + 0.02, level + 0.02, level]
             axes.plot([left, left, right, right], heights, color="black", lw=1)
-            label = f"p = {comparison.holm:.3f}" if comparison.holm >= 0.001 else "p < 0.001"
+            p = comparison.success.holm
+            label = f"p = {p:.3f}" if p >= 0.001 else "p < 0.001"
             axes.text((left + right) / 2, level + 0.025, label, ha="center", fontsize=8)
             level += 0.09
     axes.set(ylabel="success rate", ylim=(0, max(1.0, level + 0.03)))

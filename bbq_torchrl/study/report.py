@@ -104,8 +104,8 @@ def _pairs(results: Results) -> Iterator[str]:
         "independent and stand beside it, unadjusted. The unit is the person."
     )
     rows = [
-        (f"{item.better} – {item.worse}", item.rating, _p(item.rating_p), _p(item.rating_holm),
-         _p(item.mann_whitney))
+        (f"{item.better} – {item.worse}", item.rating.mean, _p(item.rating.p),
+         _p(item.rating.holm), _p(item.mann_whitney))
         for item in comparisons
     ]  # fmt: skip
     yield table(("pair", "overall rating", "p sign-flip", "Holm", "Mann-Whitney"), rows)
@@ -116,8 +116,8 @@ def _pairs(results: Results) -> Iterator[str]:
 
 def _comparison_table(comparisons: Iterable[Comparison]) -> str:
     rows = [
-        (f"{item.better} – {item.worse}", item.people, item.success, _p(item.p),
-         f"**{_p(item.holm)}**", _p(item.fisher), _p(item.boschloo))
+        (f"{item.better} – {item.worse}", item.success.people, item.success.mean,
+         _p(item.success.p), f"**{_p(item.success.holm)}**", _p(item.fisher), _p(item.boschloo))
         for item in comparisons
     ]  # fmt: skip
     head = ("pair", "people", "success", "p sign-flip", "Holm", "Fisher", "Boschloo")
