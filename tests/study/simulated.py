@@ -1,4 +1,4 @@
-"""Dialogues of the simulator as conversations of the study."""
+"""Dialogues of the simulator, turn by turn and as conversations of the study."""
 
 from __future__ import annotations
 
@@ -12,56 +12,61 @@ from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 
 
-class Conversations:
-    """Plays dialogues without errors and yields each with the simulator's own outcome."""
+class Dialogues:
+    """A batch of dialogues, with the states of all turns and the actions between them.
 
-    def __init__(self, domain, *, batch=500):
-        self.env = DialogueEnv(domain, batch_size=(batch,), slot_error_prob=0.0, seed=0)
-        self.coding = Coding(self.env.simulator.domain)
+    The policy takes random actions at times, a share of which are offers and farewells.
+    """
 
-    def play(self, policy, random_share, seed, *, booking_share=0.0):
-        """Yields (goal, exchanges, in time, success of the simulator)."""
-        env, generator = self.env, torch.Generator().manual_seed(seed)
-        env.set_seed(seed)
-        policy = scripted_policy(policy, env)
-        booking = torch.tensor(
-            [
-                env.domain.action_index(f"inform({env.domain.complete_slot})"),
-                env.domain.action_index("thanks"),
-            ]
-        )
+    def __init__(
+        self, domain, batch, policy="careful", *, random_share, booking_share, errors=0.0, seed=0
+    ):
+        self.env = env = DialogueEnv(domain, batch_size=(batch,), slot_error_prob=errors, seed=seed)
+        self.coding = Coding(env.simulator.domain)
+        policy, generator = scripted_policy(policy, env), torch.Generator().manual_seed(seed)
+        ends = [domain.action_index(f"inform({domain.complete_slot})")]
+        ends.append(domain.action_index("thanks"))
+        drawn_from = {
+            random_share: torch.arange(len(domain.actions)),
+            random_share * booking_share: torch.tensor(ends),
+        }
         tensordict = env.reset()
-        states = [env.dialogues]
+        self.states, self.actions = [env.dialogues], []
         with set_exploration_type(ExplorationType.DETERMINISTIC):
-            while not bool(states[-1]["done"].all()):
+            while not bool(self.states[-1]["done"].all()):
                 tensordict = policy(tensordict)
-                size = tensordict["action"].shape
-                random = torch.randint(len(env.domain.actions), size, generator=generator)
-                late = booking[torch.randint(2, size, generator=generator)]
-                is_late = torch.rand(size, generator=generator) < booking_share
-                random = torch.where(is_late, late, random)
-                is_random = torch.rand(size, generator=generator) < random_share
-                tensordict["action"] = torch.where(is_random, random, tensordict["action"])
+                for share, choices in drawn_from.items():
+                    drawn = choices[torch.randint(len(choices), (batch,), generator=generator)]
+                    is_drawn = torch.rand(batch, generator=generator) < share
+                    tensordict["action"] = torch.where(is_drawn, drawn, tensordict["action"])
+                self.actions.append(tensordict["action"])
                 tensordict = env.step(tensordict)["next"]
-                states.append(env.dialogues)
-        stacked = [state.to_dict() for state in states]
-        for place in range(env.batch_size[0]):
-            yield self._conversation([{k: v[place] for k, v in s.items()} for s in stacked])
+                self.states.append(env.dialogues)
 
-    def _conversation(self, states):
-        end = next(number for number, state in enumerate(states) if bool(state["done"]))
-        first, last = states[0], states[end]
-        card = self._frame(0, first["constraints"], first["requests"])
-        requests = [slot for slot in card.requests if slot != self.env.domain.ticket_slot]
-        exchanges = [
-            (
-                self._frame(before["heard_act"], before["user_informs"], before["pending"]),
-                self._frame(after["agent_act"], after["agent_informs"], after["agent_requests"]),
-            )
-            for before, after in pairwise(states[: end + 1])
-        ]
-        in_time = int(last["turn"]) <= self.env.simulator.max_turn
-        return Goal(card.informs, tuple(requests)), exchanges, in_time, bool(last["success"])
+    def turns(self, place):
+        """The states of one dialogue, its end included."""
+        for state in self.states:
+            yield state[place]
+            if bool(state["done"][place]):
+                return
+
+    def heard(self, state):
+        return self._frame(state["heard_act"], state["user_informs"], state["heard_requests"])
+
+    def conversations(self):
+        """Yields (goal, exchanges, in time, success of the simulator)."""
+        for place in range(self.env.batch_size[0]):
+            states = list(self.turns(place))
+            first, last = states[0], states[-1]
+            card = self._frame(torch.tensor(0), first["constraints"], first["requests"])
+            requests = [slot for slot in card.requests if slot != self.env.domain.ticket_slot]
+            said = ("agent_act", "agent_informs", "agent_requests")
+            exchanges = [
+                (self.heard(before), self._frame(*(after[key] for key in said)))
+                for before, after in pairwise(states)
+            ]
+            in_time = int(last["turn"]) <= self.env.simulator.max_turn
+            yield Goal(card.informs, tuple(requests)), exchanges, in_time, bool(last["success"])
 
     def _frame(self, act, informs, requests):
         return self.coding.frame(int(act), informs.tolist(), requests.tolist())

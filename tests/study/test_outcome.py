@@ -11,7 +11,7 @@ from bbq_torchrl.domains import Goal
 from bbq_torchrl.study.outcome import Judge, card
 from bbq_torchrl.study.talk import Frame
 
-from .simulated import Conversations
+from .simulated import Dialogues
 
 WISHES = {"moviename": "Deadpool", "city": "seattle", "numberofpeople": "2"}
 GOAL = Goal(WISHES, ("theater", "date"))
@@ -114,12 +114,13 @@ PLAYED = [
 
 
 def compare(domain, dialogues, policy, share, booking_share, batch):
-    conversations, judge = Conversations(domain, batch=batch), Judge(domain)
+    judge = Judge(domain)
     won = played = 0
     while played < dialogues:
-        for goal, exchanges, in_time, success in conversations.play(
-            policy, share, played, booking_share=booking_share
-        ):
+        batch_played = Dialogues(
+            domain, batch, policy, random_share=share, booking_share=booking_share, seed=played
+        )
+        for goal, exchanges, in_time, success in batch_played.conversations():
             reasons = judge.reasons(goal, exchanges, in_time=in_time)
             assert (not reasons) == success, (goal, exchanges, reasons)
             won, played = won + success, played + 1
