@@ -1,146 +1,66 @@
-"""``bbq chat`` in a real terminal: a pseudo-terminal, with prompt_toolkit and rich at work."""
+"""``bbq chat`` at a terminal: keys that prompt_toolkit reads, and what rich shows."""
 
 from __future__ import annotations
 
-import fcntl
-import os
-import pty
-import re
-import select
-import signal
-import struct
-import sys
-import termios
-import time
-import traceback
-import warnings
+import io
 
 import pytest
+from prompt_toolkit.application import create_app_session
+from prompt_toolkit.input import create_pipe_input
+from prompt_toolkit.output import DummyOutput
+from rich.console import Console
 
 from bbq_torchrl.chat.goals import choose_goal
-from bbq_torchrl.chat.terminal import Chat, console, prompt
-
-CURSOR = b"\x1b[6n"  # prompt_toolkit asks where the cursor is
-STYLES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b[=>]")
-LIMIT = 60
-
-
-class Terminal:
-    """What a person at a terminal does and sees.
-
-    Args:
-        run: what runs at the terminal, in a process of its own.
-        columns: the terminal's width.
-    """
-
-    def __init__(self, run, columns=100):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python 3.12 warns where there are threads
-            self.child, self.keys = pty.fork()
-        if self.child == 0:
-            _become(run)
-        self.resize(columns)
-        self.seen = ""
-
-    def resize(self, columns):
-        fcntl.ioctl(self.keys, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
-        os.kill(self.child, signal.SIGWINCH)
-
-    def type(self, keys):
-        self.seen = ""
-        os.write(self.keys, keys.encode())
-
-    def until(self, text):
-        """Returns what is shown, without styles, once it has ``text``."""
-        end = time.monotonic() + LIMIT
-        while text not in STYLES.sub("", self.seen):
-            assert time.monotonic() < end, f"{text!r} is not shown: {self.seen!r}"
-            assert self._read(), f"it ended without {text!r}: {self.seen!r}"
-        return STYLES.sub("", self.seen)
-
-    def ends(self):
-        """Returns the exit code, once the program has ended."""
-        while self._read():
-            pass
-        return os.waitstatus_to_exitcode(os.waitpid(self.child, 0)[1])
-
-    def _read(self):
-        if not select.select([self.keys], [], [], LIMIT)[0]:
-            raise AssertionError(f"nothing comes after {self.seen!r}")
-        try:
-            data = os.read(self.keys, 65_536)
-        except OSError:  # the other side is closed
-            return False
-        if CURSOR in data:
-            os.write(self.keys, b"\x1b[1;1R")
-        self.seen += data.decode(errors="replace")
-        return bool(data)
-
-
-def _become(run):
-    """Runs at the pseudo-terminal, with none of pytest's capturing; never returns."""
-    signal.alarm(3 * LIMIT)
-    code = 1
-    try:
-        warnings.resetwarnings()
-        warnings.simplefilter("ignore")
-        sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w")
-        os.environ["TERM"] = "xterm-256color"
-        for name in ("COLUMNS", "LINES", "NO_COLOR"):
-            os.environ.pop(name, None)
-        run()
-        sys.stdout.flush()
-        code = 0
-    except BaseException:
-        traceback.print_exc()
-        sys.stderr.flush()
-    os._exit(code)
+from bbq_torchrl.chat.terminal import Chat, prompt
 
 
 @pytest.fixture
-def terminal(partner, decided):
-    """A chat with an agent that asks for the city, once for /why, and at last says thanks."""
+def typed(partner, decided):
+    """Types in a chat with an agent that asks for the city, twice for /why, then says thanks."""
     decided(partner.agent, *["request(city)"] * 3, "thanks")
-    goal = choose_goal(partner.agent.domain, 1, 0)
     names = dict.fromkeys(partner.agent.domain.slots, "name")
 
-    def run():
-        Chat(partner, goal, console(), names=names).run(prompt())
+    def shown(*lines, width=100):
+        screen = io.StringIO()
+        console = Console(file=screen, force_terminal=True, color_system=None, width=width)
+        goal = choose_goal(partner.agent.domain, 1, 0)
+        with (
+            create_pipe_input() as keyboard,
+            create_app_session(input=keyboard, output=DummyOutput()),
+        ):
+            read, todo = prompt(), iter(lines)
 
-    opened = Terminal(run)
-    opened.until("you:")
-    yield opened
-    os.close(opened.keys)
+            def type_and_read():
+                keyboard.send_text(next(todo))
+                return read()
+
+            Chat(partner, goal, console, names=names).run(type_and_read)
+        return screen.getvalue()
+
+    return shown
 
 
-def test_a_conversation_at_a_terminal_to_its_end(terminal):
-    terminal.type("inform(moviename=barbie)\r")
-    terminal.until("agent: ")
-    terminal.type("/acts\r")
-    wide = terminal.until("nats\r\nyou:")
-    assert "┃ P(best) ┃" in wide
-    terminal.type("/why\r")
-    assert "request(city) rather than" in terminal.until("┘\r\nyou:")
+def test_a_conversation_at_a_terminal_to_its_end(typed):
+    up = "\x1b[A\r"  # what was typed last
+    lines = ("inform(city=reno)\r", "/acts\r", "/why\r", up, "inform(date=today)\r", "/quit\r")
+    shown = typed(*lines)
+    assert "┃ P(best) ┃" in shown
+    assert shown.count("agent: ") == 2
+    assert shown.count("request(city) rather than") == 2
+    assert shown.index("Failure: ") < shown.index("/quit leaves")
 
-    terminal.resize(40)
-    terminal.type("/acts\r")
-    narrow = terminal.until("nats\r\nyou:")
-    assert "\r\n  mean Q: " in narrow
-    assert "\r\n  P(best): " in narrow
-    assert max(map(len, narrow.replace("\r", "\n").split("\n"))) <= 40
 
-    terminal.type("inform(city=reno)\r")
-    terminal.until("agent: ")
-    terminal.type("\x1b[A")  # arrow up
-    terminal.until("inform(city=reno)")
-    terminal.type("\r")
-    assert "Failure: " in terminal.until("/quit leaves")
-    terminal.type("/quit\r")
-    assert terminal.ends() == 0
+def test_in_a_narrow_terminal_tables_are_lists(typed):
+    shown = typed("inform(moviename=barbie)\r", "/acts\r", "\x04", width=40)
+    assert "\n  mean Q: " in shown
+    assert "\n  P(best): " in shown
+    assert max(map(len, shown.splitlines())) <= 40
+
+
+def test_tab_completes_a_command(typed):
+    assert "Nothing was said yet." in typed("/wh\t\r", "\x04")
 
 
 @pytest.mark.parametrize("key", ["\x03", "\x04"], ids=["Ctrl-C", "Ctrl-D"])
-def test_a_key_ends_the_conversation_and_tells_the_outcome(terminal, key):
-    terminal.type(key)
-    assert "Failure: no booking was offered" in terminal.until("Failure: no booking was offered")
-    assert terminal.ends() == 0
+def test_a_key_ends_the_conversation_and_tells_the_outcome(typed, key):
+    assert "Failure: no booking was offered" in typed(key)

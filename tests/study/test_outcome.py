@@ -65,6 +65,7 @@ def test_what_the_rule_asks_for_is_a_success(judge):
         ([*ANSWERS, offer(**WISHES | {"city": "boston"})], ("wishes",)),
         ([*ANSWERS, offer(moviename="deadpool", city="seattle")], ("wishes",)),
         ([*WON, offer(**WISHES | {"numberofpeople": "3"})], ("wishes",)),
+        ([*WON, offer(moviename="deadpool")], ("wishes",)),
         ([*ANSWERS, offer("no match", **WISHES)], ("no ticket", "no match left")),
         ([ANSWERS[0], WON[2]], ("questions",)),
         ([told(theater="odeon"), told(date="today"), WON[2]], ("questions",)),
