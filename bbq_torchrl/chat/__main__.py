@@ -26,43 +26,7 @@ _KEY = "BBQ_ENDPOINT_KEY"
 @output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code: 2 if refused."""
-    _chat(_parser().parse_args(arguments))
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = output.Parser(
-        prog="bbq chat", description="Talk with a trained agent. See docs/chat.md."
-    )
-    parser.add_argument("run", help="a run folder, or shipped:<name>")
-    about = parser.add_mutually_exclusive_group()
-    about.add_argument("--goal", type=int, help="number of a goal, from 1; drawn unless given")
-    about.add_argument("--free", action="store_true", help="talk without a goal")
-    parser.add_argument("--seed", type=int, default=0, help="of goal, words and draws")
-    parser.add_argument("--replica", type=int, default=0, help="which replica of the run talks")
-    parser.add_argument("--mode", help="mean, average, draw or thompson, for a Bayesian agent")
-    parser.add_argument("--weights", choices=("last", "best"), default="last")
-    parser.add_argument(
-        "--ask-below",
-        type=between(float, 0, 1),
-        metavar="P",
-        help="confidence below which it asks you again; 0: never",
-    )
-    parser.add_argument("--plain", action="store_true", help="read lines of standard input")
-    parser.add_argument(
-        "--understander", type=Path, help="file of `bbq language train`; trained unless given"
-    )
-    parser.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
-    for name, help_ in (("--nlu", "who understands"), ("--nlg", "who speaks")):
-        parser.add_argument(name, choices=("own", "endpoint"), default="own", help=help_)
-    parser.add_argument("--url", help="of an OpenAI-compatible server, up to and with its /v1")
-    parser.add_argument(
-        "--model", help=f"the endpoint's; its key, if any, in the environment variable {_KEY}"
-    )
-    return parser
-
-
-def _chat(given: argparse.Namespace) -> None:
+    given = _parser().parse_args(arguments)
     endpoint = _endpoint(given)
     if given.labeled is not None and given.understander is not None:
         raise ConfigError("--labeled is learned in training: it must not be with --understander")
@@ -99,6 +63,39 @@ def _chat(given: argparse.Namespace) -> None:
     partner = Partner(agent, ears, mouth, spelling, ask_below=given.ask_below)
     names = load_phrases(agent.domain).names
     Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = output.Parser(
+        prog="bbq chat", description="Talk with a trained agent. See docs/chat.md."
+    )
+    parser.add_argument("run", help="a run folder, or shipped:<name>")
+    about = parser.add_mutually_exclusive_group()
+    about.add_argument("--goal", type=int, help="number of a goal, from 1; drawn unless given")
+    about.add_argument("--free", action="store_true", help="talk without a goal")
+    parser.add_argument("--seed", type=int, default=0, help="of goal, words and draws")
+    parser.add_argument("--replica", type=int, default=0, help="which replica of the run talks")
+    parser.add_argument("--mode", help="mean, average, draw or thompson, for a Bayesian agent")
+    parser.add_argument("--weights", choices=("last", "best"), default="last")
+    parser.add_argument(
+        "--ask-below",
+        type=between(float, 0, 1),
+        metavar="P",
+        help="confidence below which it asks you again; 0: never",
+    )
+    parser.add_argument("--plain", action="store_true", help="read lines of standard input")
+    parser.add_argument(
+        "--understander", type=Path, help="file of `bbq language train`; trained unless given"
+    )
+    parser.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
+    for name, help_ in (("--nlu", "who understands"), ("--nlg", "who speaks")):
+        parser.add_argument(name, choices=("own", "endpoint"), default="own", help=help_)
+    parser.add_argument("--url", help="of an OpenAI-compatible server, up to and with its /v1")
+    parser.add_argument(
+        "--model", help=f"the endpoint's; its key, if any, in the environment variable {_KEY}"
+    )
+    return parser
 
 
 def _endpoint(given: argparse.Namespace) -> Endpoint | None:

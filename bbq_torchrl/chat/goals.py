@@ -6,14 +6,12 @@ import random
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.study.outcome import Judge, card
+from bbq_torchrl.study.outcome import Judge
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bbq_torchrl.domains import Domain, Goal
 
-__all__ = ["REASONS", "choose_goal", "goal_lines"]
+__all__ = ["REASONS", "choose_goal"]
 
 REASONS = {
     "no offer": "no booking was offered",
@@ -47,15 +45,3 @@ def choose_goal(domain: Domain, number: int | None, seed: int) -> Goal:
     if not attainable:
         raise ConfigError(f"no goal of the domain {domain.name} can be met: use --free")
     return random.Random(seed).choice(attainable)
-
-
-def goal_lines(goal: Goal, names: Mapping[str, str]) -> list[str]:
-    """Returns a goal card, a line a wish or question.
-
-    Args:
-        goal: the person's.
-        names: how people call the slots.
-    """
-    shown = card(goal, names)
-    wishes = [f"{name}: {value}" for name, value in shown["wishes"]]
-    return [*wishes, *(f"find out: {name}" for name in shown["questions"])]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.chat.goals import REASONS, goal_lines
+from bbq_torchrl.chat.goals import REASONS
 from bbq_torchrl.chat.partner import as_act
 from bbq_torchrl.extras import needed
-from bbq_torchrl.study.outcome import Judge
+from bbq_torchrl.study.outcome import Judge, card
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -112,8 +112,11 @@ class Chat:
             self._say("There is no goal: ask for what you like.")
             return
         self._say("Your goal is a booking:")
-        for line in goal_lines(self._goal, self._names):
-            self._say(f"  {line}")
+        shown = card(self._goal, self._names)
+        for name, value in shown["wishes"]:
+            self._say(f"  {name}: {value}")
+        for name in shown["questions"]:
+            self._say(f"  find out: {name}")
 
     def _show_acts(self, turn: _Turn) -> None:
         answer, understood = turn.answer, turn.answer.understood
