@@ -125,13 +125,6 @@ def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypat
     assert len(shown) < 20_000
 
 
-def test_a_shipped_agent_talks(understander, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdin", io.StringIO("two for barbie\n" * 3 + "/acts\n/quit\n"))
-    command = ["shipped:bbqn_map", "--plain", "--free", "--understander", str(understander)]
-    assert __main__.main(command) == 0
-    assert "P(best)" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -7,8 +7,6 @@ import shutil
 
 import pytest
 
-from bbq_torchrl.study.database import reading
-
 from .conftest import STUDY
 from .served import Server
 
@@ -66,25 +64,11 @@ def say(page, text):
     page.wait_for_load_state()
 
 
-def rate(page):
-    page.get_by_label("yes").check()
-    for scale in ("overall", "naturalness", "coherence", "completion"):
-        page.locator(f"input[name={scale}][value='4']").check()
-    page.locator("form button").click()
-    page.wait_for_load_state()
-
-
 def messages(page):
     return page.locator("li.you q").all_inner_texts()
 
 
-def stored(server, text):
-    with reading(server.file.with_suffix(".sqlite")) as connection:
-        query = "SELECT COUNT(*) FROM exchange WHERE text = ?"
-        return connection.execute(query, (text,)).fetchone()[0]
-
-
-def test_reload_and_back_lose_and_repeat_nothing(visit, server):
+def test_reload_and_back_lose_and_repeat_nothing(visit):
     page = visit()
     say(page, "first of reload")
     page.reload()
@@ -94,11 +78,10 @@ def test_reload_and_back_lose_and_repeat_nothing(visit, server):
     page.wait_for_load_state()
     page.reload()
     assert messages(page) == ["first of reload", "second of reload"]
-    assert stored(server, "first of reload") == stored(server, "second of reload") == 1
 
 
 @pytest.mark.parametrize("script", [True, False], ids=["with script", "without script"])
-def test_a_double_click_sends_once(visit, server, script):
+def test_a_double_click_sends_once(visit, script):
     page = visit(java_script_enabled=script)
     text = f"twice {script}"
     page.get_by_label("Your message").fill(text)
@@ -106,7 +89,6 @@ def test_a_double_click_sends_once(visit, server, script):
     page.wait_for_selector("li.it")  # the answer: the address is the same before it
     page.goto(page.url.replace("/say", ""))
     assert messages(page) == [text]
-    assert stored(server, text) == 1
 
 
 def test_the_keyboard_alone_is_enough(visit):
@@ -126,16 +108,6 @@ def test_the_keyboard_alone_is_enough(visit):
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
     playwright.expect(page).to_have_title(re.compile("^Conversation 2"))
-
-
-def test_everything_works_without_javascript(visit):
-    page = visit(java_script_enabled=False)
-    for _ in range(2):
-        say(page, "city=philly")
-        page.get_by_role("button", name="End this conversation").click()
-        page.wait_for_load_state()
-        rate(page)
-    assert page.get_by_role("heading", name="Thank you").is_visible()
 
 
 @pytest.mark.parametrize(

@@ -94,18 +94,9 @@ def test_denominators_with_nothing_in_common_are_drawn():
     assert sign_flip(values) == pytest.approx(2 / 2**12, abs=2e-4)
 
 
-@pytest.mark.parametrize(
-    ("given", "adjusted"),
-    [
-        ([], []),
-        ([0.2], [0.2]),
-        ([0.01, 0.02, 0.03], [0.03, 0.04, 0.04]),
-        ([0.04, 0.01, 0.9], [0.08, 0.03, 0.9]),
-        ([0.5, 0.6, 0.7], [1.0, 1.0, 1.0]),
-    ],
-)
-def test_holm_steps_down(given, adjusted):
-    assert holm(given) == pytest.approx(adjusted)
+def test_holm_steps_down():
+    assert holm([0.04, 0.01, 0.9]) == pytest.approx([0.08, 0.03, 0.9])
+    assert holm([0.5, 0.6, 0.7]) == [1.0, 1.0, 1.0]
 
 
 def test_classical_tests_are_scipys_and_one_where_all_are_equal():
