@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
-import threading
-from contextlib import ExitStack, closing, contextmanager
-from typing import TYPE_CHECKING, Any
+from contextlib import closing, contextmanager
+from functools import partial
+from typing import TYPE_CHECKING
 
 from filelock import FileLock, Timeout
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["Database", "StoreError", "reading"]
+__all__ = ["StoreError", "reading", "told", "writing"]
 
 _VERSION = 1
 _SCHEMA = """
@@ -92,45 +92,27 @@ class StoreError(StudyError):
         super().__init__(str(path), faults)
 
 
-class Database:
-    """A study's file, held by one process, written by one thread at a time.
-
-    Args:
-        path: of the file; it is made where it is missing.
+@contextmanager
+def writing(path: Path) -> Iterator[sqlite3.Connection]:
+    """Opens a study's file for one server alone; makes it where it is missing.
 
     Raises:
         StoreError: the file is another server's now, newer, damaged, read-only, or no such file.
     """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._mutex = threading.RLock()
-        if sqlite3.sqlite_version_info < _SQLITE:
-            raise StoreError(
-                path, f"it needs SQLite 3.37 or newer, this is {sqlite3.sqlite_version}"
-            )
-        if not path.parent.is_dir():
-            raise StoreError(path, "its folder does not exist")
-        lock = FileLock(path.with_name(f"{path.name}.lock"))
-        with ExitStack() as opened:
-            try:
-                opened.enter_context(lock.acquire(timeout=0))
-            except Timeout as error:
-                text = "another server is at work on it: end that one, or wait"
-                raise StoreError(path, text) from error
-            except OSError as error:
-                raise StoreError(path, f"it cannot be used: {error.strerror}") from error
-            with _told(path):
-                self._connection = sqlite3.connect(
-                    path, isolation_level=None, check_same_thread=False
-                )
-                opened.callback(self._connection.close)
-                self._prepare()
-            self._opened = opened.pop_all()
-
-    def _prepare(self) -> None:
-        connection = self._connection
-        version = _check(self.path, connection)
+    if sqlite3.sqlite_version_info < _SQLITE:
+        raise StoreError(path, f"it needs SQLite 3.37 or newer, this is {sqlite3.sqlite_version}")
+    if not path.parent.is_dir():
+        raise StoreError(path, "its folder does not exist")
+    try:
+        lock = FileLock(path.with_name(f"{path.name}.lock")).acquire(timeout=0)
+    except Timeout as error:
+        text = "another server is at work on it: end that one, or wait"
+        raise StoreError(path, text) from error
+    except OSError as error:
+        raise StoreError(path, f"it cannot be used: {error.strerror}") from error
+    connected = partial(sqlite3.connect, isolation_level=None, check_same_thread=False)
+    with lock, told(path), closing(connected(path)) as connection:
+        version = _check(path, connection)
         for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
         # Written anew also where it is: a file system that lets nothing be written says so now.
@@ -138,33 +120,7 @@ class Database:
         connection.executescript(
             f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {_VERSION}; COMMIT;"
         )
-
-    @contextmanager
-    def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Runs a block as one transaction: all of it is on the disk afterwards, or nothing.
-
-        Raises:
-            StoreError: it could not be written.
-        """
-        with self._mutex, _told(self.path):
-            self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._connection
-                self._connection.execute("COMMIT")
-            except BaseException:
-                if self._connection.in_transaction:
-                    self._connection.execute("ROLLBACK")
-                raise
-
-    def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
-        """Returns the rows of a query."""
-        with self._mutex, _told(self.path):
-            return self._connection.execute(query, values).fetchall()
-
-    def close(self) -> None:
-        """Closes the file and lets other servers have it."""
-        with self._mutex:
-            self._opened.close()
+        yield connection
 
 
 @contextmanager
@@ -177,7 +133,7 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
     if not path.is_file():
         raise StoreError(path, "there is no such file: the study has not been served yet")
     address = path.absolute().as_uri() + "?mode=ro"
-    with _told(path), closing(sqlite3.connect(address, uri=True)) as connection:
+    with told(path), closing(sqlite3.connect(address, uri=True)) as connection:
         if not _check(path, connection):
             raise StoreError(path, "it is empty: the study has not been served yet")
         connection.execute("BEGIN")  # one moment of the study for all queries
@@ -203,7 +159,7 @@ def _check(path: Path, connection: sqlite3.Connection) -> int:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def told(path: Path) -> Iterator[None]:
     """Turns what SQLite says into a sentence."""
     try:
         yield

@@ -6,14 +6,15 @@ import hashlib
 import hmac
 import json
 import secrets
+import threading
 import time
 from base64 import urlsafe_b64encode
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bbq_torchrl
-from bbq_torchrl.study.database import Database, StoreError
+from bbq_torchrl.study.database import StoreError, told, writing
 from bbq_torchrl.study.design import assignments
 from bbq_torchrl.study.plan import Terms
 from bbq_torchrl.study.records import EXCHANGES, SCALES, SESSIONS, Session, StoredExchange
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
 __all__ = ["Store"]
 
 
-class Store(Database):
-    """The data of a study, in one SQLite file.
+class Store:
+    """The data of a study, in one SQLite file, written by one thread at a time.
 
     Whatever a method has written is on the disk when it returns.
 
@@ -55,14 +56,13 @@ class Store(Database):
         secret: str | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        super().__init__(path)
-        self._terms, self._clock = terms, clock
-        try:
+        self._path, self._terms, self._clock = path, terms, clock
+        self._mutex = threading.RLock()
+        with ExitStack() as opened:
+            self._connection = opened.enter_context(writing(path))
             with self.transaction() as connection:
                 self._secret = self._begin(connection, fingerprints, simulated, secret)
-        except BaseException:
-            self.close()
-            raise
+            self._opened = opened.pop_all()
 
     def _begin(
         self,
@@ -97,7 +97,7 @@ class Store(Database):
         ]
         if faults:
             advice = "a study goes on as it was begun; a changed one needs a new file name"
-            raise StoreError(self.path, *(f"{fault} ({advice})" for fault in faults))
+            raise StoreError(self._path, *(f"{fault} ({advice})" for fault in faults))
         connection.execute("UPDATE study SET terms = ?", (self._terms.text(),))
         return str(found[2])
 
@@ -105,6 +105,33 @@ class Store(Database):
         """Returns an unguessable word that is the same each time: of a link, say."""
         digest = hmac.digest(self._secret.encode(), purpose.encode(), "sha256")
         return urlsafe_b64encode(digest[:24]).decode()
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """Runs a block as one transaction: all of it is on the disk afterwards, or nothing.
+
+        Raises:
+            StoreError: it could not be written.
+        """
+        with self._mutex, told(self._path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
+        """Returns the rows of a query."""
+        with self._mutex, told(self._path):
+            return self._connection.execute(query, values).fetchall()
+
+    def close(self) -> None:
+        """Closes the file and lets other servers have it."""
+        with self._mutex:
+            self._opened.close()
 
     # -- people ------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 import bbq_torchrl
-from bbq_torchrl.study.database import Database, StoreError, reading
+from bbq_torchrl.study.database import StoreError, reading
 from bbq_torchrl.study.records import SCALES, current
 from bbq_torchrl.study.store import Store
 
@@ -22,9 +22,9 @@ NONCES = [f"nonce-number-{number:010d}" for number in range(50)]
 def open_store(study, clock):
     opened = []
 
-    def make(terms=study.terms, weights="1"):
+    def make(terms=study.terms, weights="1", data=study.data):
         found = prints(study, weights=weights)
-        opened.append(Store(study.data, terms, found, clock=clock))
+        opened.append(Store(data, terms, found, clock=clock))
         return opened[-1]
 
     yield make
@@ -116,6 +116,7 @@ def test_who_has_finished_keeps_their_place(open_store, study, clock):
     token, _ = (store.enrol(nonce) for nonce in NONCES[:2])
     for session in store.sessions(token):
         store.end(session, "person", ("wishes",))
+        assert store.progress()[0]["finished"] == 0  # not before all are rated
         store.rate(session, NONCES[2], dict.fromkeys(SCALES, 3), True)
     people = {"wanted": 2, "enrolled": 2, "finished": 1}
     assert store.progress()[0] == {**people, "active": 1, "left": 0}
@@ -173,12 +174,12 @@ def test_a_database_of_something_else_is_refused(open_store, study):
         open_store()
 
 
-def test_a_file_or_folder_that_is_not_there_is_a_sentence(study, tmp_path):
+def test_a_file_or_folder_that_is_not_there_is_a_sentence(open_store, study, tmp_path):
     with pytest.raises(StoreError, match="folder does not exist"):
-        Database(tmp_path / "nowhere" / "study.sqlite")
+        open_store(data=tmp_path / "nowhere" / "study.sqlite")
     (tmp_path / "locked.sqlite.lock").mkdir()
     with pytest.raises(StoreError, match="it cannot be used: Is a directory"):
-        Database(tmp_path / "locked.sqlite")
+        open_store(data=tmp_path / "locked.sqlite")
     with pytest.raises(StoreError, match="has not been served yet"), reading(study.data):
         pass
 
