@@ -84,8 +84,7 @@ def _differences(
     pairs = []
     for pair in results.terms.pairs:
         one, other = (
-            {person: Fraction(sum(v), len(v)) for person, v in of(agent).items() if v}
-            for agent in pair
+            {person: Fraction(sum(v), len(v)) for person, v in of(agent).items()} for agent in pair
         )
         pairs.append([one[person] - other[person] for person in sorted(one.keys() & other.keys())])
     p = list(map(sign_flip, pairs))

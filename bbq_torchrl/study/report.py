@@ -17,7 +17,7 @@ from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.statistics import auroc, kappa, mean, proportion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from bbq_torchrl.study.comparisons import Comparison
@@ -74,12 +74,7 @@ def _agents(results: Results) -> Iterator[str]:
     rows = []
     for agent in results.terms.agents:
         success = proportion(results.successes(agent).values())
-        own = proportion(
-            [
-                [bool(item.verdict) for item in sessions if item.is_rated]
-                for sessions in results.of(agent).values()
-            ]
-        )
+        own = proportion(results.by_person(lambda item: item.verdict, agent).values())
         scales = [mean(results.ratings(agent, name).values()) for name in SCALES]
         rows.append((agent, success.count, success, own, *scales))
     yield table(("agent", "sessions", "success", "own verdict", *SCALES), rows)
@@ -152,11 +147,10 @@ def _counted(counts: Mapping[str, Counter[Any]], items: Sequence[object]) -> str
 
 
 def _agreement(results: Results) -> Iterator[str]:
-    by_person: dict[str, list[tuple[bool, bool]]] = {}
-    for session in results.sessions:
-        if session.verdict is not None:
-            by_person.setdefault(session.person, []).append((session.verdict, session.success))
-    found = kappa(list(by_person.values()))
+    both = results.by_person(
+        lambda item: None if item.verdict is None else (item.verdict, item.success)
+    )
+    found = kappa(list(both.values()))
     whose = "The simulated users'" if results.simulated else "People's"
     yield f"## {whose} own verdict and the judge's"
     if math.isnan(found.value):
@@ -170,10 +164,9 @@ def _agreement(results: Results) -> Iterator[str]:
 def _uncertainty(results: Results) -> Iterator[str]:
     rows = []
     for agent in results.terms.agents:
-        people = [
-            [item for item in sessions if item.entropy is not None]
-            for sessions in results.of(agent).values()
-        ]
+        people = results.by_person(
+            lambda item: item if item.entropy is not None else None, agent
+        ).values()
         if count := sum(map(len, people)):
             whole = _warning(people, lambda item: item.entropy)
             soon = _warning(people, lambda item: item.entropy_of_first(FIRST))
@@ -191,7 +184,7 @@ def _uncertainty(results: Results) -> Iterator[str]:
 
 
 def _warning(
-    people: Sequence[Sequence[Result]], sign: Callable[[Result], float | None]
+    people: Collection[Sequence[Result]], sign: Callable[[Result], float | None]
 ) -> Interval:
     """Returns how well a sign tells sessions that fail, where there is one."""
     return auroc(

@@ -7,18 +7,19 @@ from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean, median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from bbq_torchrl.study.database import reading
 from bbq_torchrl.study.plan import Terms
 from bbq_torchrl.study.records import EXCHANGES, SESSIONS, Session, StoredExchange
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
-
 __all__ = ["Result", "Results", "read_results"]
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -73,33 +74,32 @@ class Results:
         """The study's name, which says so where its people are simulated."""
         return f"{self.terms.name}{' (simulated users)' if self.simulated else ''}"
 
-    def of(self, agent: str) -> dict[str, list[Result]]:
-        """Returns an agent's sessions by person."""
-        found: dict[str, list[Result]] = defaultdict(list)
+    def by_person(
+        self, of: Callable[[Result], Value | None], agent: str | None = None
+    ) -> dict[str, list[Value]]:
+        """Returns something of each person's sessions, where it is there.
+
+        Args:
+            of: takes it of a session; ``None`` where it is not there.
+            agent: of whose sessions; all, if none is named.
+        """
+        found: dict[str, list[Value]] = defaultdict(list)
         for session in self.sessions:
-            if session.agent == agent:
-                found[session.person].append(session)
+            if agent in (None, session.agent) and (value := of(session)) is not None:
+                found[session.person].append(value)
         return dict(found)
 
     def successes(self, agent: str) -> dict[str, list[bool]]:
         """Returns the judge's verdicts on an agent by person."""
-        return {
-            person: [session.success for session in sessions]
-            for person, sessions in self.of(agent).items()
-        }
+        return self.by_person(lambda session: session.success, agent)
 
     def ratings(self, agent: str, scale: str = "overall") -> dict[str, list[int]]:
-        """Returns an agent's ratings by person, also those who have rated nothing."""
-        return {
-            person: [session.ratings[scale] for session in sessions if session.ratings]
-            for person, sessions in self.of(agent).items()
-        }
+        """Returns an agent's ratings by person."""
+        return self.by_person(lambda item: item.ratings[scale] if item.ratings else None, agent)
 
     def flags(self) -> dict[str, list[str]]:
         """Returns what is conspicuous of people; nobody is left out of anything for it."""
-        people: dict[str, list[Result]] = defaultdict(list)
-        for session in self.sessions:
-            people[session.person].append(session)
+        people = self.by_person(lambda session: session)
         found = {person: _flags(people[person]) for person in sorted(people, key=_number)}
         return {person: flags for person, flags in found.items() if flags}
 

@@ -176,22 +176,13 @@ class _Pages:
         self._check(request, RESEARCHER)
         counts, sessions = self._store.progress()
         begun = [session for session in reversed(sessions) if session.messages]
-        agents = {
-            agent: {
-                "begun": sum(item.agent == agent for item in begun),
-                "ended": sum(item.agent == agent and item.is_ended for item in begun),
-                "rated": sum(item.agent == agent and item.is_rated for item in begun),
-            }
-            for agent in self._study.terms.agents
-        }
         return self._html(
             "progress",
-            HTTPStatus.OK,
             key=request.path_params["key"],
             counts=counts,
-            agents=agents,
-            begun=begun[:MAX_LISTED],
-            unlisted=len(begun[MAX_LISTED:]),
+            agents=list(self._study.terms.agents),
+            begun=begun,
+            max_listed=MAX_LISTED,
         )
 
     def transcript(self, request: Request) -> Response:
@@ -202,7 +193,6 @@ class _Pages:
             raise HTTPException(HTTPStatus.NOT_FOUND)
         return self._html(
             "transcript",
-            HTTPStatus.OK,
             key=request.path_params["key"],
             session=session,
             card=self._card(session),
@@ -249,7 +239,9 @@ class _Pages:
             nonce=_new_nonce(),
         )
 
-    def _html(self, template: str, status: HTTPStatus, **values: Any) -> HTMLResponse:
+    def _html(
+        self, template: str, status: HTTPStatus = HTTPStatus.OK, **values: Any
+    ) -> HTMLResponse:
         page = _TEMPLATES.get_template(f"{template}.html")
         return HTMLResponse(page.render(name=self._study.terms.name, **values), status)
 
