@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bbq_torchrl.study.plan import Study
-    from bbq_torchrl.study.records import Session
     from bbq_torchrl.study.talk import Frame, Talker
 
 __all__ = ["User", "simulate"]
@@ -79,40 +78,27 @@ def simulate(
         for place in range(wanted):
             clock.now = begin = place * _DAY
             token = conversations.enrol({"nonce": _nonce(seed, place), "consent": "yes"})
+            user = None
             while (session := current(store.sessions(token))) is not None:
-                clock.now = begin + session.position * _HOUR
+                form = {"session": str(session.position)}
                 drawn = seed_of(seed, place, session.position)
-                user = users(session.goal, drawn)
-                messages = _converse(conversations, store, clock, token, session, user)
-                ratings = drawn_ratings(user.satisfied, messages, drawn)
-                form = {"nonce": _nonce(drawn, "rating"), "session": str(session.position)}
-                form |= {name: str(rating) for name, rating in ratings.items()}
-                form["verdict"] = "yes" if user.satisfied else "no"
-                conversations.rate(token, form)
+                if user is None:
+                    clock.now = begin + session.position * _HOUR
+                    user, said, number = users(session.goal, drawn), None, 0
+                if not session.is_ended or number < session.messages:
+                    number += 1
+                    clock.now += _PAUSE
+                    form |= {"nonce": _nonce(session.id, number), "turn": str(number)}
+                    conversations.say(token, {**form, "text": user.say(said)})
+                    said = store.exchanges(session.id)[number - 1].said
+                else:
+                    ratings = drawn_ratings(user.satisfied, number, drawn)
+                    form |= {name: str(rating) for name, rating in ratings.items()}
+                    form["verdict"] = "yes" if user.satisfied else "no"
+                    conversations.rate(token, {**form, "nonce": _nonce(drawn, "rating")})
+                    user = None
             if (place + 1) % 10 == 0 or place + 1 == wanted:
                 tell(f"{place + 1} of {wanted} simulated users have taken part")
-
-
-def _converse(
-    conversations: Conversations,
-    store: Store,
-    clock: _Clock,
-    token: str,
-    session: Session,
-    user: User,
-) -> int:
-    """Has a user talk until the conversation has ended. Returns the number of its messages."""
-    said, number = None, 0
-    while True:
-        number += 1
-        clock.now += _PAUSE
-        form = {"nonce": _nonce(session.id, number), "session": str(session.position)}
-        conversations.say(token, {**form, "turn": str(number), "text": user.say(said)})
-        exchanges = store.exchanges(session.id)
-        said = exchanges[number - 1].said
-        found = store.session(session.id)
-        if number == len(exchanges) and found is not None and found.is_ended:
-            return number
 
 
 def _nonce(*parts: object) -> str:
