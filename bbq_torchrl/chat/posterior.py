@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from tensordict import TensorDict
 
-from bbq_torchrl.bayes.posterior import posteriors
+from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP
@@ -37,7 +36,10 @@ def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor 
     """
     if isinstance(policy, MajorityVote):
         return _mean_values(policy, inputs).squeeze(-3)
-    if not (_is_bayesian(policy) or _drops_units(policy)):
+    if not isinstance(policy, (EvaluationPolicy, Greedy)) or not any(
+        isinstance(module, GaussianPosterior) or (isinstance(module, FlatMLP) and module.dropout)
+        for module in policy.modules()
+    ):
         return None
     rows = inputs.expand(*inputs.shape[:-2], draws, inputs.shape[-1])
     with weight_scope("local"):
@@ -70,29 +72,18 @@ def path_draws(
             return _mean_values(policy, rows).diagonal(dim1=-3, dim2=-2).movedim(-1, -2)
 
         return heads, of_heads
-    if _is_bayesian(policy):
-        weights = {one: one.sample((draws,)).detach() for one in posteriors(policy)}
-
-        def of_draws(rows: Tensor) -> Tensor:
-            with weight_scope(weights=weights):
-                return _values(policy, rows)
-
-        return draws, of_draws
-    if isinstance(policy, (EvaluationPolicy, Greedy)):
+    if not isinstance(policy, (EvaluationPolicy, Greedy)):
+        return None
+    found = [module for module in policy.modules() if isinstance(module, GaussianPosterior)]
+    if not found:
         return 1, lambda rows: _mean_values(policy, rows)
-    return None
+    weights = {one: one.sample((draws,)).detach() for one in found}
 
+    def of_draws(rows: Tensor) -> Tensor:
+        with weight_scope(weights=weights):
+            return _values(policy, rows)
 
-def _is_bayesian(policy: TensorDictModuleBase) -> bool:
-    with suppress(ValueError):  # raised where there is no posterior
-        return isinstance(policy, (EvaluationPolicy, Greedy)) and bool(posteriors(policy))
-    return False
-
-
-def _drops_units(policy: TensorDictModuleBase) -> bool:
-    return isinstance(policy, (EvaluationPolicy, Greedy)) and any(
-        isinstance(module, FlatMLP) and module.dropout > 0 for module in policy.modules()
-    )
+    return draws, of_draws
 
 
 def _values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:

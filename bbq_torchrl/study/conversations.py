@@ -217,10 +217,8 @@ def _session(sessions: Sequence[Session], form: Mapping[str, str]) -> Session:
     """Returns the session that a form is of: a person's current one or an earlier one."""
     given, now = form.get("session", ""), current(sessions)
     for session in sessions:
-        if str(session.position) == given:
+        if str(session.position) == given and (session.is_rated or session is now):
             return session
-        if session is now:
-            break
     raise RefusedError(
         HTTPStatus.BAD_REQUEST,
         "This form is of no conversation of yours: please open your link again.",
