@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
 
-    from bbq_torchrl.language import Endpoint
-
 __all__ = ["main"]
 
 _KEY = "BBQ_ENDPOINT_KEY"
@@ -27,7 +25,8 @@ _KEY = "BBQ_ENDPOINT_KEY"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code: 2 if refused."""
     given = _parser().parse_args(arguments)
-    endpoint = _endpoint(given)
+    if "endpoint" in (given.nlu, given.nlg) and not (given.url and given.model):
+        raise ConfigError("--nlu endpoint and --nlg endpoint need --url and --model")
     if given.labeled is not None and given.understander is not None:
         raise ConfigError("--labeled is learned in training: it must not be with --understander")
 
@@ -39,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from bbq_torchrl.chat.spelling import Spelling
     from bbq_torchrl.chat.terminal import Chat, console, prompt
     from bbq_torchrl.language import (
+        Endpoint,
         EndpointGenerator,
         EndpointUnderstander,
         Generator,
@@ -58,8 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         own = kept_understander(agent.domain, given.labeled, screen.print)
     speak = Generator(agent.domain)
-    ears = EndpointUnderstander(endpoint, own) if endpoint and given.nlu == "endpoint" else own
-    mouth = EndpointGenerator(endpoint, speak) if endpoint and given.nlg == "endpoint" else speak
+    endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
+    ears = EndpointUnderstander(endpoint, own) if given.nlu == "endpoint" else own
+    mouth = EndpointGenerator(endpoint, speak) if given.nlg == "endpoint" else speak
     partner = Partner(agent, ears, mouth, spelling, ask_below=given.ask_below)
     names = load_phrases(agent.domain).names
     Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
@@ -96,16 +97,6 @@ def _parser() -> argparse.ArgumentParser:
         "--model", help=f"the endpoint's; its key, if any, in the environment variable {_KEY}"
     )
     return parser
-
-
-def _endpoint(given: argparse.Namespace) -> Endpoint | None:
-    from bbq_torchrl.language import Endpoint
-
-    if "endpoint" not in (given.nlu, given.nlg):
-        return None
-    if not given.url or not given.model:
-        raise ConfigError("--nlu endpoint and --nlg endpoint need --url and --model")
-    return Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
 
 
 def _lines() -> Callable[[], str | None]:
