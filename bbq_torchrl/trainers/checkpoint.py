@@ -42,7 +42,8 @@ _LOG = logging.getLogger(__name__)
 _SUFFIX = ".torchrl"
 _NAME = re.compile(r"round-(\d{6,})\.torchrl")
 _METADATA_SIZE = 1 << 20  # bytes; more than the JSON and the folders of a checkpoint take
-_LEFTOVER = re.compile(r"\..+\.torchrl\.(stage|archive|backup)-[0-9a-f]{32}")
+_KEPT = "kept"  # a smaller checkpoint, before it takes the place of the one that it is made of
+_LEFTOVER = re.compile(rf"{_KEPT}\.torchrl|\..+\.torchrl\.(stage|archive|backup)-[0-9a-f]{{32}}")
 
 
 class CheckpointFolder:
@@ -187,7 +188,7 @@ class CheckpointFolder:
         found = kept.restore({})
         if found is not None:
             path, metadata = found
-            smaller = kept.save(metadata.pop("round"), metadata, name="kept")
+            smaller = kept.save(metadata.pop("round"), metadata, name=_KEPT)
             os.replace(smaller, path)
             _force_to_disk(self.folder)
 

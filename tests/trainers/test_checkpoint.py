@@ -112,8 +112,9 @@ def test_what_a_killed_process_left_behind_is_removed_and_nothing_else(tmp_path)
     ]
     left[0].mkdir()
     (left[0] / "part").write_text("x")
-    left[1].write_text("x")
-    left[2].write_text("x")
+    left.append(tmp_path / "kept.torchrl")
+    for file in left[1:]:
+        file.write_text("x")
     kept = tmp_path / ".notes"
     kept.write_text("mine")
 
