@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import torch
@@ -39,7 +40,7 @@ def checked_number(
 
     Args:
         name: of the setting, for the message.
-        value: a number, or a tensor [*replicas] or [].
+        value: a number, or a tensor or list [*replicas], or a tensor [].
         replicas: the shape.
 
     Keyword Args:
@@ -53,17 +54,20 @@ def checked_number(
         >>> checked_number("noise_std", 1.0), checked_number("eta", torch.tensor([1, 2]), (2,))
         (1.0, tensor([1., 2.], dtype=torch.float64))
     """
-    if isinstance(value, Tensor):
+    if isinstance(value, (int, float)):
+        fits = value > 0 if minimum is None else value >= minimum
+        fits &= value < math.inf if maximum is None else value <= maximum
+    else:
+        value = torch.as_tensor(value, dtype=torch.float64).detach()
         if value.shape not in (torch.Size(replicas), torch.Size()):
             raise ValueError(
                 f"{name} must be one number or have the replicas' shape {list(replicas)}, got "
                 f"{list(value.shape)}"
             )
-        value = value.detach().double()
-    values = torch.as_tensor(value)
-    fits = values > 0 if minimum is None else values >= minimum
-    fits &= values.isfinite() if maximum is None else values <= maximum
-    if not bool(fits.all()):
+        least = value > 0 if minimum is None else value >= minimum
+        most = value < math.inf if maximum is None else value <= maximum
+        fits = bool((least & most).all())
+    if not fits:
         allowed = "positive" if minimum is None else f"at least {minimum:g}"
         allowed += " and finite" if maximum is None else f" and at most {maximum:g}"
         got = value.tolist() if isinstance(value, Tensor) else value

@@ -153,7 +153,7 @@ class BootstrapMLP(nn.Module):
         dim = len(self.replicas)
         if trunk is not None and self.trunk_layout is not None:
             hidden = mlp(x, trunk, self.trunk_layout).relu()
-            # the same numbers, with a K-th of the gradient: those of the heads add up
+            # the same (finite) numbers, with a K-th of the gradient: those of the heads add up
             x = hidden.detach() + (hidden - hidden.detach()) / self.num_heads
         x = x.unsqueeze(dim).expand(*x.shape[:dim], self.num_heads, *x.shape[dim:])
         return mlp(x, heads, self.head_layout)

@@ -102,12 +102,14 @@ async def _form(request: Request) -> dict[str, str]:
 
 
 async def _body(request: Request) -> bytes:
-    body = b""
+    body, size = b"", 0
     async for chunk in request.stream():
-        body += chunk
-        if len(body) > MAX_BODY:
-            raise RefusedError(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-                f"The form is too large: {MAX_BODY:,} bytes are allowed.",
-            )
+        size += len(chunk)
+        if size <= MAX_BODY:  # what is more is read past, so that its sender reads the answer
+            body += chunk
+    if size > MAX_BODY:
+        raise RefusedError(
+            HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+            f"The form is too large: {MAX_BODY:,} bytes are allowed.",
+        )
     return body

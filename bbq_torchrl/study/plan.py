@@ -155,6 +155,7 @@ def load_study(path: str | Path) -> Study:
         raise StudyError(str(file), faults)
     for key in ("name", "consent"):
         given[key] = given[key].strip()
+    given["ask_below"] = {name: float(below) for name, below in given["ask_below"].items()}
     given |= {"pairs": tuple(map(tuple, given["pairs"])), "goals": tuple(given["goals"])}
     return Study(file, Terms(**given), domain)
 
