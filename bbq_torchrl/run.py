@@ -18,6 +18,7 @@ from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import RunResult, write_json
+from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 from bbq_torchrl.trainers import keep_freed_memory
 
@@ -154,11 +155,15 @@ def _quieten_torchrl() -> None:
 
 
 def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None) -> None:
+    try:
+        groups = read_groups([folder])
+    except ValueError as error:
+        raise ConfigError(f"the curve cannot be drawn: {error}") from error
     spike = config.spike
     named = {"explore": result.explore, "env": result.env, "domain": result.domain}
     draw_run(
         folder / CURVE,
-        read_groups([folder]),
+        groups,
         title="Success: " + ", ".join(f"{key}={name}" for key, name in named.items() if name),
         spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
         if spike.dialogues

@@ -135,4 +135,9 @@ def _new_run(hydra_session: Any, overrides: Sequence[str]) -> tuple[DictConfig, 
     if composed.hydra.mode is RunMode.MULTIRUN:
         return None
     refuse_unswept(composed, overrides)
-    return composed, to_config(composed, Config)
+    config = to_config(composed, Config)
+    if config.resume is not None:
+        raise ConfigError(
+            f"resume must be on the command line itself, as resume=<folder>, got {config.resume}"
+        )
+    return composed, config

@@ -7,6 +7,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.results import RunResult
 
 __all__ = [
+    "NOT_SWEPT",
     "description",
     "folder_to_resume",
     "is_finished",
@@ -34,6 +36,8 @@ __all__ = [
     "run_config",
     "save_config",
 ]
+
+NOT_SWEPT = "resume cannot be combined with --multirun"
 
 CHANGEABLE = (
     "protocol.rounds",
@@ -167,9 +171,11 @@ def resumed(folder: Path, overrides: Sequence[str]) -> tuple[DictConfig, Config]
             continue  # the run's own
         if is_option or key.partition("/")[0] == EXPERIMENT or key == "hydra.run.dir":
             raise contradiction(override)
-        if key != "resume":
+        if not override.startswith(("resume=", "++resume=")):
             rest.append(override)
     composed = compose_raw(rest, run=run)
+    if composed.hydra.mode is RunMode.MULTIRUN:
+        raise ConfigError(NOT_SWEPT)
     config = to_config(composed, Config)
     config.resume = str(folder)
     for override in rest:

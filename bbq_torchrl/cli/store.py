@@ -191,7 +191,9 @@ def run_of(overrides: Sequence[str], key: str) -> str | None:
         value = OverridesParser.create().parse_override(given[-1]).value()
     except (HydraException, ValueError):  # refused when it is composed
         return None
-    return str(value) if isinstance(value, (str, int)) else None
+    if isinstance(value, (int, float)):
+        return given[-1].partition("=")[2]  # a folder may be called 1.50
+    return value if isinstance(value, str) else None
 
 
 def searched(overrides: Sequence[str]) -> list[str]:
@@ -269,6 +271,7 @@ def read_config(plain: DictConfig) -> Config:
         for group in groups_of(Config):
             if group in plain:
                 typed[group] = _saved_option(group, plain[group])
+                _check_saved(group, plain[group], typed[group])
         typed.merge_with(plain)
         return to_config(typed, Config)
     except ValidationError as error:
@@ -281,6 +284,17 @@ def read_config(plain: DictConfig) -> Config:
 
 def _not_given(key: str) -> ConfigError:
     return ConfigError(f"{key} must be given, as {key}=<value>")
+
+
+def _check_saved(group: str, plain: DictConfig, typed: DictConfig) -> None:
+    """Refuses what OmegaConf would merge without a word, or without naming the key."""
+    for name in map(str, plain):
+        key = f"{group}.{name}"
+        if OmegaConf.is_missing(plain, name):
+            raise _not_given(key)
+        if OmegaConf.is_dict(plain[name]) and OmegaConf.is_list(typed.get(name)):
+            text = allowed(key, OmegaConf.get_type(typed))
+            raise ConfigError(f"{key} must be {text}, got {shown(plain[name])}")
 
 
 def _saved_option(group: str, plain: Any) -> type[Option]:

@@ -21,7 +21,7 @@ from omegaconf import open_dict, read_write
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.folders import named_folder, refuse_other_folder, reserve
 from bbq_torchrl.cli.messages import LAUNCHER, explain, key_of
-from bbq_torchrl.cli.resume import is_finished, restarted_config, run_config
+from bbq_torchrl.cli.resume import NOT_SWEPT, is_finished, restarted_config, run_config
 from bbq_torchrl.cli.store import compose_raw, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
@@ -102,7 +102,7 @@ def prepare_sweep(hydra_session: Any, overrides: Sequence[str]) -> Sweep:
     configs = []
     for job in jobs:
         if job.resume is not None:
-            raise ConfigError("resume cannot be combined with --multirun")
+            raise ConfigError(NOT_SWEPT)
         configs.append(to_config(job, Config))
         check(configs[-1])
     subfolders = [_job_subfolder(job, number) for number, job in enumerate(jobs)]

@@ -184,13 +184,16 @@ class CheckpointFolder:
         """
         parts = self._checkpoint.components
         named = {name: part for name, part in parts.items() if name in names}
-        kept = CheckpointFolder(self.folder, keep=1, **named)
+        kept = CheckpointFolder(self.folder, keep=None, **named)
         found = kept.restore({})
         if found is not None:
             path, metadata = found
             smaller = kept.save(metadata.pop("round"), metadata, name=_KEPT)
             os.replace(smaller, path)
             _force_to_disk(self.folder)
+            for other in self._files():
+                if other != path:
+                    other.unlink()
 
     def remove_leftovers(self) -> None:
         """Removes what a process that was killed while saving left behind.

@@ -149,6 +149,15 @@ def test_a_best_from_before_the_domain_grew_does_not_count(small, tmp_path):
         assert ((evaluator.best.round == number) == is_new).all(), number
 
 
+def test_a_best_from_before_the_domain_grew_counts_until_the_next_evaluation(small, tmp_path):
+    trainer, _ = build_trainer(small("env=domain_ext", "env.start=2", "env.every=9"), tmp_path)
+    best = trainer.evaluator.best
+    for number, expected in enumerate([-1, 1, 1, 3]):  # the domain grows in round 2
+        trainer.evaluator(number)
+        assert best.round.tolist() == [expected] * 2
+        best.success_rate.fill_(2.0)  # better than any that follows
+
+
 @pytest.mark.parametrize(
     ("choices", "said"),
     [

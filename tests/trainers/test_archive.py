@@ -140,3 +140,22 @@ def test_what_is_kept_of_a_finished_run_is_read_but_not_gone_on_from(tmp_path):
     assert torch.equal(network.weight, parts["network"].weight)
     with pytest.raises(CheckpointDamagedError, match="keep_checkpoints=last"):
         folder.restore({})
+
+
+@pytest.mark.parametrize("is_killed", [True, False])
+def test_a_whole_checkpoint_is_there_whenever_others_go(tmp_path, monkeypatch, is_killed):
+    folder = CheckpointFolder(tmp_path, network=nn.Linear(3, 2))
+    for number in (1, 2):
+        newest = folder.save(number, {})
+    newest.write_bytes(b"damaged")
+    if is_killed:
+        monkeypatch.setattr("os.replace", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            folder.keep_only("network")
+        monkeypatch.undo()
+        folder.remove_leftovers()
+    else:
+        folder.keep_only("network")
+        assert not newest.exists()
+
+    assert CheckpointFolder(tmp_path, network=nn.Linear(3, 2)).restore({})[1]["round"] == 1
