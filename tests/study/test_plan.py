@@ -45,8 +45,11 @@ def test_a_short_file_is_enough(write, restaurant):
 
 
 def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
-    terms = load_study(write(agents="{one: runs/1, two: runs/1}", ask_below="{two: .9}")).terms
-    assert terms.ask_below == {"two": 0.9}
+    terms = load_study(
+        write(agents="{one: runs/1, two: runs/1}", ask_below="{one: 1, two: .9}")
+    ).terms
+    # as text: a study that has begun says 1.0 where its file says 1
+    assert str(terms.ask_below) == "{'one': 1.0, 'two': 0.9}"
     assert Terms.of(terms.text()) == terms
 
 
