@@ -54,20 +54,16 @@ def checked_number(
         >>> checked_number("noise_std", 1.0), checked_number("eta", torch.tensor([1, 2]), (2,))
         (1.0, tensor([1., 2.], dtype=torch.float64))
     """
-    if isinstance(value, (int, float)):
-        fits = value > 0 if minimum is None else value >= minimum
-        fits &= value < math.inf if maximum is None else value <= maximum
-    else:
+    if not isinstance(value, (int, float)):
         value = torch.as_tensor(value, dtype=torch.float64).detach()
         if value.shape not in (torch.Size(replicas), torch.Size()):
             raise ValueError(
                 f"{name} must be one number or have the replicas' shape {list(replicas)}, got "
                 f"{list(value.shape)}"
             )
-        least = value > 0 if minimum is None else value >= minimum
-        most = value < math.inf if maximum is None else value <= maximum
-        fits = bool((least & most).all())
-    if not fits:
+    fits = value > 0 if minimum is None else value >= minimum
+    fits &= value < math.inf if maximum is None else value <= maximum
+    if not (fits.all() if isinstance(fits, Tensor) else fits):
         allowed = "positive" if minimum is None else f"at least {minimum:g}"
         allowed += " and finite" if maximum is None else f" and at most {maximum:g}"
         got = value.tolist() if isinstance(value, Tensor) else value

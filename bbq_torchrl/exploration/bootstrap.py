@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import torch
 
@@ -24,14 +24,16 @@ __all__ = ["BootstrapSampling", "MajorityVote"]
 class _OnHeads(ActorPolicy):
     """What acts on the heads of an actor, without writing the values of all of them."""
 
-    def __init__(self, actor: QValueActor, *drawing: Any) -> None:
+    def __init__(
+        self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
+    ) -> None:
         network, choice = split_actor(actor)
         if not isinstance(choice, VoteModule):
             raise ValueError(
                 "actor must be one that chooses by a VoteModule, as bootstrap_actor returns it, "
                 f"got {type(actor).__name__} with {type(choice).__name__}"
             )
-        super().__init__(actor, *drawing)
+        super().__init__(actor, per, init_key)
         states = [key for key in network.out_keys if key != choice.action_value_key]
         self.out_keys = [*states, *choice.out_keys]
 

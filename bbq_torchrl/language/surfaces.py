@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Surfaces"]
 
+_MATES = ENGLISH["mates"].split()
+
 
 class Surfaces:
     """Writes values as people do.
@@ -147,7 +149,7 @@ class Surfaces:
         if not key.isdecimal() or int(key) > 19:
             return self._alias(slot, value, rng)
         number = int(key)
-        mate = rng.choice(ENGLISH["mates"].split())
+        mate = rng.choice(_MATES)
         ways = [str(number), UNITS[number]] * 2
         if slot not in self._lexicon.domain.free_slots:  # those count people: "me and my wife"
             return rng.choice(ways)

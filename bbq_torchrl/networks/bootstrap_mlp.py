@@ -152,9 +152,10 @@ class BootstrapMLP(nn.Module):
         """Returns [*replicas, K, *batch, out]."""
         dim = len(self.replicas)
         if trunk is not None and self.trunk_layout is not None:
-            hidden = mlp(x, trunk, self.trunk_layout).relu()
-            # the same (finite) numbers, with a K-th of the gradient: those of the heads add up
-            x = hidden.detach() + (hidden - hidden.detach()) / self.num_heads
+            x = mlp(x, trunk, self.trunk_layout).relu()
+            if torch.is_grad_enabled():
+                # the same (finite) numbers, with a K-th of the gradient: those of the heads add up
+                x = x.detach() + (x - x.detach()) / self.num_heads
         x = x.unsqueeze(dim).expand(*x.shape[:dim], self.num_heads, *x.shape[dim:])
         return mlp(x, heads, self.head_layout)
 
