@@ -19,7 +19,14 @@ from omegaconf.errors import (
 )
 
 from bbq_torchrl.extras import install_command
-from bbq_torchrl.options import CalibrateConfig, Config, ConfigError, EvaluateConfig, schemas
+from bbq_torchrl.options import (
+    CalibrateConfig,
+    Config,
+    ConfigError,
+    EvaluateConfig,
+    Option,
+    schemas,
+)
 from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options, options_folder
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.text import sentence, shown
@@ -172,7 +179,14 @@ def _wrong_value(error: Exception, cause: BaseException | None) -> str | None:
     got = f", got {shown(match[2])}" if match else f": {_first_line(cause)}"
     if (text := allowed(key, cause.object_type)) is not None:
         return f"{key} must be {text}{got}"
-    return f"{key}: {_first_line(cause)}"
+    return _below_a_value(key) or f"{key}: {_first_line(cause)}"
+
+
+def _below_a_value(key: str) -> str | None:
+    """A sentence for ``agent.lr.x``, whose parent is a key with a value."""
+    parent = key.rpartition(".")[0]
+    text = allowed(parent, None)
+    return text and f"{sentence(key)} is not a key: {parent} has no keys, it must be {text}"
 
 
 def allowed(key: str, schema: Any) -> str | None:
@@ -226,10 +240,14 @@ def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> s
 
 def unknown_key(key: str, schema: Any) -> str:
     """One sentence for a dotted key that the schema of its group lacks."""
-    parent, _, name = key.rpartition(".")
-    keys = [item.name for item in fields(schema)]
+    if (below := _below_a_value(key)) is not None:
+        return below
     if schema in (Config, EvaluateConfig, CalibrateConfig):  # a group that there is not, too
-        parent = ""
+        depth = 1
+    else:
+        depth = 2 if issubclass(schema, Option) else key.count(".") + 1
+    parent, _, name = ".".join(key.split(".")[:depth]).rpartition(".")
+    keys = [item.name for item in fields(schema)]
     close = get_close_matches(name, keys, n=1)
     hint = f" (did you mean {f'{parent}.' if parent else ''}{close[0]}?)" if close else ""
     place = _place(parent, schema)

@@ -11,7 +11,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.cli.messages import key_of
+from bbq_torchrl.cli.messages import key_of, not_an_option
 from bbq_torchrl.cli.store import compose_raw, load_yaml, read_config, run_of, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
@@ -156,6 +156,8 @@ def resumed(folder: Path, overrides: Sequence[str]) -> tuple[DictConfig, Config]
             that cannot be gone on with so.
     """
     run = run_config(folder)
+    if (refusal := not_an_option(overrides, Config)) is not None:
+        raise ConfigError(refusal)
 
     def contradiction(override: str) -> ConfigError:
         return ConfigError(
