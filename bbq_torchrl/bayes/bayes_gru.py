@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bbq_torchrl.bayes.functional import affine, affine_of_own_draws
+from bbq_torchrl.bayes.functional import affine, affine_of_own_draws, as_rows
 from bbq_torchrl.bayes.layers import BayesLayer, LayerSettings
 
 if TYPE_CHECKING:
@@ -102,6 +102,7 @@ class BayesGRU(BayesLayer):
         batch = steps.shape[:-2]
         if (
             steps.ndim < len(self.replicas) + 2
+            or not steps.shape[-2]
             or steps.shape[-1] != self.input_size
             or state.shape != (*batch, self.hidden_size)
         ):
@@ -129,21 +130,20 @@ class BayesGRU(BayesLayer):
                 f"input must have shape [{', '.join(map(str, lead))}, *batch, time, "
                 f"{self.input_size}], got batch {list(x.shape[:-1])}"
             )
-        count = prod(lead)
-        steps, state = self._split(x.reshape(count, -1, x.shape[-1]))
-        from_input, from_state = self._matrices(weights.reshape(count, -1))
+        steps, state = self._split(as_rows(x, lead, x.shape[-1]))
+        from_input, from_state = self._matrices(weights.reshape(prod(lead), -1))
         # all steps' inputs in one product
         gates = affine(steps.flatten(1, 2), *from_input).unflatten(1, steps.shape[1:3])
         states = []
         for gate in gates.unbind(2):
             state = _next_state(gate, affine(state, *from_state), state)
             states.append(state)
-        return torch.stack(states, -2).reshape(*x.shape[:-1], -1)
+        return torch.cat(states, -1).reshape(*x.shape[:-1], len(states) * self.hidden_size)
 
     def run_local(self, x: Tensor) -> Tensor:
         """Returns the state after one step by local reparameterization, where it is exact."""
         count = prod(self.replicas)
-        steps, state = self._split(x.reshape(count, -1, x.shape[-1]))
+        steps, state = self._split(as_rows(x, self.replicas, x.shape[-1]))
         if steps.shape[2] != 1:
             raise ValueError(
                 f'BayesGRU in mode "local" takes one step, got {steps.shape[2]}: independent '
@@ -154,7 +154,7 @@ class BayesGRU(BayesLayer):
         variances = self._matrices(self.posterior.sigma.square().reshape(count, -1))
         inputs = steps[:, :, 0], state
         from_input, from_state = map(affine_of_own_draws, inputs, means, variances)
-        return _next_state(from_input, from_state, state).reshape(*x.shape[:-1], -1)
+        return _next_state(from_input, from_state, state).reshape(*x.shape[:-1], self.hidden_size)
 
     def _split(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the inputs [count, rows, time, in] and the state [count, rows, hidden]."""

@@ -9,15 +9,16 @@ fill a vector of zeros for each layer and add them up.
 
 from __future__ import annotations
 
+from functools import wraps
 from math import prod, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 
 from bbq_torchrl.bayes.noise import fill_kept_, is_transformed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from torch import Tensor
 
@@ -29,10 +30,32 @@ __all__ = [
     "init_linear_",
     "mlp",
     "mlp_local",
+    "once_differentiable",
     "run_layers",
 ]
 
+Result = TypeVar("Result")
+
 _relu_backward = torch.ops.aten.threshold_backward.grad_input
+
+
+def once_differentiable(backward: Callable[..., Result]) -> Callable[..., Result]:
+    """Refuses to have a gradient written by hand differentiated again; a decorator.
+
+    torch's own decorator lets the second derivative vanish without a word where the gradient that
+    comes in is a constant, such as that of a sum.
+    """
+
+    @wraps(backward)
+    def checked(*args: Any) -> Result:
+        if torch.is_grad_enabled():
+            raise RuntimeError(
+                "this gradient is written by hand and has no graph, as create_graph=True asks for: "
+                "take second derivatives by torch.func"
+            )
+        return backward(*args)
+
+    return checked
 
 
 class FlatLayout:
@@ -100,7 +123,7 @@ class _FlatMLP(torch.autograd.Function):
         return out
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
         depth = len(ctx.layout.shapes)
         inputs, matrices = ctx.saved_tensors[:depth], ctx.saved_tensors[depth:]

@@ -90,11 +90,13 @@ class GaussianPosterior(nn.Module):
                 f"prior_std must be one number or one for each of the {len(self.group_sizes)} "
                 f"groups, got {len(groups)}"
             )
-        return torch.stack([self._std("prior_std", std) for std in groups], -1)
+        replicas = self.replicas if len(groups) == 1 else ()
+        return torch.stack([self._std("prior_std", std, replicas) for std in groups], -1)
 
-    def _std(self, name: str, std: float | Tensor) -> Tensor:
+    @staticmethod
+    def _std(name: str, std: float | Tensor, replicas: Sequence[int]) -> Tensor:
         """Returns a checked standard deviation, float64 [] or [*replicas]."""
-        return torch.as_tensor(checked_number(name, std, self.replicas), dtype=torch.float64)
+        return torch.as_tensor(checked_number(name, std, replicas), dtype=torch.float64)
 
     def reset_parameters(self) -> None:
         """Sets the posterior to the prior."""
@@ -105,7 +107,9 @@ class GaussianPosterior(nn.Module):
     def reset_std_(self, std: float | Tensor) -> None:
         """Sets every standard deviation to ``std``, one number or one a replica, [*replicas]."""
         with torch.no_grad():
-            self.rho.copy_(inverse_softplus(self._std("std_init", std)).unsqueeze(-1))
+            self.rho.copy_(
+                inverse_softplus(self._std("std_init", std, self.replicas)).unsqueeze(-1)
+            )
 
     def per_weight(self, per_group: Tensor) -> Tensor:
         """Returns values per group as values per weight: [groups] as [P], [*, 1] as it is."""

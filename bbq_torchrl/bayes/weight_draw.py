@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from bbq_torchrl.bayes.functional import once_differentiable
 from bbq_torchrl.bayes.noise import is_transformed
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class _Draw(torch.autograd.Function):
         return weights, kls[0] if len(kls) == 1 else torch.cat(kls).reshape(mu.shape[:-1])
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
+    @once_differentiable
     def backward(
         ctx: Any, grad_weights: Tensor | None, grad_kl: Tensor | None
     ) -> tuple[Tensor | None, ...]:

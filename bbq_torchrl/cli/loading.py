@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from bbq_torchrl.bayes.settings import check_choice
 from bbq_torchrl.cli.resume import description, run_config
 from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.options import ConfigError
@@ -97,6 +98,7 @@ def trained_policy(
         TrainingError: no checkpoint that can be read, or one of another configuration.
     """
     config.agent.check_mode(mode)
+    check_choice("weights", weights, ("last", "best"))
     agent = make_agent(config, env)
     name, policy = config.agent.make_evaluation(agent.actor, mode)
     best = None

@@ -79,7 +79,8 @@ def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> 
 def _allowed(action: Tensor, mask: Tensor) -> Tensor:
     """Returns whether each action (index, or one-hot [rows, N]) is legal, shape [rows]."""
     if action.shape == mask.shape:
-        return (action.bool() & mask).any(-1)
+        chosen = action.bool()
+        return (chosen.sum(-1) == 1) & (chosen & mask).any(-1)
     index = action.reshape(mask.shape[0], 1).long()
     inside = (index >= 0) & (index < mask.shape[-1])
     return (inside & mask.gather(-1, index.clamp(0, mask.shape[-1] - 1))).squeeze(-1)

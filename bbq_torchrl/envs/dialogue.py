@@ -43,8 +43,9 @@ class DialogueEnv(EnvBase):
     The environment keeps the state of its dialogues (``env.dialogues``) and the generator of all
     its random choices; its ``state_dict`` holds both (that of a ``TransformedEnv`` around it does
     not: save and load its ``base_env``). A dialogue that has ended stays as it is until it is
-    reset. Each turn draws numbers for the whole batch, and so does each reset: what one dialogue
-    does in a turn never shifts the random numbers of another.
+    reset. An action that the mask forbids is played all the same. Each turn draws numbers for the
+    whole batch, and so does each reset: what one dialogue does in a turn never shifts the random
+    numbers of another.
 
     Args:
         domain: what the dialogues are about.

@@ -38,7 +38,8 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     It plays what a :class:`~bbq_torchrl.envs.DialogueEnv` of one dialogue plays: after
     ``reset(seed=s)`` the same dialogues as after its ``set_seed(s)``. The observation is what the
     agent has heard and said, [features], float32; the user's goal is in ``info`` only. An action is
-    the index of one of ``env.unwrapped.domain.actions``; ``action_masks()`` says which are legal.
+    the index of one of ``env.unwrapped.domain.actions``; ``action_masks()`` says which are legal;
+    another one is played all the same.
 
     ===============  =====  =====================================================================
     key of ``info``  type   meaning

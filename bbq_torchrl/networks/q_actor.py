@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+import torch.nn.functional as F
 from tensordict.nn import TensorDictSequential
 from tensordict.utils import unravel_key
 from torchrl.modules import QValueActor
@@ -59,7 +60,7 @@ def q_actor(
     """
     if unravel_key(("", action_key))[-1] != "action":
         raise ValueError(f"action_key must be 'action' or end in it, got {action_key!r}")
-    return QValueActor(
+    actor = QValueActor(
         network,
         in_keys=list(in_keys),
         spec=spec,
@@ -67,6 +68,13 @@ def q_actor(
         action_value_key=action_value_key,
         action_mask_key=action_mask_key,
     )
+    # TorchRL's own marks every action of the greatest value: several, where all values are 0.
+    actor[-1].action_func_mapping["one_hot"] = _one_hot
+    return actor
+
+
+def _one_hot(values: Tensor) -> Tensor:
+    return F.one_hot(values.argmax(-1), values.shape[-1])
 
 
 def legal_actions(tensordict: TensorDictBase, key: NestedKey | None) -> Tensor | None:
@@ -92,9 +100,17 @@ def masked(values: Tensor, mask: Tensor | None) -> Tensor:
     Args:
         values: of all actions.
         mask: bool [*batch, N], True for legal actions; None if all are.
+
+    Raises:
+        ValueError: for a mask of another number of actions.
     """
     if mask is None:
         return values
+    if mask.shape[-1] != values.shape[-1]:
+        raise ValueError(
+            f"the mask of legal actions must have {values.shape[-1]} entries, one for each action, "
+            f"got {mask.shape[-1]}"
+        )
     return torch.where(mask, values, torch.finfo(values.dtype).min)
 
 

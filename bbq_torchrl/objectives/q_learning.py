@@ -39,8 +39,9 @@ class OneStepQLoss(DQNLoss):
     the same in_keys, reward and terminated [*replicas, *batch, 1]. Each replica has a
     loss of its own, the mean over its batch; ``loss`` is their sum, so that no replica's
     gradient depends on another's data. Rows can be left out: ``loss_mask_key`` (TorchRL's
-    attribute, here "valid" by default, an optional entry) names a bool [*replicas, *batch] entry
-    that is True for the rows that count. States and rewards of the others may be anything, NaN too.
+    attribute) names an optional bool entry [*replicas, *batch] that is True for the rows that
+    count; by default TorchRL's entries and "valid" are read. States and rewards of the others may
+    be anything, NaN too.
 
     Where the frozen network's values of the next states are at hand, computed by
     :meth:`next_state_values` once a freeze for many batches, the loss takes them from the entry
@@ -91,7 +92,6 @@ class OneStepQLoss(DQNLoss):
     default_keys = _AcceptedKeys
     out_keys = ["loss", "loss_value", "td_error", "q_value"]  # noqa: RUF012 - as in TorchRL
     SUPPORTED_VALUE_ESTIMATORS = (ValueEstimators.TD0,)
-    _loss_mask_key: NestedKey | None = "valid"
     # of the weights in targets and, in double DQN, in the choice of the target's action
     _target_mode: WeightMode = "mean"
     _scale: float | Tensor = 1.0  # of each row's loss; float64 [*replicas] where it differs
@@ -134,15 +134,18 @@ class OneStepQLoss(DQNLoss):
     def _tensors(self) -> tuple[list[Tensor], list[Tensor]]:
         """Returns the online and the target network's parameters and buffers."""
         # TorchRL erases attributes that begin with _cache when it casts or moves the loss. Loading
-        # a state writes into the tensors that are there.
+        # a state writes into the tensors that are there; to_module puts others in their place.
+        params = self.value_network_params
         cached = self.__dict__.get("_cache_tensors")
-        if cached is None:
-            cached = (
-                self._function.tensors(self.value_network_params),
-                self._function.tensors(self.target_value_network_params),
-            )
-            self.__dict__["_cache_tensors"] = cached
-        return cached
+        if cached is None or cached[0] is not params._param_td:
+            target = self.target_value_network_params if self.delay_value else None
+            tensors = [
+                None if of is None else self._function.tensors(of) for of in (params, target)
+            ]
+            cached = self.__dict__["_cache_tensors"] = (params._param_td, *tensors)
+        _, online, target = cached
+        # Not kept: what a parameter is detached to stays behind where its data are replaced.
+        return online, [tensor.detach() for tensor in online] if target is None else target
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

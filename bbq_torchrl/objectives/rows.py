@@ -43,6 +43,9 @@ def rows_that_count(
 ) -> Tensor | None:
     """Returns which rows count for a loss by its ``loss_mask_key``, bool [*rows, 1]; None for all.
 
+    Where that is "auto", rows must count by "valid" (which the trainer's batches have) and by the
+    entries that TorchRL reads by default.
+
     Args:
         loss: whose key it is.
         tensordict: a batch.
@@ -52,7 +55,8 @@ def rows_that_count(
         ValueError: for a mask of another shape.
     """
     counts: Tensor | None = None
-    for key in loss._loss_mask_keys():
+    own = ("valid",) if loss.loss_mask_key == "auto" else ()
+    for key in (*own, *loss._loss_mask_keys()):
         mask = row_entry(tensordict, key, rows)
         if mask is not None:
             counts = mask.bool() if counts is None else counts & mask.bool()

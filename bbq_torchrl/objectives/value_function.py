@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
+from torch import nn
 from torch.nn.modules.dropout import _DropoutNd
 
 from bbq_torchrl.bayes.posterior import GaussianPosterior
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     Inputs: TypeAlias = Sequence[Tensor] | TensorDictBase  # entry by entry, or all of them
 
 __all__ = ["ValueFunction"]
+
+_WITH_DROPOUT = (_DropoutNd, nn.RNNBase, nn.MultiheadAttention)  # by their training flag
 
 
 class ValueFunction:
@@ -59,10 +61,10 @@ class ValueFunction:
         self._value_key = value_key if choice is None else choice.action_value_key
         self._is_plain = (
             type(self._network) is TensorDictModule
-            and isinstance(self._network.module, torch.nn.Module)
+            and isinstance(self._network.module, nn.Module)
             and len(self._network.out_keys) == 1
         )
-        self._dropouts = [m for m in actor.modules() if isinstance(m, _DropoutNd)]
+        self._dropouts = [m for m in actor.modules() if isinstance(m, _WITH_DROPOUT)]
         self._posteriors = [m for m in actor.modules() if isinstance(m, GaussianPosterior)]
         self.in_keys: list[NestedKey] = list(self._network.in_keys)
         self.action_mask_key: NestedKey | None = getattr(choice, "action_mask_key", None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -17,11 +18,19 @@ class Rewards:
         success: for the turn that ends a dialogue in success.
         failure: for the turn that ends a dialogue otherwise, running out of turns included.
         turn: for every other turn.
+
+    Raises:
+        ValueError: for one that is not finite.
     """
 
     success: float = 40.0
     failure: float = -10.0
     turn: float = -1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not math.isfinite(value):
+                raise ValueError(f"the reward for {name} must be finite, got {value}")
 
     def of(
         self, was_done: torch.Tensor, is_done: torch.Tensor, success: torch.Tensor

@@ -79,7 +79,7 @@ class Simulator:
         max_turn: acts of both sides after which a dialogue has failed, at least 2.
 
     Raises:
-        ValueError: if ``max_turn`` is below 2.
+        ValueError: if ``max_turn`` is not a whole number of at least 2.
     """
 
     def __init__(
@@ -90,8 +90,10 @@ class Simulator:
         rewards: Rewards | None = None,
         max_turn: int = 40,
     ) -> None:
-        if max_turn < _ACTS_PER_TURN:
-            raise ValueError(f"max_turn must be at least {_ACTS_PER_TURN}, got {max_turn}")
+        if max_turn % 1 or max_turn < _ACTS_PER_TURN:
+            raise ValueError(
+                f"max_turn must be a whole number of at least {_ACTS_PER_TURN}, got {max_turn!r}"
+            )
         self.rewards = Rewards() if rewards is None else rewards
         self.max_turn = max_turn
         knowledge_base = KnowledgeBase(domain.to("cpu")).to(domain.records.device)

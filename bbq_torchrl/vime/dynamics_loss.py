@@ -90,7 +90,6 @@ class DynamicsLoss(NumData, LossModule):
     tensor_keys: _AcceptedKeys
     dynamics: DynamicsModel
     out_keys = ["loss", "dynamics_loss", "dynamics_kl"]  # noqa: RUF012 - as in TorchRL
-    _loss_mask_key: NestedKey | None = "valid"
 
     def __init__(
         self,
@@ -154,7 +153,7 @@ class DynamicsLoss(NumData, LossModule):
         square = torch.where(predicted, error, 0).square().sum(-1)
         sums = self._flat(square).sum(-1) * (0.5 / self.dynamics.noise_std**2)
         batch = self._flat(predicted if counts is None else counts)
-        number = batch.shape[-1] if counts is None else batch.sum(-1).clamp_min(1)
+        number = max(1, batch.shape[-1]) if counts is None else batch.sum(-1).clamp_min(1)
         kl = kl_sum.total()
         loss = sums / number + kl * (self.kl_temperature / self.num_data)
         return TensorDict(

@@ -226,6 +226,7 @@ class VIMEReward(Transform):
             (valid & is_going_on).unsqueeze(-1),
         ]
         rows = [entry.reshape(*replicas, -1, entry.shape[-1]) for entry in rows]
+        _refuse_infinite(*rows)
         bonus = self._bonus(*rows).reshape(*batch, 1)
         return tensordict.set(bonus_key, bonus.to(tensordict.device or observation.device))
 
@@ -300,6 +301,19 @@ class VIMEReward(Transform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         raise ValueError(self.ENV_ERR)
+
+
+def _refuse_infinite(
+    observation: Tensor, action: Tensor, following: Tensor, valid: Tensor, predicted: Tensor
+) -> None:
+    """Raises ValueError for a row that the statistics could never lose again."""
+    known = torch.cat([observation, action], -1).isfinite().all(-1, keepdim=True)
+    bad = (valid & ~known) | (predicted & ~following.isfinite().all(-1, keepdim=True))
+    if bool(bad.any()):
+        raise ValueError(
+            "states and actions must be finite in the rows that count, but "
+            f"{int(bad.sum())} of {int(valid.sum())} rows are not"
+        )
 
 
 def _pieces(replicas: Sequence[int], *entries: Tensor) -> Iterator[list[Tensor]]:

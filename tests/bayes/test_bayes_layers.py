@@ -143,6 +143,15 @@ def test_a_gru_is_torchs(steps):
         torch.testing.assert_close(output, outputs[:, k])
 
 
+def test_a_gru_takes_a_batch_without_rows_and_no_sequence_without_steps():
+    net = BayesGRU(4, 3, replicas=2)
+    outputs, state = net(torch.zeros(2, 0, 5, 4))
+    assert outputs.shape == (2, 0, 5, 3)
+    assert state.shape == (2, 0, 3)
+    with pytest.raises(ValueError, match=r"\*batch, time, 4\] .*, got \[2, 6, 0, 4\]"):
+        net(torch.zeros(2, 6, 0, 4))
+
+
 @pytest.mark.parametrize("name", ["linear", "mlp", "conv", "gru"])
 def test_mode_local_is_a_weight_draw_of_its_own_for_each_row(name):
     # mean and covariance of the outputs of one input, by either way

@@ -169,6 +169,9 @@ def test_a_prior_std_that_is_none_is_refused(value):
 def test_as_many_priors_as_groups_or_one():
     with pytest.raises(ValueError, match="one for each of the 3 groups, got 2"):
         GaussianPosterior([3, 4, 5], [0.1, 0.2])
+    of_replicas = [torch.tensor([0.1, 0.2]), torch.tensor([0.3, 0.4])]
+    with pytest.raises(ValueError, match=r"prior_std must be one number .*, got \[2\]"):
+        GaussianPosterior([2, 2], of_replicas, replicas=2)
 
 
 def test_another_kind_of_kl_is_refused():

@@ -107,6 +107,11 @@ def test_a_loaded_run_is_a_policy_for_its_environment(finished):
     assert loaded.mode == "thompson"
 
 
+def test_other_weights_than_there_are_are_refused(finished):
+    with pytest.raises(ValueError, match=r"weights must be one of \['last', 'best'\], got 'first'"):
+        load_run(finished, weights="first")
+
+
 def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
     tmp_path, monkeypatch, capsys
 ):

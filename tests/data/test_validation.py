@@ -34,6 +34,10 @@ def test_one_hot_actions_are_understood():
     with pytest.raises(ValueError, match="allowed by action_mask, but row 0"):
         validate_transitions(bad)
 
+    two = transitions().set("action", torch.tensor([[1, 0, 0], [0, 1, 0], [1, 1, 0]]))
+    with pytest.raises(ValueError, match="allowed by action_mask, but row 2"):
+        validate_transitions(two)
+
 
 @pytest.mark.parametrize(
     ("key", "row", "value", "message"),

@@ -6,7 +6,7 @@ import pytest
 import torch
 from q_transitions import plain_mlp
 
-from bbq_torchrl.bayes import weight_scope
+from bbq_torchrl.bayes import BayesMLP, weight_scope
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
 from bbq_torchrl.networks import FlatMLP
 
@@ -40,6 +40,17 @@ def test_values_and_gradients_equal_those_of_separate_networks(replicas, batch, 
         strict=True,
     ):
         torch.testing.assert_close(ours, theirs)
+
+
+@pytest.mark.parametrize(
+    "network", [FlatMLP(5, 3, (4,)), BayesMLP(5, 3, (4,), mean_init="kaiming")]
+)
+def test_a_second_derivative_is_taken_by_torch_func_and_else_refused(network):
+    x = torch.randn(5)
+    with pytest.raises(RuntimeError, match=r"written by hand .* by torch\.func"):
+        torch.autograd.grad(network(x.requires_grad_()).sum(), x, create_graph=True)
+    hessian = torch.func.hessian(lambda x: network(x).pow(2).sum())(x.detach())
+    assert hessian.abs().max() > 0
 
 
 def test_gradcheck_with_dropout():

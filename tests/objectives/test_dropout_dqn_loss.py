@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from copy import deepcopy
+
 import pytest
 import torch
 from q_transitions import (
@@ -13,8 +16,11 @@ from q_transitions import (
     plain_loss,
     transitions,
 )
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Categorical
+from torchrl.modules import QValueModule
 from torchrl.objectives import DQNLoss, HardUpdate
 
 from bbq_torchrl.networks import FlatMLP, q_actor
@@ -33,6 +39,22 @@ def torchrl_loss_like(ours, element=0, **settings):
         weights = flat(ours, "weight", target=target).data.reshape(-1, net.layout.numel)
         flat(theirs, "weight", target=target).data.copy_(weights[element])
     return theirs
+
+
+@contextmanager
+def to_module(loss):
+    """Other parameters within it, as TensorDicts swap them."""
+    with TensorDict.from_module(loss).apply(lambda p: p + 1).to_module(loss):
+        yield
+
+
+@contextmanager
+def to_parameters(loss):
+    """Other data in the parameters, as torch's own function writes them."""
+    vector = nn.utils.parameters_to_vector(loss.parameters())
+    nn.utils.vector_to_parameters(vector + 1, loss.parameters())
+    yield
+    nn.utils.vector_to_parameters(vector, loss.parameters())
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)
@@ -107,9 +129,10 @@ def test_torchrls_padding_masks_are_honored_too():
     td = transitions(batch=(6,))
     expected = loss(td[:4])["loss"]
     mask = torch.tensor([True] * 4 + [False] * 2)
-    td["collector", "mask"] = mask.unsqueeze(-1)
-    loss.loss_mask_key = "auto"
+    td["collector", "mask"] = mask.unsqueeze(-1)  # as split_trajectories writes it
     torch.testing.assert_close(loss(td)["loss"], expected)
+    td["valid"] = torch.tensor([False] + [True] * 5)
+    torch.testing.assert_close(loss(td)["loss"], loss(td[1:4])["loss"])
     td["mine"] = mask
     loss.loss_mask_key = "mine"
     torch.testing.assert_close(loss(td.exclude("collector"))["loss"], expected)
@@ -148,3 +171,37 @@ def test_without_a_frozen_copy_the_target_follows_the_network():
         flat(loss, "weight").mul_(2.0)
     assert not torch.equal(loss._td_target(td, *loss._tensors()), before)
     loss(td)["loss"].backward()
+
+
+@pytest.mark.parametrize("delay_value", [False, True])
+@pytest.mark.parametrize("replace", [to_module, to_parameters])
+def test_parameters_put_in_the_place_of_others_are_used(delay_value, replace):
+    actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,)), Categorical(ACTIONS))
+    settings = {"delay_value": delay_value}
+    ours, theirs = DropoutDQNLoss(actor, **settings), DQNLoss(deepcopy(actor), **settings)
+    theirs.make_value_estimator(gamma=0.9)
+    if delay_value:
+        for loss in (ours, theirs):
+            HardUpdate(loss, value_network_update_interval=1)
+    td = transitions()
+    torch.testing.assert_close(ours(td)["loss"], theirs(td)["loss"])
+    values = []
+    for loss in (ours, theirs):
+        with replace(loss):
+            values.append(loss(td)["loss"])
+    torch.testing.assert_close(*values)
+    torch.testing.assert_close(ours(td)["loss"], theirs(td)["loss"])
+
+
+@pytest.mark.parametrize("kind", [nn.LSTM, nn.GRU])
+def test_dropout_within_a_recurrent_layer_is_set_too(kind):
+    layers = kind(FEATURES, 16, num_layers=2, dropout=0.5)
+    trunk = TensorDictModule(layers, ["observation"], ["hidden", "_"])
+    head = TensorDictModule(nn.Linear(16, ACTIONS), ["hidden"], ["action_value"])
+    choice = QValueModule(action_space="categorical", action_mask_key="action_mask")
+    loss = DropoutDQNLoss(TensorDictSequential(trunk, head, choice), action_space="categorical")
+    HardUpdate(loss, value_network_update_interval=0)
+    td = transitions()
+    loss.eval()
+    assert torch.equal(loss.next_state_values(td), loss.next_state_values(td))
+    assert loss(td)["loss"] != loss(td)["loss"]

@@ -37,9 +37,12 @@ def test_rewards_are_what_they_were_set_to():
     ).T
     paid = Rewards(success=3.0, failure=-2.0, turn=-0.5).of(was_done, is_done, success)
     assert paid.tolist() == [0, 3, -2, -0.5]
+    with pytest.raises(ValueError, match="the reward for success must be finite, got nan"):
+        Rewards(success=float("nan"))
 
 
 def test_a_dialogue_has_as_many_turns_as_acts_for_both_and_one_too_many(movie):
     assert Simulator(tensorize(movie), max_turn=10).max_agent_turns == 6
-    with pytest.raises(ValueError, match="max_turn must be at least 2, got 1"):
-        Simulator(tensorize(movie), max_turn=1)
+    for max_turn in (1, 3.5, float("nan")):
+        with pytest.raises(ValueError, match=f"a whole number of at least 2, got {max_turn}"):
+            Simulator(tensorize(movie), max_turn=max_turn)

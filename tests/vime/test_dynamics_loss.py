@@ -71,6 +71,11 @@ def test_an_element_without_rows_has_the_gradient_of_the_kl_alone():
     assert all(gradient.isfinite().all() for gradient in gradients(loss, td))
 
 
+def test_a_batch_without_rows_has_the_kl_alone():
+    out = result(dynamics_loss(), transitions(batch=(0,)))
+    torch.testing.assert_close(out["dynamics_loss"], out["dynamics_kl"] / 100)
+
+
 def test_a_draw_a_batch_whatever_the_exploration_type(drawn_noise):
     loss = dynamics_loss()
     for exploration in ExplorationType:

@@ -113,5 +113,13 @@ def test_it_refuses_environments_and_other_replicas():
         TransformedEnv(PendulumEnv(), Compose(transform()))
     with pytest.raises(ValueError, match=r"must begin with the replicas \[2\], got \[3, 8\]"):
         transform((2,)).inv(transitions(3, 8))
+    bad = transitions(3)
+    bad["observation"][1] = torch.nan
+    vime = transform()
+    with pytest.raises(ValueError, match="must be finite in the rows that count, but 1 of 3 rows"):
+        vime.inv(bad)
+    assert vime.dynamics.mean.isfinite().all()
+    bad["valid"] = torch.tensor([True, False, True])
+    assert vime.inv(bad)[BONUS].isfinite().all()
     with pytest.raises(KeyError, match="stored without this transform"):
         transform()(transitions(5))
