@@ -9,13 +9,21 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.posterior import GaussianPosterior
-from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
+from bbq_torchrl.bayes.scope import (
+    WeightMode,
+    current_scope,
+    resolve_weight_mode,
+    weight_scope,
+)
 from bbq_torchrl.bayes.settings import check_choice
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from contextlib import AbstractContextManager
 
-__all__ = ["BayesLayer", "LayerSettings", "MeanInit"]
+    from bbq_torchrl.bayes.scope import WeightScope
+
+__all__ = ["BayesLayer", "LayerSettings", "MeanInit", "own_weights_of_rows"]
 
 MeanInit = Literal["zero", "kaiming"]
 
@@ -35,7 +43,8 @@ class BayesLayer(nn.Module):
     """A layer whose weights have a Gaussian posterior; a subclass says what it does with weights.
 
     A subclass calls this constructor and implements :meth:`run`; where independent draws for
-    each row can be had without a batch of weights, also :meth:`run_local`. Mode, given weights,
+    each row can be had without a batch of weights, also :meth:`run_local`, which Thompson sampling
+    of every step then uses. Mode, given weights,
     noise and KL are then the same for it as for the layers of this package. (A module that only
     holds a :class:`GaussianPosterior` and calls its ``weights()`` follows a
     :func:`weight_scope` too.)
@@ -176,3 +185,25 @@ class BayesLayer(nn.Module):
                     scope.kl.add([self.posterior])
                 return self.run_local(x)
         return self.run(x, self.posterior.weights(mode) if weights is None else weights)
+
+
+def own_weights_of_rows(
+    module: nn.Module, batch: torch.Size
+) -> AbstractContextManager[WeightScope]:
+    """Returns a scope in which each row of a batch has weights of its own.
+
+    By local reparameterization, or, of a posterior whose layer has none, by a draw for each row.
+
+    Args:
+        module: what is called within it.
+        batch: the shape [*replicas, *rows].
+    """
+    parts = list(module.modules())
+    local = {
+        part.posterior
+        for part in parts
+        if isinstance(part, BayesLayer) and type(part).run_local is not BayesLayer.run_local
+    }
+    found = [part for part in parts if isinstance(part, GaussianPosterior) and part not in local]
+    drawn = {posterior: posterior.sample(batch[len(posterior.replicas) :]) for posterior in found}
+    return weight_scope("local", weights=drawn or None)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
 
+from bbq_torchrl.bayes.layers import own_weights_of_rows
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.bayes.settings import check_choice
@@ -83,7 +84,10 @@ class EvaluationPolicy(ActorPolicy):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the greedy action and the values it comes from."""
         if self.mode in ("mean", "thompson"):
-            with weight_scope("mean" if self.mode == "mean" else "local"):
+            is_mean = self.mode == "mean"
+            batch = tensordict.batch_size
+            scope = weight_scope("mean") if is_mean else own_weights_of_rows(self.actor, batch)
+            with scope:
                 return self.actor(tensordict)
         if not self._held:
             found = posteriors(self.actor)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.bayes.layers import own_weights_of_rows
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration.base import ActorPolicy, Per, explores
@@ -43,7 +44,8 @@ class ThompsonSampling(ActorPolicy):
 
     Independent draws for each row cost a batch of noise for every weight if they are to stay
     (B·P numbers, P ≈ 145,000 for 268-256-256-39). Per step they come from local
-    reparameterization, which is exact for one input per draw, at a hundredth of that. A held
+    reparameterization, which is exact for one input per draw, at a hundredth of that; a layer
+    of one's own without :meth:`~bbq_torchrl.bayes.BayesLayer.run_local` pays the former. A held
     draw is redrawn when the batch shape changes: other rows are other episodes.
 
     Raises:
@@ -91,7 +93,9 @@ class ThompsonSampling(ActorPolicy):
             with weight_scope("mean"):
                 return self.actor(tensordict)
         if self.per == "step":
-            with weight_scope("draw" if self.shared else "local"):
+            batch = tensordict.batch_size
+            scope = weight_scope("draw") if self.shared else own_weights_of_rows(self.actor, batch)
+            with scope:
                 return self.actor(tensordict)
         # the draws outlive the call, and are redrawn in place
         with torch.inference_mode(False), torch.no_grad():

@@ -13,8 +13,8 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl.bayes import BayesLinear
-from bbq_torchrl.exploration import ThompsonSampling
+from bbq_torchrl.bayes import BayesLayer, BayesLinear
+from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
 from bbq_torchrl.networks import q_actor
 
 FEATURES, ACTIONS, DRAWS = 4, 5, 4000
@@ -22,6 +22,12 @@ LEAST_P = 1e-6
 # How the draws of one posterior are had: as rows with draws of their own, or (where a batch
 # shares one) as replicas of equal networks.
 WAYS = [("step", False), ("step", True), ("episode", False), ("round", False), ("round", True)]
+
+
+class OwnLayer(BayesLinear):
+    """As a layer of one's own is that says no more than what it does with its weights."""
+
+    run_local = BayesLayer.run_local
 
 
 def away_from_the_prior(net):
@@ -57,6 +63,14 @@ def actions(make, per, shared, x, mask):
         return policy(td)["action"].flatten()
 
 
+def test_evaluation_by_thompson_sampling_takes_a_layer_of_ones_own():
+    net = away_from_the_prior(OwnLayer(FEATURES, ACTIONS, replicas=2))
+    actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
+    td = TensorDict(observation=torch.ones(2, 50, FEATURES), batch_size=[2, 50])
+    values = EvaluationPolicy(actor, mode="thompson")(td)["action_value"]
+    assert (values.std(1) > 0).all()
+
+
 def without_rare(taken, expected):
     """Returns both counts, each rare action counted together with the next rarest one."""
     pairs = sorted(zip(expected, taken, strict=True))
@@ -81,9 +95,12 @@ def probability_of_being_best(mean, std):
     ]
 
 
-@pytest.mark.parametrize(("per", "shared"), WAYS)
+@pytest.mark.parametrize(
+    ("kind", "per", "shared"),
+    [*((BayesLinear, *way) for way in WAYS), (OwnLayer, "step", False)],
+)
 @pytest.mark.parametrize("legal", [[True] * ACTIONS, [True, False, True, True, False]])
-def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(per, shared, legal):
+def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(kind, per, shared, legal):
     # Q_a = w_a · x + b_a are independent Gaussians
     x = torch.randn(FEATURES)
     posterior = away_from_the_prior(BayesLinear(FEATURES, ACTIONS))
@@ -96,7 +113,7 @@ def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(per, share
     assert sum(expected) == pytest.approx(1.0)
 
     def make(replicas):
-        net = BayesLinear(FEATURES, ACTIONS, replicas=replicas)
+        net = kind(FEATURES, ACTIONS, replicas=replicas)
         with torch.no_grad():
             for ours, theirs in zip(net.parameters(), posterior.parameters(), strict=True):
                 ours.copy_(theirs)
