@@ -130,9 +130,22 @@ def load_config(file: Path) -> Config:
         is_whole = OmegaConf.is_dict(plain.get("protocol"))
         complete = OmegaConf.merge(plain, _ADDED, plain) if is_whole else plain
         assert isinstance(complete, DictConfig)
+        _rename(complete)
         return read_config(complete)
     except (ConfigError, OmegaConfBaseException) as error:
         raise ConfigError(f"{file}: {sentence(error)}") from error
+
+
+def _rename(plain: DictConfig) -> None:
+    """Says what strategies of 0.1.0 did by the keys and words of today."""
+    explore, rounds = plain.get("explore"), OmegaConf.select(plain, "protocol.rounds")
+    if not OmegaConf.is_dict(explore):
+        return
+    if explore.get("per") == "dialogue":
+        explore.per = "episode"
+    fall = explore.pop("anneal_rounds", None)
+    if isinstance(fall, int) and isinstance(rounds, int):
+        explore.anneal_fraction = min(1.0, fall / max(1, rounds))
 
 
 def folder_to_resume(overrides: Sequence[str]) -> Path | None:

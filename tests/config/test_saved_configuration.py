@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 import yaml
@@ -12,6 +13,9 @@ from bbq_torchrl.cli.resume import load_config, save_config
 from bbq_torchrl.cli.store import compose, session
 from bbq_torchrl.evaluate import composed
 from bbq_torchrl.options import ConfigError
+
+
+SAVED_BY_0_1_0 = Path(__file__).parent.parent / "data" / "runs_of_0_1_0"
 
 
 @pytest.mark.parametrize(
@@ -38,6 +42,16 @@ def test_a_run_of_a_version_without_evaluation_and_intrinsic_rewards_has_none(tm
     file.write_text(yaml.safe_dump({**saved, "cuda_graph": False}))
     config = load_config(file)
     assert (config.protocol.eval_every, config.intrinsic.name) == (0, "none")
+
+
+@pytest.mark.parametrize("agent", ["dqn", "boltzmann", "bootstrap"])
+def test_what_0_1_0_saved_is_read_as_what_it_did(agent):
+    config = load_config(SAVED_BY_0_1_0 / f"{agent}.yaml")
+    assert (config.protocol.eval_every, config.intrinsic.name, config.replicas) == (0, "none", 1)
+    if agent == "bootstrap":
+        assert config.explore.per == "episode"
+    else:  # over 100 rounds; the training had 2
+        assert config.explore.anneal_fraction == 1
 
 
 def resumed(folder, *overrides):
