@@ -10,7 +10,7 @@ import contextlib
 import copy
 import os
 import textwrap
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hydra import compose as hydra_compose
@@ -64,6 +64,7 @@ __all__ = [
     "compose",
     "compose_raw",
     "explorations_table",
+    "keys_of_others",
     "load_yaml",
     "read_config",
     "register_options",
@@ -77,6 +78,8 @@ Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
 
 ROOTS = {Config: "config", EvaluateConfig: "evaluate", CalibrateConfig: "calibrate"}
 """Schema of a root -> its YAML file."""
+
+_OURS = Config.__module__.rpartition(".")[0]  # where our options are
 
 _registered: set[tuple[str, str]] = set()
 
@@ -103,6 +106,7 @@ def register_options() -> None:
     )
     OmegaConf.register_new_resolver("bbq_groups", _indented_groups, replace=True)
     OmegaConf.register_new_resolver("bbq_lists", _indented_lists, replace=True)
+    OmegaConf.register_new_resolver("bbq_own", keys_of_others, replace=True)
 
 
 def explorations_table() -> str:
@@ -123,6 +127,22 @@ def explorations_table() -> str:
 def _indented_lists() -> str:
     keys = ", ".join(keys_with_lists(schemas()))
     return textwrap.fill(keys, 90, initial_indent="  ", subsequent_indent="  ")
+
+
+def keys_of_others() -> str:
+    """The keys that no page of ours can have: those of options which others have added."""
+    lines = []
+    for group, known in schemas().items():
+        for name, option in known.items():
+            bases = [base for base in option.__mro__ if base.__module__.startswith(_OURS)]
+            ours = {item.name for base in bases if is_dataclass(base) for item in fields(base)}
+            lines += [
+                f"  {group}.{item.name} ({group}={name}): {item.metadata['meaning']}; "
+                f"{item.metadata['allowed'].text}"
+                for item in fields(option)
+                if item.name not in ours
+            ]
+    return "\n".join(["Keys of options of your own", *lines, "", ""]) if lines else ""
 
 
 def _indented_groups() -> str:

@@ -158,6 +158,8 @@ def test_an_option_of_a_folder_is_checked_and_paired_like_ours(tmp_path):
     assert compose(rest).explore.patience == 5
     assert "narrow" in options("explore")
     assert "narrow" in explorations()["bbqn"]
+    own = "  explore.patience (explore=narrow): rounds; an integer from 1 to 10**9"
+    assert own in store.keys_of_others().splitlines()
     for command, said in {
         "explore=narrow explore.patience=0": "explore.patience must be an integer from 1 to",
         "explore=narrow explore.patiance=2": "did you mean explore.patience?",

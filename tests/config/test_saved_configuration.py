@@ -14,7 +14,6 @@ from bbq_torchrl.cli.store import compose, session
 from bbq_torchrl.evaluate import composed
 from bbq_torchrl.options import ConfigError
 
-
 SAVED_BY_0_1_0 = Path(__file__).parent.parent / "data" / "runs_of_0_1_0"
 
 
