@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bbq_torchrl.evaluation.learning import areas
-from bbq_torchrl.evaluation.runs import read_run, telling
+from bbq_torchrl.evaluation.runs import names_option, read_run, telling
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -168,23 +168,45 @@ def label(
     """Returns the name, and the keys in which the setting differs from others.
 
     What makes up an agent is told where agents of the same name differ in it; all else also where
-    agents of other names do.
+    agents of other names do. Of a group with several options the name is told, and other keys
+    where settings of the same option differ in them. So no two settings have the same label.
 
     Args:
         name: of the agent.
         setting: its dotted keys and their values.
         settings: all names and settings, its own among them.
+
+    Examples:
+        >>> greedy = {"explore.name": "greedy"}
+        >>> step = {"explore.name": "thompson", "explore.per": "step"}
+        >>> whole = {"explore.name": "thompson", "explore.per": "round"}
+        >>> settings = [("BBQN-MAP", one) for one in (greedy, step, whole)]
+        >>> label("BBQN-MAP", greedy, settings)
+        'BBQN-MAP, explore=greedy'
+        >>> label("BBQN-MAP", step, settings)
+        'BBQN-MAP, explore=thompson, explore.per=step'
     """
-    keys = [
-        key
-        for key, value in setting.items()
-        if any(
-            other.get(key) != value
-            if other_name == name
-            else key.partition(".")[0] not in _OF_AN_AGENT and other.get(key, value) != value
-            for other_name, other in settings
-        )
-    ]
-    # The options first, by group.
-    told = sorted(telling(keys), key=lambda key: (0, key) if key.endswith(".name") else (1, ""))
-    return ", ".join([name, *(f"{key.removesuffix('.name')}={setting[key]}" for key in told)])
+    told: set[str] = set()
+    for other_name, other in settings:
+        told |= _told_from(setting, other, same_agent=other_name == name)
+    options = sorted(filter(names_option, told))
+    words = [name, *(f"{key.removesuffix('.name')}={setting[key]}" for key in options)]
+    words += [f"{key}={value}" for key, value in setting.items() if key in told.difference(options)]
+    return ", ".join(words)
+
+
+def _told_from(
+    setting: Mapping[str, Any], other: Mapping[str, Any], *, same_agent: bool
+) -> set[str]:
+    """Returns the keys that tell a setting from another one."""
+    if same_agent:
+        # A key of null that the other one lacks is told where nothing else tells them apart.
+        different = [key for key, value in setting.items() if other.get(key) != value]
+        different = different or [key for key in setting if key not in other]
+    else:
+        different = [
+            key
+            for key, value in setting.items()
+            if key.partition(".")[0] not in _OF_AN_AGENT and other.get(key, value) != value
+        ]
+    return set(telling(different))

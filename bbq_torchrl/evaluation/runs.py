@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.metrics import Metrics
     from bbq_torchrl.evaluation.results import ReplicaResult, RunResult
 
-__all__ = ["Replica", "find_results", "find_unfinished", "read_run", "telling"]
+__all__ = ["Replica", "find_results", "find_unfinished", "names_option", "read_run", "telling"]
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
@@ -105,15 +105,24 @@ class Replica:
 
 
 def telling(keys: Iterable[str]) -> list[str]:
-    """Returns the keys that tell settings apart: where an option differs, its name says enough.
+    """Returns which keys tell two settings apart: where an option differs, its name says enough.
+
+    Args:
+        keys: all in which the two differ. Keys in which any of several settings differ would not
+            do: of three options two can be the same, and differ in another key.
 
     Examples:
         >>> telling(["env.every", "env.name", "env.start", "spike.dialogues"])
         ['env.name', 'spike.dialogues']
     """
     keys = list(keys)
-    options = {key.partition(".")[0] for key in keys if key.endswith(".name")}
-    return [key for key in keys if key.endswith(".name") or key.partition(".")[0] not in options]
+    options = {key.partition(".")[0] for key in keys if names_option(key)}
+    return [key for key in keys if names_option(key) or key.partition(".")[0] not in options]
+
+
+def names_option(key: str) -> bool:
+    """Whether a dotted key is the name of a group's option: ``explore.name``."""
+    return key.partition(".")[2] == "name"
 
 
 def find_results(places: Iterable[Path]) -> list[Path]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from result_folders import make_run, metrics_text
 from scipy import stats
 from tiny import rows
 
 from bbq_torchrl.evaluation import estimate, estimate_iqm, interquartile_mean
 from bbq_torchrl.evaluation.comparison import comparison_report, references, success_table
-from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.evaluation.groups import label, read_groups
 from bbq_torchrl.evaluation.report import main
 from bbq_torchrl.evaluation.runs import find_results
 
@@ -67,6 +69,49 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(tmp_path):
 def test_a_label_says_what_tells_groups_of_an_agent_apart(tmp_path, other, labels):
     folders = [make_run(tmp_path / "a", [0.5]), make_run(tmp_path / "b", [0.5], **other)]
     assert tuple(group.label for group in read_groups(folders)) == labels
+
+
+def test_a_label_has_the_keys_that_tell_settings_of_one_option_apart(tmp_path, capsys):
+    make_run(tmp_path / "0", [0.5])
+    make_run(tmp_path / "1", [0.6], changes={"explore.per": "round"})
+    make_run(tmp_path / "2", [0.4], explore="greedy", changes={"explore.per": "episode"})
+    make_run(tmp_path / "3", [0.4], agent="dqn", explore="greedy")
+    groups = read_groups([tmp_path / str(number) for number in range(4)])
+    assert [group.label for group in groups] == [
+        "BBQN-MAP, explore=thompson, explore.per=step",
+        "BBQN-MAP, explore=thompson, explore.per=round",
+        "BBQN-MAP, explore=greedy",
+        "DQN",
+    ]
+    assert main([str(tmp_path)]) == 0
+    one, other, *_ = (group.label for group in groups)
+    assert f"| {one} minus {other} | 1 |" in capsys.readouterr().out
+
+
+def settings_of(group, *keys):
+    """A group's keys and values: the name of its option, and keys that a version may lack."""
+    values = {f"{group}.{key}": st.sampled_from([None, 0.1, 2, "step"]) for key in keys}
+    named = st.fixed_dictionaries({f"{group}.name": st.sampled_from("ab")}, optional=values)
+    return named | st.just({})
+
+
+SETTINGS = st.tuples(
+    settings_of("agent", "lr", "net.name"),
+    settings_of("explore", "per", "shared"),
+    settings_of("env", "start"),
+    settings_of("protocol", "rounds"),
+).map(lambda groups: {key: value for group in groups for key, value in group.items()})
+NAMED = st.tuples(st.sampled_from(["DQN", "BBQN-MAP"]), SETTINGS)
+
+
+@given(
+    st.lists(
+        NAMED, min_size=1, max_size=6, unique_by=lambda one: (one[0], frozenset(one[1].items()))
+    )
+)
+def test_labels_of_different_settings_differ(settings):
+    labels = [label(name, setting, settings) for name, setting in settings]
+    assert len({*labels}) == len(labels)
 
 
 def test_replicas_with_values_of_their_own_are_groups_of_their_own(tmp_path):
