@@ -31,7 +31,8 @@ class Ablations(NamedTuple):
     Attributes:
         reference: the runs that all others differ from so.
         keys: dotted key (several: ``explore.per, explore.shared``) -> value -> its runs, those of
-            the reference among them; numbers in order.
+            the reference among them; numbers in order. Of an option with several settings the
+            value names what tells them apart: ``epsilon_greedy, explore.eps_init=0.1``.
     """
 
     reference: Group
@@ -51,8 +52,8 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
     changed = [[_changed(own, other) for other in settings] for own in settings]
     extents = [max((_groups(names), len(names)) for names in row) for row in changed]
     reference = extents.index(min(extents))
-    keys: dict[str, list[tuple[Any, Group]]] = {}
-    for group, setting, names in zip(groups, settings, changed[reference], strict=True):
+    rows: dict[tuple[str, ...], list[Group]] = {}
+    for group, names in zip(groups, changed[reference], strict=True):
         if _groups(names) > 1:
             raise ValueError(
                 "ablations must differ from one run in one key each, or in keys of one group, but "
@@ -60,17 +61,23 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
                 f"{', '.join(names)}"
             )
         if names:
-            own = _value(settings[reference], names), groups[reference]
-            keys.setdefault(", ".join(names), [own]).append((_value(setting, names), group))
+            rows.setdefault(tuple(names), [groups[reference]]).append(group)
     return Ablations(
         groups[reference],
-        {
-            name.removesuffix(".name"): {
-                _shown(value): group for value, group in sorted(values, key=_place)
-            }
-            for name, values in keys.items()
-        },
+        {", ".join(names).removesuffix(".name"): _row(names, row) for names, row in rows.items()},
     )
+
+
+def _row(names: Sequence[str], row: Sequence[Group]) -> dict[str, Group]:
+    """Returns the groups of a row by their values of the keys that it is about."""
+    settings = [group.setting for group in row]
+    values = []
+    for own, group in zip(settings, row, strict=True):
+        told = dict.fromkeys(key for other in settings for key in _changed(own, other))
+        more = [f"{key}={_shown(own[key])}" for key in told if key in own and key not in names]
+        value = _value(own, names)
+        values.append((", ".join([_shown(value), *more]) if more else value, group))
+    return {_shown(value): group for value, group in sorted(values, key=_place)}
 
 
 def _changed(own: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:

@@ -50,6 +50,26 @@ def test_the_reference_is_what_all_others_differ_from_in_one_group(runs):
     assert all(reference in row.values() for row in keys.values())
 
 
+def test_settings_of_one_option_are_values_of_their_own(tmp_path, capsys):
+    make_run(tmp_path / "0", OWN)
+    for eps in (0.1, 0.2):
+        keys = {"explore.eps_init": eps, "explore.eps_end": 0.01}
+        make_run(tmp_path / str(eps), LESS, explore="epsilon_greedy", changes=keys)
+    make_run(tmp_path / "greedy", SAME, explore="greedy")
+    folders = [tmp_path / name for name in ("0", "0.1", "0.2", "greedy")]
+    _, keys = find_ablations(read_groups(folders))
+    assert {key: list(row) for key, row in keys.items()} == {
+        "explore": [
+            "thompson",
+            "epsilon_greedy, explore.eps_init=0.1",
+            "epsilon_greedy, explore.eps_init=0.2",
+            "greedy",
+        ]
+    }
+    assert main([*map(str, folders), "--ablations"]) == 0
+    assert cells(capsys.readouterr().out, "| thompson (reference) |")[1] == "5"
+
+
 def test_values_are_compared_with_the_reference_by_pairs(runs, capsys):
     assert main([str(runs), "--ablations"]) == 0
     text = capsys.readouterr().out
