@@ -36,3 +36,24 @@ def test_targets_and_gains_that_differ_are_both_named():
 
 def test_a_configuration_of_an_earlier_version_is_named_too():
     assert agent_name({"agent": {"name": "bbqn", "target": "map"}}) == "BBQN-MAP"
+
+
+@pytest.mark.parametrize(
+    ("config", "name"),
+    [
+        ({"agent": {"name": "polyak", "target": 0.005, "noisy": 0.1}}, "POLYAK"),
+        ({"agent": {"name": "lnq", "double": True}, "explore": {"name": "boltzmann"}}, "LNQ"),
+        ({"agent": {"name": "lnq"}, "intrinsic": {"name": "none"}}, "LNQ"),
+        ({"agent": {"name": "lnq"}, "intrinsic": {"name": "vime", "weights": "mc"}}, "LNQ-VIME-MC"),
+        ({"agent": {"name": "dqn"}, "intrinsic": {"name": "novelty"}}, "DQN-NOVELTY"),
+        (
+            {
+                "agent": {"name": "bbqn", "target": "mc"},
+                "intrinsic": {"name": "novelty", "weights": "mc"},
+            },
+            "BBQN-MC-NOVELTY",
+        ),
+    ],
+)
+def test_keys_of_options_of_ones_own_are_no_part_of_a_name(config, name):
+    assert agent_name(config) == name
