@@ -19,7 +19,7 @@ PolicyKind = Literal["script", "careful"]
 
 @dataclass(frozen=True)
 class Action:
-    """One de-lexicalised action of the agent; the tracker fills the value in.
+    """One de-lexicalized action of the agent; the tracker fills the value in.
 
     Args:
         act: the dialogue act that the user hears.

@@ -72,7 +72,7 @@ class AgentTurn:
 
 
 class Tracker:
-    """Completes the agent's de-lexicalised actions from the knowledge base.
+    """Completes the agent's de-lexicalized actions from the knowledge base.
 
     Args:
         domain: the domain's tensors.

@@ -58,7 +58,7 @@ class Conversations:
         self._judge = Judge(talker.domain)
         self._locks = [threading.Lock() for _ in range(_LOCKS)]
 
-    def enrol(self, form: Mapping[str, str]) -> str:
+    def enroll(self, form: Mapping[str, str]) -> str:
         """Returns the token of somebody who takes part from now on.
 
         Raises:
@@ -69,7 +69,7 @@ class Conversations:
             raise RefusedError(
                 HTTPStatus.UNPROCESSABLE_ENTITY, "To take part, please tick the box first."
             )
-        token = self._store.enrol(nonce)
+        token = self._store.enroll(nonce)
         if token is None:
             raise RefusedError(
                 HTTPStatus.CONFLICT,

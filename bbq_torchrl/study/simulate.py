@@ -77,7 +77,7 @@ def simulate(
         wanted = study.terms.participants
         for place in range(wanted):
             clock.now = begin = place * _DAY
-            token = conversations.enrol({"nonce": _nonce(seed, place), "consent": "yes"})
+            token = conversations.enroll({"nonce": _nonce(seed, place), "consent": "yes"})
             user = None
             while (session := current(store.sessions(token))) is not None:
                 form = {"session": str(session.position)}

@@ -135,7 +135,7 @@ class Store:
 
     # -- people ------------------------------------------------------------------------------------
 
-    def enrol(self, nonce: str) -> str | None:
+    def enroll(self, nonce: str) -> str | None:
         """Gives somebody a place in the design. Returns their token, ``None`` where all are taken.
 
         A place is free until somebody has it, and again when they have left it unfinished: the

@@ -70,7 +70,7 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
     # Pages are no coroutines: Starlette makes each in a thread.
     routes = [
         Route("/join/{key}", pages.consent),
-        Route("/join/{key}", pages.enrol, methods=["POST"]),
+        Route("/join/{key}", pages.enroll, methods=["POST"]),
         Route("/p/{token}", pages.now),
         Route("/p/{token}/{step}", pages.step, methods=["POST"]),
         Route("/r/{key}", pages.progress),
@@ -97,11 +97,11 @@ class _Pages:
         self._check(request, JOIN)
         return self._consent(HTTPStatus.OK, "")
 
-    def enrol(self, request: Request) -> Response:
+    def enroll(self, request: Request) -> Response:
         """Gives a person a link of their own."""
         self._check(request, JOIN)
         try:
-            token = self._conversations.enrol(request.state.form)
+            token = self._conversations.enroll(request.state.form)
         except RefusedError as error:
             return self._consent(error.status, str(error))
         return _to(token)

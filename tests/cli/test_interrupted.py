@@ -83,11 +83,11 @@ def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
     folder = tmp_path / "run"
     interruption.tell(how_to_go_on=lambda: "so it goes on")
 
-    def signalled(trainer, rows):
+    def signaled(trainer, rows):
         os.kill(os.getpid(), signal.SIGTERM)
 
     with pytest.raises(interruption.Interrupted):
-        run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder, [signalled])
+        run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder, [signaled])
 
     assert interruption.exit_code() == 128 + signal.SIGTERM
     assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it goes on"

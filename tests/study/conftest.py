@@ -48,7 +48,7 @@ class Site:
         self.join = f"/join/{store.key(JOIN)}"
         self.researcher = f"/r/{store.key(RESEARCHER)}"
 
-    def enrol(self):
+    def enroll(self):
         form = {**hidden(self.client.get(self.join).text), "consent": "yes"}
         return str(self.client.post(self.join, data=form).url.path)
 

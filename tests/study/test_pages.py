@@ -38,7 +38,7 @@ def test_a_person_goes_from_consent_to_thanks(site):
     consent = site.client.get(site.join).text
     assert "What you write is stored." in consent
     assert "2 conversations" in consent
-    link = site.enrol()
+    link = site.enroll()
     for number in (1, 2):
         page = site.client.get(link).text
         assert f"Conversation {number} of 2" in page
@@ -51,7 +51,7 @@ def test_a_person_goes_from_consent_to_thanks(site):
 
 
 def test_the_goal_card_shows_wishes_by_their_labels_and_questions(site):
-    link = site.enrol()
+    link = site.enroll()
     goal = site.study.domain.goals[site.session(link).goal - 1]
     page = site.client.get(link).text
     for slot, value in goal.constraints.items():
@@ -74,7 +74,7 @@ def test_goal_card_and_judge_have_the_talkers_spelling(site):
     study, store, talker = site.study, site.store, site.talker
     with TestClient(application(study, store, talker)) as client:
         served = Site(study, client, store, talker, site.clock)
-        link = served.enrol()
+        link = served.enroll()
         goal = talker.domain.goals[served.session(link).goal - 1]
         assert " otherwise</dd>" in client.get(link).text
         for text in (*script(talker.domain, goal), "bye"):
@@ -84,7 +84,7 @@ def test_goal_card_and_judge_have_the_talkers_spelling(site):
 
 def test_no_answer_names_agent_weights_or_values(site):
     answers = [site.client.get(site.join)]
-    link = site.enrol()
+    link = site.enroll()
     answers += [site.client.get(link), site.say(link, "city=philly"), site.say(link, "crash")]
     answers += [site.say(link, "bye"), site.rate(link, overall="9"), site.rate(link)]
     for answer in answers:
@@ -95,7 +95,7 @@ def test_no_answer_names_agent_weights_or_values(site):
 
 @pytest.mark.parametrize("text", HOSTILE)
 def test_hostile_text_is_stored_and_shown_as_text(site, text):
-    link = site.enrol()
+    link = site.enroll()
     body = {**hidden(site.client.get(link).text), "text": text}
     encoded = "&".join(
         f"{key}={''.join(f'%{byte:02x}' for byte in value.encode('utf-8', 'surrogatepass'))}"
@@ -114,14 +114,14 @@ def test_hostile_text_is_stored_and_shown_as_text(site, text):
 
 @pytest.mark.parametrize("text", ["", "   ", "\x00", "\u202e", "x" * 1_001])
 def test_blank_and_long_texts_are_refused_and_cost_nothing(site, text):
-    page = site.say(site.enrol(), text)
+    page = site.say(site.enroll(), text)
     assert page.status_code == 422
     assert 'role="alert"' in page.text
     assert site.talker.calls == 0
 
 
 def test_a_second_window_is_told_that_the_conversation_went_on(site):
-    link = site.enrol()
+    link = site.enroll()
     stale = hidden(site.client.get(link).text)
     site.say(link, "city=philly")
     page = site.client.post(f"{link}/say", data={**stale, "text": "from the other window"})
@@ -135,7 +135,7 @@ def test_a_second_window_is_told_that_the_conversation_went_on(site):
 
 
 def test_a_text_of_an_earlier_conversation_is_not_put_into_the_next(site):
-    link = site.enrol()
+    link = site.enroll()
     stale = hidden(site.client.get(link).text)
     site.say(link, "bye")
     site.rate(link)
@@ -146,7 +146,7 @@ def test_a_text_of_an_earlier_conversation_is_not_put_into_the_next(site):
 
 @pytest.mark.parametrize(("text", "status"), [("crash", 500), ("city=philly", 503)])
 def test_an_agent_out_of_order_and_a_full_disk_lose_no_text(site, monkeypatch, text, status):
-    link = site.enrol()
+    link = site.enroll()
     form = {**hidden(site.client.get(link).text), "text": text}
     with monkeypatch.context() as patch:
         full = StoreError(site.study.data, "the disk is full")
@@ -159,7 +159,7 @@ def test_an_agent_out_of_order_and_a_full_disk_lose_no_text(site, monkeypatch, t
 
 
 def test_a_person_may_end_but_not_before_a_word(site):
-    link = site.enrol()
+    link = site.enroll()
     form = hidden(site.client.get(link).text)
     assert site.client.post(f"{link}/end", data=form).status_code == 409
     site.say(link, "city=philly")
@@ -169,7 +169,7 @@ def test_a_person_may_end_but_not_before_a_word(site):
 
 
 def test_an_ended_conversation_takes_no_more_messages_and_no_other_end(site):
-    link = site.enrol()
+    link = site.enroll()
     late = hidden(site.client.get(link).text)
     site.say(link, "bye")
     page = site.client.post(f"{link}/say", data={**late, "text": "one more thing"})
@@ -181,7 +181,7 @@ def test_an_ended_conversation_takes_no_more_messages_and_no_other_end(site):
 
 
 def test_a_conversation_runs_out_of_turns(site):
-    link = site.enrol()
+    link = site.enroll()
     for _ in range(site.study.terms.max_turns):
         page = site.say(link, "hello")
     assert "has ended" in page.text
@@ -191,7 +191,7 @@ def test_a_conversation_runs_out_of_turns(site):
 
 @pytest.mark.parametrize("given", ["0", "6", "five", "", "4.0", "٣"])
 def test_a_rating_out_of_range_is_refused_and_the_others_are_kept(site, given):
-    link = site.enrol()
+    link = site.enroll()
     site.say(link, "bye")
     page = site.rate(link, naturalness=given)
     assert page.status_code == 422
@@ -201,7 +201,7 @@ def test_a_rating_out_of_range_is_refused_and_the_others_are_kept(site, given):
 
 
 def test_a_rating_counts_once(site):
-    link = site.enrol()
+    link = site.enroll()
     site.say(link, "bye")
     other = hidden(site.client.get(link).text)
     form = {**hidden(site.client.get(link).text), **dict.fromkeys(SCALES, "4"), "verdict": "yes"}
@@ -212,7 +212,7 @@ def test_a_rating_counts_once(site):
 
 
 def test_a_conversation_is_not_rated_before_its_end(site):
-    link = site.enrol()
+    link = site.enroll()
     site.say(link, "city=philly")
     assert site.rate(link).status_code == 409
 
@@ -227,7 +227,7 @@ def test_who_consents_is_enrolled_once(site):
 
 
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
-    link = site.enrol()
+    link = site.enroll()
     site.say(link, "city=philly")
     number, agent = site.session(link).id, site.session(link).agent
 

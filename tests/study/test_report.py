@@ -32,7 +32,7 @@ def fill(study, clock):
         terms = replace(terms, participants=max(1, len(people)))
         store = Store(study.data, terms, prints(study), clock=clock, **settings)
         for number, ratings in enumerate(people):
-            for session in store.sessions(store.enrol(f"nonce-{number:020d}")):
+            for session in store.sessions(store.enroll(f"nonce-{number:020d}")):
                 rating = ratings[list(terms.agents).index(session.agent)]
                 for turn in range(1, 4):
                     clock.now += pause

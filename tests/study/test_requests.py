@@ -13,12 +13,12 @@ FORM = {"content-type": "application/x-www-form-urlencoded"}
 
 
 def talk(site):
-    link = site.enrol()
+    link = site.enroll()
     return link, {**hidden(site.client.get(link).text), "text": "city=philly"}
 
 
 def test_wrong_guessed_and_other_links_get_the_same_page(site):
-    link = site.enrol()
+    link = site.enroll()
     token = site.token(link)
     other = site.researcher.removeprefix("/r/")
     pages = [
@@ -45,7 +45,7 @@ def test_wrong_guessed_and_other_links_get_the_same_page(site):
 
 def test_another_persons_link_reaches_only_their_own_sessions(site):
     link, form = talk(site)
-    stranger = site.enrol()
+    stranger = site.enroll()
     site.client.post(f"{stranger}/say", data=form)
     assert site.store.exchanges(site.session(link).id) == []
 
@@ -124,7 +124,7 @@ def test_a_slow_body_is_cut_off(site, monkeypatch):
         await asyncio.sleep(0.02)
         return {"type": "http.request", "body": b"x", "more_body": True}
 
-    assert answers(site, site.enrol(), receive)[0]["status"] == 408
+    assert answers(site, site.enroll(), receive)[0]["status"] == 408
 
 
 def test_half_a_form_is_none(site):
@@ -173,7 +173,7 @@ def test_pages_have_no_inline_script_or_style_and_ask_nothing_of_other_hosts(sit
             assert text not in answer.text
 
 
-def test_a_hundred_enrolments_at_once_fill_the_places_and_no_more(site):
+def test_a_hundred_enrollments_at_once_fill_the_places_and_no_more(site):
     forms = [{**hidden(site.client.get(site.join).text), "consent": "yes"} for _ in range(100)]
     with ThreadPoolExecutor(20) as pool:
         answers = list(pool.map(lambda form: site.client.post(site.join, data=form), forms))

@@ -52,7 +52,7 @@ def test_another_server_on_the_same_file_is_refused(open_store):
 
 def test_a_closed_study_goes_on_where_it_was(open_store):
     first = open_store()
-    token = first.enrol(NONCES[0])
+    token = first.enroll(NONCES[0])
     sessions, key = first.sessions(token), first.key("join")
     first.close()
     second = open_store()
@@ -62,7 +62,7 @@ def test_a_closed_study_goes_on_where_it_was(open_store):
 
 def test_tokens_are_not_in_the_file(open_store, study):
     store = open_store()
-    token = store.enrol(NONCES[0])
+    token = store.enroll(NONCES[0])
     store.close()
     assert token.encode() not in study.data.read_bytes()
 
@@ -89,10 +89,10 @@ def test_what_is_another_study_is_refused_all_at_once_but_more_people_are_welcom
 
 def test_places_are_given_out_in_order_and_again_when_left(open_store, study, clock):
     store = open_store()
-    tokens = [store.enrol(nonce) for nonce in NONCES[:5]]
-    assert store.enrol(NONCES[5]) is None
+    tokens = [store.enroll(nonce) for nonce in NONCES[:5]]
+    assert store.enroll(NONCES[5]) is None
     clock.now += 60 * study.terms.idle_minutes - 1
-    assert store.enrol(NONCES[5]) is None
+    assert store.enroll(NONCES[5]) is None
     clock.now += 1
     # Three people are at work: one talks, one ends, one rates.
     says, ends, rates = (current(store.sessions(token)) for token in tokens[1:4])
@@ -101,9 +101,9 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
     store.end(ends, "person", ())
     store.rate(rates, NONCES[8], dict.fromkeys(SCALES, 3), True)
     clock.now += 1
-    later = store.enrol(NONCES[6])
-    assert store.enrol(NONCES[9]) is not None
-    assert store.enrol(NONCES[10]) is None
+    later = store.enroll(NONCES[6])
+    assert store.enroll(NONCES[9]) is not None
+    assert store.enroll(NONCES[10]) is None
     plans = [
         [(session.agent, session.goal) for session in store.sessions(token)]
         for token in (tokens[0], later)
@@ -113,7 +113,7 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
 
 def test_who_has_finished_keeps_their_place(open_store, study, clock):
     store = open_store(replace(study.terms, participants=2))
-    token, _ = (store.enrol(nonce) for nonce in NONCES[:2])
+    token, _ = (store.enroll(nonce) for nonce in NONCES[:2])
     for session in store.sessions(token):
         store.end(session, "person", ("wishes",))
         assert store.progress()[0]["finished"] == 0  # not before all are rated
@@ -122,17 +122,17 @@ def test_who_has_finished_keeps_their_place(open_store, study, clock):
     assert store.progress()[0] == {**people, "active": 1, "left": 0}
     clock.now += 1e9
     assert store.progress()[0] == {**people, "active": 0, "left": 1}
-    assert store.enrol(NONCES[3]) is not None
-    assert store.enrol(NONCES[4]) is None
+    assert store.enroll(NONCES[3]) is not None
+    assert store.enroll(NONCES[4]) is None
 
 
 def test_who_reads_sees_one_moment_of_the_study(open_store, study):
     store = open_store()
-    store.enrol(NONCES[0])
+    store.enroll(NONCES[0])
     with reading(study.data) as connection:
         for nonce in NONCES[1:3]:
             assert connection.execute("SELECT COUNT(*) FROM person").fetchone() == (1,)
-            store.enrol(nonce)
+            store.enroll(nonce)
 
 
 def test_a_newer_file_is_refused(open_store, study):
@@ -149,7 +149,7 @@ def test_a_newer_file_is_refused(open_store, study):
 def test_a_truncated_file_is_refused(open_store, study, share):
     store = open_store()
     for nonce in NONCES[:5]:
-        store.enrol(nonce)
+        store.enroll(nonce)
     store.close()
     content = study.data.read_bytes()
     study.data.write_bytes(content[: int(len(content) * share)])
