@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import torch
+from hypothesis import settings
 
 from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.domains import Domain, load_domain, load_miulab, movie_domain
@@ -23,6 +24,10 @@ DEFAULT_TCBOT = TESTS.parent.parent / "shared" / "data" / "tcbot"
 
 # More threads than tests at a time only get in each other's way on a small machine.
 torch.set_num_threads(1)
+
+# What a test of Hypothesis draws depends on the test alone, as in CI; its deadlines stay.
+settings.register_profile("same_draws", settings.default, derandomize=True)
+settings.load_profile("same_draws")
 
 
 @pytest.fixture(autouse=True)
