@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options import LoggerOption, register
 from bbq_torchrl.options.settings import ANY_TEXT, option, setting
+from bbq_torchrl.run_folder import write_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,5 +39,5 @@ class WandB(LoggerOption):
             else {}
         )
         logger = WandbLogger(folder.name, log_dir=str(folder), project=self.project, **same)
-        run_id.write_text(str(logger.experiment.id))
+        write_text(run_id, str(logger.experiment.id))
         return [logger]
