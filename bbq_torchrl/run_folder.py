@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["CHECKPOINTS", "CONFIG", "CURVE", "METRICS", "RESULT", "write_bytes", "write_text"]
+__all__ = [
+    "CHECKPOINTS",
+    "CONFIG",
+    "CURVE",
+    "HYDRA",
+    "LOCK",
+    "LOG",
+    "METRICS",
+    "OVERRIDES",
+    "RESULT",
+    "write_bytes",
+    "write_text",
+]
 
 CONFIG = "config.yaml"
 """The composed configuration."""
@@ -24,6 +36,18 @@ RESULT = "result.json"
 
 CURVE = "curve.png"
 """The learning curve: the last file that a run writes."""
+
+LOG = "train.log"
+"""Messages, with times; Hydra writes it."""
+
+HYDRA = ".hydra"
+"""The folder in which Hydra notes what it composed."""
+
+OVERRIDES = f"{HYDRA}/overrides.yaml"
+"""What was given on the command line; Hydra writes it."""
+
+LOCK = ".lock"
+"""The file that is locked; the file stays, the lock ends with its process."""
 
 
 def write_text(path: Path, text: str) -> None:

@@ -18,7 +18,7 @@ from bbq_torchrl.cli.resume import description, run_config, save_config
 from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.options.values import replica_values
-from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, RESULT
+from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, OVERRIDES, RESULT
 from bbq_torchrl.trainers import CheckpointFolder
 
 
@@ -54,7 +54,7 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     save_config(own, target / CONFIG)
-    shutil.copyfile(run / ".hydra" / "overrides.yaml", target / "overrides.yaml")
+    shutil.copyfile(run / OVERRIDES, target / "overrides.yaml")
     write_json(result.only([replica]), target / RESULT)
     checkpoints = CheckpointFolder(target / CHECKPOINTS, actor=single.actor)
     checkpoints.save(result.rounds, description(own))

@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.messages import key_of
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CONFIG
+from bbq_torchrl.run_folder import CONFIG, LOCK
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 __all__ = [
-    "LOCK",
     "named_folder",
     "quoted",
     "refuse_other_folder",
@@ -31,10 +30,6 @@ __all__ = [
     "run_folder",
     "run_lock",
 ]
-
-
-LOCK = ".lock"
-"""The file in a run folder that is locked; the file stays, the lock ends with its process."""
 
 
 def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:

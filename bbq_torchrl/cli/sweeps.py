@@ -26,7 +26,7 @@ from bbq_torchrl.cli.store import compose_raw, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CONFIG, RESULT
+from bbq_torchrl.run_folder import CONFIG, HYDRA, LOG, OVERRIDES, RESULT
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ def table_of_runs(sweep: Path, jobs: int) -> str:
         jobs: how many jobs it has; 0 where only the sweeper knows.
     """
     configs = (item.parent for item in sweep.rglob(CONFIG))
-    begun = {folder.parent if folder.name == ".hydra" else folder for folder in configs}
+    begun = {folder.parent if folder.name == HYDRA else folder for folder in configs}
     folders = sorted(begun, key=_numbers_in_order)
     overrides = [_overrides(folder) for folder in folders]
     shared = set(overrides[0]).intersection(*overrides) if len(overrides) > 1 else set()
@@ -254,7 +254,7 @@ def table_of_runs(sweep: Path, jobs: int) -> str:
 
 def _success_and_state(folder: Path) -> tuple[str, str]:
     file = folder / RESULT
-    unfinished = "–", "not finished: train.log in it says why"
+    unfinished = "–", f"not finished: {LOG} in it says why"
     if not file.is_file():
         return unfinished
     # Imported here: it takes a second.
@@ -273,7 +273,7 @@ def _success_and_state(folder: Path) -> tuple[str, str]:
 
 def _overrides(folder: Path) -> list[str]:
     """Returns the overrides of a run as Hydra noted them; none where it did not."""
-    file = folder / ".hydra" / "overrides.yaml"
+    file = folder / OVERRIDES
     if not file.is_file():
         return []
     return [str(item) for item in yaml.safe_load(file.read_text(encoding="utf-8")) or []]

@@ -11,11 +11,12 @@ from planted import plant
 
 import train
 from bbq_torchrl import evaluate
-from bbq_torchrl.cli.folders import LOCK, run_lock
+from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import is_finished, load_config, run_config
 from bbq_torchrl.cli.train import REFUSED
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
+from bbq_torchrl.run_folder import LOCK
 
 from .trusted import state_of
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from tiny import TINY
 
 from bbq_torchrl.cli import resume
-from bbq_torchrl.cli.folders import LOCK
 from bbq_torchrl.cli.store import session
 from bbq_torchrl.run import run
+from bbq_torchrl.run_folder import LOCK
 
 DQN = (
     *TINY,
