@@ -52,22 +52,20 @@ class ReplicaReplay:
     marked inactive.
 
     Args:
-        capacity (int): the most transitions that one replica's buffer holds.
-        replicas (int): the number of replicas R. Default: 1.
-        keys (sequence of NestedKey): the entries of a transition that are stored.
-            Default: :data:`TRANSITION_KEYS`.
-        transform (Transform, optional): as in TorchRL's replay buffers: ``transform.inv`` runs on
-            rows when they are stored, and what it adds (its ``out_keys_inv``) is stored with them;
-            ``transform`` runs on an epoch's rows when they are read. Both see batch size
-            [replicas, rows] with the entry ``valid``. What its modules may have besides is in
-            :mod:`bbq_torchrl.data.hooks`.
-        device (torch.device or str): where the transitions are kept. Default: ``"cpu"``.
+        capacity: the most transitions that one replica's buffer holds.
+        replicas: the number of replicas R. Defaults to 1.
+        keys: the entries of a transition that are stored. Defaults to :data:`TRANSITION_KEYS`.
+        transform: as in TorchRL's replay buffers: ``transform.inv`` runs on rows when they are
+            stored, and what it adds (its ``out_keys_inv``) is stored with them; ``transform`` runs
+            on an epoch's rows when they are read. Both see batch size [replicas, rows] with the
+            entry ``valid``. What its modules may have besides is in :mod:`bbq_torchrl.data.hooks`.
+        device: where the transitions are kept. Defaults to ``"cpu"``.
 
     Attributes:
-        buffers (tuple of TensorDictReplayBuffer): TorchRL's, one for each replica.
-        keys (tuple of NestedKey): the entries that :meth:`extend` reads.
-        stored_keys (tuple of NestedKey): those, and what the transform adds.
-        transform (Transform or None): the transform.
+        buffers: TorchRL's ``TensorDictReplayBuffer``, one for each replica.
+        keys: the entries that :meth:`extend` reads.
+        stored_keys: those, and what the transform adds.
+        transform: the transform, or None.
 
     Examples:
         >>> import torch
@@ -158,7 +156,7 @@ class ReplicaReplay:
         others would be overwritten in the same call.
 
         Args:
-            rows (sequence of TensorDictBase): for each replica, batch size [rows].
+            rows: for each replica, batch size [rows].
 
         Raises:
             ValueError: if a row could not be learned from (see
@@ -229,7 +227,7 @@ class ReplicaReplay:
         """Returns each replica's transitions once, in an order of its own, in shared batches.
 
         Args:
-            batch_size (int): the number of rows of a batch for each replica.
+            batch_size: the number of rows of a batch for each replica.
 
         Raises:
             ValueError: if ``batch_size`` is not positive or a replica has no transition.

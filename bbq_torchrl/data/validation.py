@@ -26,8 +26,8 @@ def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> 
     One synchronization with the device for all checks together.
 
     Args:
-        rows (TensorDictBase): transitions in TorchRL's layout, batch size [rows].
-        name (str): what the rows are called in the error message.
+        rows: transitions in TorchRL's layout, batch size [rows].
+        name: what the rows are called in the error message.
 
     Raises:
         ValueError: names the key, the first bad row and what is allowed.

@@ -26,7 +26,7 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
     training.
 
     Attributes:
-        protected (int): how many rows, from the first, are never overwritten.
+        protected: how many rows, from the first, are never overwritten.
 
     Raises:
         ValueError: if more rows are written at once than there are unprotected ones.

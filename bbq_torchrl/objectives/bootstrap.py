@@ -77,8 +77,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         """The entries whose names ``set_keys`` changes.
 
         Attributes:
-            bootstrap_mask (NestedKey): which heads learn from a row. Defaults to
-                ``"bootstrap_mask"``.
+            bootstrap_mask: which heads learn from a row. Defaults to ``"bootstrap_mask"``.
         """
 
         bootstrap_mask: NestedKey = "bootstrap_mask"

@@ -82,8 +82,8 @@ class OneStepQLoss(DQNLoss):
         """The entries whose names ``set_keys`` changes.
 
         Attributes:
-            next_state_value (NestedKey): under "next", what :meth:`next_state_values` returned; may
-                be absent. Defaults to ``"next_state_value"``.
+            next_state_value: under "next", what :meth:`next_state_values` returned; may be absent.
+                Defaults to ``"next_state_value"``.
         """
 
         next_state_value: NestedKey = "next_state_value"

@@ -50,9 +50,9 @@ class CheckpointFolder:
     """The last checkpoints of a run, the newest readable one first.
 
     Args:
-        folder (Path): where they lie; it is made when the first is saved.
-        keep (int, optional): how many are kept; None: all. Default: 2, so that one remains if the
-            newest is damaged.
+        folder: where they lie; it is made when the first is saved.
+        keep: how many are kept; None: all. Defaults to 2, so that one remains if the newest is
+            damaged.
         **components: what is saved and restored, by name: objects with ``state_dict`` and
             ``load_state_dict``, of tensors and JSON values in dicts, lists and tuples.
 
@@ -78,9 +78,9 @@ class CheckpointFolder:
         """Saves all components and returns the file; older checkpoints go once it is safe.
 
         Args:
-            rounds (int): how many rounds are done.
-            metadata (mapping): JSON values, read again without loading anything.
-            name (str, optional): a name of its own, outside the rotation. Default: the round's.
+            rounds: how many rounds are done.
+            metadata: JSON values, read again without loading anything.
+            name: a name of its own, outside the rotation. Defaults to None, the round's.
 
         Raises:
             OSError: if the folder cannot be written or the disk has no room.
@@ -118,8 +118,8 @@ class CheckpointFolder:
         """Restores all components from the newest readable checkpoint; None if there is none.
 
         Args:
-            expected (mapping): metadata that the checkpoint must have. What a checkpoint of an
-                earlier version does not say is not compared.
+            expected: metadata that the checkpoint must have. What a checkpoint of an earlier
+                version does not say is not compared.
 
         Returns:
             the file and its metadata.
@@ -147,8 +147,8 @@ class CheckpointFolder:
         Nothing is loaded, and nothing logged.
 
         Args:
-            expected (mapping): as of :meth:`restore`.
-            *components (str): what it must hold.
+            expected: as of :meth:`restore`.
+            *components: what it must hold.
 
         Raises:
             CheckpointDamagedError: as :meth:`newest`.

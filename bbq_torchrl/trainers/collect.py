@@ -59,11 +59,11 @@ def rollout(
     plays in evaluation mode (no dropout) and is given back in the mode that it came in.
 
     Args:
-        env (EnvBase): an environment whose last batch dimension is the dialogues.
-        policy (callable): writes an action.
-        max_steps (int): the most turns of a dialogue. Default: 1000.
-        exploration (ExplorationType): what the policy finds as ``exploration_type()``.
-            Default: ``ExplorationType.RANDOM``.
+        env: an environment whose last batch dimension is the dialogues.
+        policy: writes an action.
+        max_steps: the most turns of a dialogue. Defaults to 1000.
+        exploration: what the policy finds as ``exploration_type()``. Defaults to
+            ``ExplorationType.RANDOM``.
 
     Raises:
         RuntimeError: if a dialogue is not over after ``max_steps`` turns.
@@ -114,12 +114,12 @@ def rollouts(
     """Yields rollouts as :func:`rollout` does until every replica has played its dialogues.
 
     Args:
-        env (EnvBase): batch size [*replicas, places]; each rollout fills all places.
-        policy (callable): writes an action.
-        dialogues (int): how many dialogues each replica plays. Of the last rollout, only as many
+        env: batch size [*replicas, places]; each rollout fills all places.
+        policy: writes an action.
+        dialogues: how many dialogues each replica plays. Of the last rollout, only as many
             dialogues are kept as are missing: the first places, whatever their lengths.
-        max_steps (int): the most turns of a dialogue. Default: 1000.
-        exploration (ExplorationType): what the policy finds as ``exploration_type()``.
+        max_steps: the most turns of a dialogue. Defaults to 1000.
+        exploration: what the policy finds as ``exploration_type()``.
     """
     places = env.batch_size[-1]
     for begun in range(0, dialogues, places):
@@ -131,8 +131,8 @@ def episode_stats(rollout: TensorDictBase) -> EpisodeStats:
     """Returns how the dialogues of a rollout of :func:`rollout` went, each entry of shape [*batch].
 
     Args:
-        rollout (TensorDictBase): batch size [*batch, turns], with ``valid``, and whether the
-            dialogue is a success so far under ``("next", "success")``.
+        rollout: batch size [*batch, turns], with ``valid``, and whether the dialogue is a success
+            so far under ``("next", "success")``.
     """
     valid = rollout["valid"]
     after = rollout["next"]
@@ -145,8 +145,8 @@ def rows_per_replica(rollout: TensorDictBase, keys: tuple[NestedKey, ...]) -> li
     """Returns each replica's valid transitions, dialogue after dialogue: batch sizes [rows].
 
     Args:
-        rollout (TensorDictBase): batch size [replicas, dialogues, turns], with ``valid``.
-        keys (tuple of NestedKey): the entries to keep.
+        rollout: batch size [replicas, dialogues, turns], with ``valid``.
+        keys: the entries to keep.
     """
     valid = rollout["valid"]
     counts = valid.sum((-2, -1)).tolist()
@@ -166,11 +166,11 @@ def collect_dialogues(
     With them are the metrics that the replay's transform noted of these transitions.
 
     Args:
-        replay (ReplicaReplay): the buffers.
-        env (EnvBase): batch size [replicas, places].
-        policy (callable): writes an action.
-        dialogues (int): how many dialogues each replica plays.
-        max_steps (int): the most turns of a dialogue.
+        replay: the buffers.
+        env: batch size [replicas, places].
+        policy: writes an action.
+        dialogues: how many dialogues each replica plays.
+        max_steps: the most turns of a dialogue.
     """
     totals: Tensor | None = None
     for played in rollouts(env, policy, dialogues, max_steps=max_steps):

@@ -34,7 +34,7 @@ class LossSums:
     updates are added at once; on a CPU the sums are the same bit for bit.
 
     Args:
-        replicas (int): the number of replicas.
+        replicas: the number of replicas.
     """
 
     def __init__(self, replicas: int) -> None:
@@ -48,9 +48,9 @@ class LossSums:
         """Adds what a loss returned for an update of a batch; nothing here runs on the host.
 
         Args:
-            losses (TensorDictBase): with ``loss_value`` of shape [replicas]; the entries of
-                replicas that the batch is not active for mean nothing, and are left out.
-            batch (Batch): what it was computed from.
+            losses: with ``loss_value`` of shape [replicas]; the entries of replicas that the batch
+                is not active for mean nothing, and are left out.
+            batch: what it was computed from.
         """
         counted = zip(self.updates, batch.active, strict=True)
         self.updates = [count + learned for count, learned in counted]
@@ -103,12 +103,12 @@ class Update:
     Nothing in it waits for the device.
 
     Args:
-        loss (callable): returns ``loss``, the scalar to differentiate, and ``loss_value``
-            [replicas]; whatever else it returns in shape [replicas] is averaged and reported.
-        optimizer (ReplicaOptimizer): of its parameters.
+        loss: returns ``loss``, the scalar to differentiate, and ``loss_value`` [replicas]; whatever
+            else it returns in shape [replicas] is averaged and reported.
+        optimizer: of its parameters.
 
     Attributes:
-        sums (LossSums): takes in what the loss returns.
+        sums: takes in what the loss returns.
     """
 
     loss: Callable[[TensorDictBase], TensorDictBase]
@@ -132,20 +132,20 @@ class Learner:
     """Learns from the buffers of R replicas: freeze, some epochs, freeze again, some epochs.
 
     Args:
-        loss (LossModule): see :class:`~bbq_torchrl.trainers.RoundTrainer`; what else it may have is
-            in :mod:`bbq_torchrl.objectives.hooks`.
-        replay (ReplicaReplay): the buffers.
-        optimizer (ReplicaOptimizer): of the loss's parameters.
-        target_updater (HardUpdate): ``.step()`` freezes the target.
-        seed_phase (callable): seeds all that is random for a phase, which it is given as a name and
-            numbers; called before each epoch.
+        loss: see :class:`~bbq_torchrl.trainers.RoundTrainer`; what else it may have is in
+            :mod:`bbq_torchrl.objectives.hooks`.
+        replay: the buffers.
+        optimizer: of the loss's parameters.
+        target_updater: ``.step()`` freezes the target.
+        seed_phase: seeds all that is random for a phase, which it is given as a name and numbers;
+            called before each epoch.
 
     Keyword Args:
-        batch_size (int): transitions of a mini-batch, for each replica.
-        freezes (int): how often in a round the target is frozen and learned against.
-        epochs (int): how many epochs over the buffer follow each freeze.
-        lr_share (callable, optional): returns the share of the learning rate that a round, counted
-            from 0, learns with. Default: all of it, always.
+        batch_size: transitions of a mini-batch, for each replica.
+        freezes: how often in a round the target is frozen and learned against.
+        epochs: how many epochs over the buffer follow each freeze.
+        lr_share: returns the share of the learning rate that a round, counted from 0, learns with.
+            Defaults to None: all of it, always.
     """
 
     loss: nn.Module

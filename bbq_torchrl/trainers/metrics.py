@@ -34,10 +34,9 @@ class MetricsFile:
     between two checkpoints, leaves rows that a resumed run replaces (:meth:`load_state_dict`).
 
     Args:
-        path (Path): the file; its folder is made if it is missing.
-        replicas (int): the number of replicas.
-        loggers (sequence of Logger): TorchRL loggers, which get ``<metric>/replica_<r>`` at the
-            step of the round.
+        path: the file; its folder is made if it is missing.
+        replicas: the number of replicas.
+        loggers: TorchRL loggers, which get ``<metric>/replica_<r>`` at the step of the round.
 
     Attributes:
         rows: those of all rounds, one for each round and replica.
@@ -64,8 +63,8 @@ class MetricsFile:
         """Adds a round, in memory, at the end of the file and to the loggers; returns its rows.
 
         Args:
-            round_number (int): the round, from 0.
-            columns (mapping): by name, one number, or one for each replica.
+            round_number: the round, from 0.
+            columns: by name, one number, or one for each replica.
 
         Raises:
             ValueError: if the columns are others than those of the rounds before.

@@ -51,13 +51,11 @@ class ReplicaAdam:
     bitwise untouched, moments and step count included.
 
     Args:
-        parameters (iterable of Parameter): shapes [replicas, ...]; those that do not require a
-            gradient are left out.
-        replicas (int): the number of replicas.
-        lr (float or sequence of float): the learning rate, or one for each replica. Default: 1e-3
-            (the paper's).
-        betas (pair of float): as in :class:`torch.optim.Adam`.
-        eps (float): as in :class:`torch.optim.Adam`.
+        parameters: shapes [replicas, ...]; those that do not require a gradient are left out.
+        replicas: the number of replicas.
+        lr: the learning rate, or one for each replica. Defaults to 1e-3 (the paper's).
+        betas: as in :class:`torch.optim.Adam`.
+        eps: as in :class:`torch.optim.Adam`.
 
     Examples:
         >>> weight = nn.Parameter(torch.zeros(2, 3))
@@ -121,8 +119,7 @@ class ReplicaAdam:
         """Moves the replicas that are active by one Adam step.
 
         Args:
-            active (sequence of bool, optional): for each replica, whether the last batch concerned
-                it. Default: all.
+            active: for each replica, whether the last batch concerned it. Defaults to None: all.
         """
         flags = (True,) * self.replicas if active is None else active
         gradients = {

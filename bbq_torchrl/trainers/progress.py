@@ -30,11 +30,11 @@ class RoundProgress:
     rounds after every so many that it is at most 40 lines: means over the rounds since the last.
 
     Args:
-        rounds (int): how many rounds the training has.
-        done (int): how many of them are done already (a resumed run). Default: 0.
-        visible (bool, optional): whether the bar is shown. Default: ``None``, where stderr is a
-            terminal and no other process of a sweep draws on it.
-        name (str): begins each line of the log. Default: none.
+        rounds: how many rounds the training has.
+        done: how many of them are done already (a resumed run). Defaults to 0.
+        visible: whether the bar is shown. Defaults to None: where stderr is a terminal and no other
+            process of a sweep draws on it.
+        name: begins each line of the log. Defaults to "".
     """
 
     def __init__(

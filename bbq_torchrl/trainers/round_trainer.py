@@ -59,40 +59,40 @@ class RoundTrainer:
     :mod:`bbq_torchrl.data.hooks` (the replay's transform).
 
     Args:
-        env (EnvBase): batch size [replicas, places], key ``("next", "success")`` besides the usual.
-        policy (nn.Module): acts, with exploration, on the environment's TensorDict.
-        loss (LossModule): returns ``loss`` (scalar) and ``loss_value`` [replicas], and may return
-            more of shape [replicas], which becomes a metric.
-        replay (ReplicaReplay): the buffers, empty.
-        optimizer (ReplicaOptimizer): of the loss's parameters.
-        target_updater (HardUpdate): ``.step()`` freezes the target.
-        run_folder (Path): takes ``metrics.csv`` and ``checkpoint/``.
+        env: batch size [replicas, places], key ``("next", "success")`` besides the usual.
+        policy: acts, with exploration, on the environment's TensorDict.
+        loss: returns ``loss`` (scalar) and ``loss_value`` [replicas], and may return more of shape
+            [replicas], which becomes a metric.
+        replay: the buffers, empty.
+        optimizer: of the loss's parameters.
+        target_updater: ``.step()`` freezes the target.
+        run_folder: takes ``metrics.csv`` and ``checkpoint/``.
 
     Keyword Args:
-        rounds (int): how many rounds are trained.
-        dialogues (int): how many dialogues each replica plays in a round. More than the environment
-            has places are played in turns.
-        batch_size (int): transitions of a mini-batch, for each replica.
-        freezes (int): how often in a round the target is frozen and learned against.
-        epochs (int): how many epochs over the buffer follow each freeze.
-        checkpoint_every (int): rounds between two checkpoints.
-        keep_checkpoints (int, optional): how many of the newest are kept; ``None``: all.
-        lr_share (callable, optional): returns the share of the learning rate that a round, counted
-            from 0, learns with. Default: all of it, always.
-        max_steps (int): the most agent turns of a dialogue; one that is longer is an error.
-            Default: 1000.
-        seed (int): what every random number of the training derives from. Default: 0.
-        spike (Spike, optional): fills the buffer before the first round.
-        loggers (sequence of Logger): TorchRL loggers, fed from the rows of ``metrics.csv``.
-        callbacks (sequence of callable): called after every round.
-        evaluator (EvaluationHook, optional): evaluates the policy at the end of a round, without a
-            trace in the training: metrics and weights are bitwise those of one without it.
-        round_metrics (mapping): metrics read at the start of each round, such as an exploration
-            rate: each returns one number, or a tensor [replicas]. A name that another column has
-            is an error at the end of the first round.
-        described (mapping): what the training is, as JSON values by name; stands in every
-            checkpoint, and one that says otherwise is refused.
-        progress (bool, optional): whether a progress bar is shown. Default: on a terminal.
+        rounds: how many rounds are trained.
+        dialogues: how many dialogues each replica plays in a round. More than the environment has
+            places are played in turns.
+        batch_size: transitions of a mini-batch, for each replica.
+        freezes: how often in a round the target is frozen and learned against.
+        epochs: how many epochs over the buffer follow each freeze.
+        checkpoint_every: rounds between two checkpoints.
+        keep_checkpoints: how many of the newest are kept; None: all.
+        lr_share: returns the share of the learning rate that a round, counted from 0, learns with.
+            Defaults to None: all of it, always.
+        max_steps: the most agent turns of a dialogue; one that is longer is an error. Defaults to
+            1000.
+        seed: what every random number of the training derives from. Defaults to 0.
+        spike: fills the buffer before the first round.
+        loggers: TorchRL loggers, fed from the rows of ``metrics.csv``.
+        callbacks: called after every round.
+        evaluator: evaluates the policy at the end of a round, without a trace in the training:
+            metrics and weights are bitwise those of one without it.
+        round_metrics: metrics read at the start of each round, such as an exploration rate: each
+            returns one number, or a tensor [replicas]. A name that another column has is an error
+            at the end of the first round.
+        described: what the training is, as JSON values by name; stands in every checkpoint, and one
+            that says otherwise is refused.
+        progress: whether a progress bar is shown. Defaults to None: on a terminal.
 
     Raises:
         ValueError: if the parts do not fit one another, or a number is too small.
@@ -180,8 +180,8 @@ class RoundTrainer:
         """Trains to the last round and returns the metrics: a row for every round and replica.
 
         Args:
-            resume (bool): go on from the newest readable checkpoint in the run folder; from the
-                start if the training was killed before it saved one. Default: ``False``.
+            resume: go on from the newest readable checkpoint in the run folder; from the start if
+                the training was killed before it saved one. Defaults to False.
 
         Raises:
             ValueError: if the run folder holds a training already and ``resume`` is ``False``.
@@ -212,7 +212,7 @@ class RoundTrainer:
         """Gets ready for the next round: spikes the buffers, or resumes; part of :meth:`train`.
 
         Args:
-            resume (bool): as in :meth:`train`, with the same errors.
+            resume: as in :meth:`train`, with the same errors.
         """
         self.checkpoints.remove_leftovers()
         if resume:

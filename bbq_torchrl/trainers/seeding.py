@@ -15,8 +15,8 @@ def derive_seed(seed: int, *path: str | int) -> int:
     and a resumed run needs no generator's state.
 
     Args:
-        seed (int): the seed of the run.
-        *path (str or int): what the seed is for, for example ``("collect", round)``.
+        seed: the seed of the run.
+        *path: what the seed is for, for example ``("collect", round)``.
 
     Examples:
         >>> derive_seed(0, "collect", 1) == derive_seed(0, "collect", 1)

@@ -27,14 +27,14 @@ class Spike:
     """Fills the buffers before the first round with dialogues of another policy.
 
     Args:
-        policy (callable): writes an action.
-        dialogues (int): how many of its dialogues each replica's buffer starts with.
-        protect (bool): whether their transitions are never evicted. Default: ``True``.
-        drop_above (float, optional): a success rate. Once the mean over the last ``drop_window``
-            rounds of a replica is above it, its protected transitions are dropped for good. (The
-            paper leaves this heuristic to future work and gives no number.) Default: never.
-        drop_window (int): the number of rounds that the mean is taken over. One round of 50
-            dialogues has a standard error of up to .07: five rounds have .03. Default: 5.
+        policy: writes an action.
+        dialogues: how many of its dialogues each replica's buffer starts with.
+        protect: whether their transitions are never evicted. Defaults to True.
+        drop_above: a success rate. Once the mean over the last ``drop_window`` rounds of a replica
+            is above it, its protected transitions are dropped for good. (The paper leaves this
+            heuristic to future work and gives no number.) Defaults to None: never.
+        drop_window: the number of rounds that the mean is taken over. One round of 50 dialogues has
+            a standard error of up to .07: five rounds have .03. Defaults to 5.
 
     Raises:
         ValueError: for an argument outside of what is listed.
@@ -65,9 +65,9 @@ class Spike:
         A replica without a success among them is named in a warning.
 
         Args:
-            replay (ReplicaReplay): the buffers.
-            env (EnvBase): batch size [replicas, places].
-            max_steps (int): the most turns of a dialogue.
+            replay: the buffers.
+            env: batch size [replicas, places].
+            max_steps: the most turns of a dialogue.
 
         Raises:
             SpikeError: a ``ValueError``, if the transitions would fill a replica's capacity.
@@ -98,9 +98,9 @@ class Spike:
         """Drops a replica's spiked transitions once it does well without them.
 
         Args:
-            replay (ReplicaReplay): the buffers.
-            rows (sequence of mapping): the metrics of all rounds before, replica after replica.
-            success_rates (sequence of float): each replica's in this round.
+            replay: the buffers.
+            rows: the metrics of all rounds before, replica after replica.
+            success_rates: each replica's in this round.
         """
         if self.drop_above is None:
             return

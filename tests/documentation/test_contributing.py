@@ -1,7 +1,8 @@
-"""What CONTRIBUTING.md and README.md name is there: paths, tools, stages, the two commands."""
+"""What CONTRIBUTING.md and README.md name is there, and its way to write a docstring is kept."""
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import shutil
@@ -62,6 +63,35 @@ def test_stages_of_the_check_exist() -> None:
     words = {word for arguments in named for word in arguments}
     assert words
     assert words <= stages
+
+
+def _docstrings(file: Path) -> list[str]:
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    return [ast.get_docstring(node) or "" for node in nodes if isinstance(node, kinds)]
+
+
+def _in_another_dialect(docstring: str) -> list[str]:
+    """Returns the arguments and attributes with a type, and the defaults told otherwise."""
+    sections = re.findall(r"^(?:\w+ )?(?:Args|Attributes):\n((?:    .*\n?|\n)*)", docstring, re.M)
+    typed = [name for text in sections for name in re.findall(r"^    ([\w*]+ \(.*\):)", text, re.M)]
+    return typed + re.findall(r"\bDefault: .*", docstring)
+
+
+def test_another_dialect_of_docstrings_is_seen() -> None:
+    other = "Do.\n\nKeyword Args:\n    *a (tuple of int, optional): of\n        it. Default: 1."
+    assert _in_another_dialect(other) == ["*a (tuple of int, optional):", "Default: 1."]
+    assert _in_another_dialect("Do.\n\nArgs:\n    a: as in f(x): it (or b). Defaults to 1.") == []
+
+
+def test_docstrings_leave_types_to_the_signature_and_tell_defaults_one_way() -> None:
+    found = [
+        f"{file.relative_to(ROOT)}: {words}"
+        for file in sorted((ROOT / "bbq_torchrl").rglob("*.py"))
+        for docstring in _docstrings(file)
+        for words in _in_another_dialect(docstring)
+    ]
+    assert found == []
 
 
 @pytest.mark.parametrize("ending", [r"train\.py", "pytest"])
