@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
+from torchrl.data import TensorSpec
+from torchrl.data.utils import _find_action_space
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
 
     from tensordict.utils import NestedKey
     from torch import Tensor, nn
-    from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.bayes.scope import WeightMode
@@ -108,6 +109,9 @@ class OneStepQLoss(DQNLoss):
         loss_function: Distance = "l2",
     ) -> None:
         check_choice("loss_function", loss_function, DISTANCES)
+        if isinstance(action_space, TensorSpec):
+            # DQNLoss makes an actor of a bare network with it, which takes its name only.
+            action_space = _find_action_space(action_space)
         super().__init__(
             value_network,
             loss_function=loss_function,

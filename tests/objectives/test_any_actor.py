@@ -8,12 +8,12 @@ from q_transitions import away
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
-from torchrl.data import Categorical
+from torchrl.data import Categorical, OneHot
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule, QValueActor, QValueModule
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from bbq_torchrl.bayes import BayesConv2d, BayesGRU, BayesLinear, kl_divergence
+from bbq_torchrl.bayes import BayesConv2d, BayesGRU, BayesLinear, BayesMLP, kl_divergence
 from bbq_torchrl.exploration import (
     BootstrapSampling,
     EvaluationPolicy,
@@ -22,7 +22,7 @@ from bbq_torchrl.exploration import (
     NoisySampling,
     ThompsonSampling,
 )
-from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear
+from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.vote import VoteModule
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
@@ -189,3 +189,24 @@ def test_an_episode_needs_to_know_where_it_begins(kind):
         policy(td)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         policy(td)  # where nothing is drawn, nothing is missing
+
+
+@pytest.mark.parametrize("spec", [Categorical(ACTIONS), OneHot(ACTIONS)], ids=["index", "one-hot"])
+@pytest.mark.parametrize(
+    ("loss", "net"),
+    [
+        (DropoutDQNLoss, FlatMLP),
+        (BBQNLoss, BayesMLP),
+        (BootstrapDQNLoss, BootstrapMLP),
+        (NoisyDQNLoss, NoisyMLP),
+    ],
+)
+def test_a_bare_network_learns_with_the_spec_of_its_action(loss, net, spec):
+    settings = {"num_data": 100} if loss is BBQNLoss else {}
+    made, _ = away(loss(net(3, ACTIONS), action_space=spec, **settings))
+    batch = TensorDict({"observation": torch.randn(ROWS, 3)}, [ROWS])
+    batch["action"] = spec.rand([ROWS])
+    end = {"reward": torch.randn(ROWS, 1), "terminated": torch.zeros(ROWS, 1, dtype=torch.bool)}
+    batch["next"] = {"observation": torch.randn(ROWS, 3), **end}
+    made(batch)["loss"].backward()
+    assert any(parameter.grad is not None for parameter in made.parameters())
