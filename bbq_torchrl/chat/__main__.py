@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl import output
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.output import between
 
 if TYPE_CHECKING:
@@ -29,6 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise ConfigError("--nlu endpoint and --nlg endpoint need --url and --model")
     if given.labeled is not None and given.understander is not None:
         raise ConfigError("--labeled is learned in training: it must not be with --understander")
+
+    if given.config_dir is not None:
+        load_folder(given.config_dir)
 
     import torch
 
@@ -79,6 +83,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--replica", type=int, default=0, help="which replica of the run talks")
     parser.add_argument("--mode", help="mean, average, draw or thompson, for a Bayesian agent")
     parser.add_argument("--weights", choices=("last", "best"), default="last")
+    parser.add_argument(
+        "--config-dir", metavar="FOLDER", help="of options of your own, as in train.py"
+    )
     parser.add_argument(
         "--ask-below",
         type=between(float, 0, 1),

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from os.path import expanduser
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bbq_torchrl.bayes.settings import check_choice
 from bbq_torchrl.cli.resume import description, run_config
 from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.shipped import is_shipped, run_folder
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder
 from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import torch
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
@@ -50,6 +51,7 @@ def load_run(
     weights: Literal["last", "best"] = "last",
     seed: int = 0,
     device: torch.device | str = "cpu",
+    options: Path | str | None = None,
 ) -> LoadedRun:
     """Loads a run: its environment, the policy that it learned, and its configuration.
 
@@ -63,15 +65,22 @@ def load_run(
         weights: the newest, or each replica's at its best evaluation while training.
         seed: of the environment.
         device: where the environment and the weights are.
+        options: the folder of options of your own that the run was trained with
+            (``--config-dir``); it stays loaded.
 
     Raises:
-        ValueError: no run folder, or none whose checkpoint can be read.
+        ValueError: no run folder, or none whose checkpoint can be read; a folder of options that
+            cannot be loaded.
 
     Examples:
         >>> from bbq_torchrl import load_run
         >>> env, policy, config, mode = load_run("runs/my_run")  # doctest: +SKIP
         >>> env.rollout(20, policy, break_when_any_done=False)  # doctest: +SKIP
     """
+    if options is not None:
+        if not Path(expanduser(options)).is_dir():
+            raise ConfigError(f"options must be a folder, got {str(options)!r}")
+        load_folder(options)
     folder = run_folder(folder)
     config = run_config(folder)
     env = config.env.make(

@@ -134,6 +134,7 @@ def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypat
         (["RUN", "--nlu", "endpoint"], "--nlu endpoint and --nlg endpoint need --url and --model"),
         (["RUN", "--understander", "gone.npz"], "gone.npz"),
         (["RUN", "--understander", "a", "--labeled", "b"], "must not be with --understander"),
+        (["RUN", "--config-dir", "gone"], "--config-dir must be a folder, got "),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(runs, capsys, monkeypatch, arguments, message):

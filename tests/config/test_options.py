@@ -13,10 +13,12 @@ import pytest
 from prepared import prepare
 from tiny import TINY
 
+from bbq_torchrl import load_run
 from bbq_torchrl.cli import store
 from bbq_torchrl.cli.messages import take_config_dir, train_command
 from bbq_torchrl.cli.resume import run_config, save_config
 from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.train import main as train_main
 from bbq_torchrl.options import (
     AgentOption,
     ConfigError,
@@ -238,6 +240,18 @@ def test_a_run_whose_option_is_not_there_is_refused_with_the_way_to_it(tmp_path)
         r"ns of your own come with an installed package or with --config-dir",
     ):
         run_config(tmp_path)
+
+
+def test_a_run_with_an_option_of_a_folder_is_loaded_with_the_folder(tmp_path):
+    folder = folder_with(tmp_path / "own", narrow_loaded=STRATEGY)
+    given = ("--config-dir", str(folder), "explore=narrow", "hydra.run.dir=run", *TINY)
+    forked.call(train_main, *given, cwd=tmp_path)  # this process never saw the folder
+
+    with pytest.raises(ConfigError, match="with --config-dir"):
+        load_run(tmp_path / "run")
+    with pytest.raises(ConfigError, match="options must be a folder, got 'nowhere'"):
+        load_run(tmp_path / "run", options="nowhere")
+    assert load_run(tmp_path / "run", options=folder).config.explore.patience == 3
 
 
 # ----------------------------------------------------------------------------------- entry points
