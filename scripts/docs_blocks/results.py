@@ -46,7 +46,7 @@ COMPARED = yaml.safe_load(Path(__file__).with_name("compared.yaml").read_text(en
 """Which runs are set beside each other, and what is claimed of them."""
 
 VERBS = {"final": "ends higher than", "cumulative": "books more in training than"}
-RIVALS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
+OTHERS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
 """Whom BBQN-MAP is claimed to be ahead of: in the paper's Table 1, or in what it says of it."""
 
 
@@ -206,7 +206,7 @@ def _claims() -> str:
             for item in table1.comparisons(table1.find_cells(of_table1, env), env, quantity):
                 rate = paper[item.one].success_rate - paper[item.other].success_rate
                 theirs = f"{rate:+.3f}" if quantity == "final" else "–"
-                if item.other in RIVALS:
+                if item.other in OTHERS:
                     found.append((f"Table 1, {title.lower()}", item, theirs))
         for setting, claimed in COMPARED["claims"].items():
             folders = {one: folder for claim in claimed for one, folder in (claim[:2], claim[2:])}
