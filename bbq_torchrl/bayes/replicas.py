@@ -34,11 +34,28 @@ def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:
 def replicas_of(network: nn.Module) -> torch.Size:
     """Returns the replica dimension that the layers of a network have in common, () if none.
 
+    Those that have one say so by an attribute ``replicas``: a shape, or a number.
+
     Raises:
-        ValueError: if they differ.
+        ValueError: if they differ, or one is neither.
+
+    Examples:
+        >>> network = torch.nn.Identity()
+        >>> network.replicas = 5
+        >>> replicas_of(torch.nn.Sequential(network, torch.nn.ReLU()))
+        torch.Size([5])
     """
-    found = (getattr(module, "replicas", None) for module in network.modules())
-    shapes = {shape for shape in found if isinstance(shape, torch.Size)}
+    shapes = set()
+    for module in network.modules():
+        found = getattr(module, "replicas", None)
+        if found is None:
+            continue
+        sizes = found if isinstance(found, (tuple, list)) else (found,)
+        if not all(isinstance(size, int) for size in sizes):
+            raise ValueError(
+                f"a network's replicas must be an integer or a tuple of integers, got {found!r}"
+            )
+        shapes.add(replica_shape(sizes))
     if len(shapes) > 1:
         raise ValueError(
             f"the network's layers must have one replica dimension in common, got {shapes}"

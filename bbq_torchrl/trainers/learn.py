@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bbq_torchrl.hooks import provides
 from bbq_torchrl.objectives.hooks import BeginsEpochs, FixedTargets, UsesNumData
+from bbq_torchrl.trainers.errors import TrainingError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,6 +52,9 @@ class LossSums:
             losses: with ``loss_value`` of shape [replicas]; the entries of replicas that the batch
                 is not active for mean nothing, and are left out.
             batch: what it was computed from.
+
+        Raises:
+            TrainingError: if there is no such ``loss_value``.
         """
         counted = zip(self.updates, batch.active, strict=True)
         self.updates = [count + learned for count, learned in counted]
@@ -61,8 +65,11 @@ class LossSums:
                 if value.shape == (self._replicas,) and value.is_floating_point()
             )
             if "loss_value" not in self._names:
-                raise KeyError(
-                    f"the loss must return loss_value of shape [{self._replicas}], got {losses}"
+                found = losses.get("loss_value", None)
+                got = "none" if found is None else f"shape {list(found.shape)}"
+                raise TrainingError(
+                    f"the loss must return loss_value of shape [{self._replicas}], got {got}: does "
+                    "the network have .replicas, and is the loss one of bbq_torchrl.objectives?"
                 )
             self._sums = losses["loss_value"].new_zeros(
                 len(self._names), self._replicas, dtype=torch.float64

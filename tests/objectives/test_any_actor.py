@@ -210,3 +210,31 @@ def test_a_bare_network_learns_with_the_spec_of_its_action(loss, net, spec):
     batch["next"] = {"observation": torch.randn(ROWS, 3), **end}
     made(batch)["loss"].backward()
     assert any(parameter.grad is not None for parameter in made.parameters())
+
+
+class Own(nn.Module):
+    """A network of one's own: a matrix for each replica."""
+
+    def __init__(self, replicas):
+        super().__init__()
+        self.weight = nn.Parameter(torch.randn(2, 3, ACTIONS))
+        self.replicas = replicas
+
+    def forward(self, observation):
+        return observation @ self.weight
+
+
+@pytest.mark.parametrize("replicas", [2, (2,), [2], torch.Size([2])])
+def test_a_network_says_its_replicas_by_a_number_or_a_shape(replicas):
+    actor = QValueActor(Own(replicas), in_keys=["observation"], spec=Categorical(ACTIONS))
+    assert DropoutDQNLoss(actor).replicas == (2,)
+
+
+@pytest.mark.parametrize("replicas", ["2", 2.0, (2.0,), torch.tensor(2)])
+def test_other_replicas_are_refused(replicas):
+    actor = QValueActor(Own(replicas), in_keys=["observation"], spec=Categorical(ACTIONS))
+    with pytest.raises(
+        ValueError,
+        match=r"^a network's replicas must be an integer or a tuple of integers, got .*2",
+    ):
+        DropoutDQNLoss(actor)

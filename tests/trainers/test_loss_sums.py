@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.data import Batch
+from bbq_torchrl.trainers.errors import TrainingError
 from bbq_torchrl.trainers.learn import LossSums
 
 
@@ -40,3 +41,20 @@ def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
     for name, means in alone.means().items():
         assert beside.means()[name][0] == means[0]
     assert beside.updates == [100, 150]
+
+
+@pytest.mark.parametrize(
+    ("reported", "got"),
+    [
+        ({"loss": torch.zeros(())}, "none"),
+        ({"loss_value": torch.zeros(())}, r"shape \[\]"),
+    ],
+)
+def test_a_loss_without_replicas_is_refused_with_where_to_look(reported, got):
+    batch = Batch(TensorDict(valid=torch.ones(2, 1)), (True, True))
+    with pytest.raises(
+        TrainingError,
+        match=rf"^the loss must return loss_value of shape \[2\], got {got}: does the network have "
+        r"\.replicas, and is the loss one of bbq_torchrl\.objectives\?$",
+    ):
+        LossSums(2).add(TensorDict(reported), batch)
