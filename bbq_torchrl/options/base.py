@@ -8,6 +8,7 @@ torch: making it does.
 
 from __future__ import annotations
 
+from abc import ABC
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -20,7 +21,7 @@ __all__ = ["Option"]
 
 
 @dataclass
-class Option:
+class Option(ABC):
     """One choice of a group of the configuration.
 
     A class is made an option by :func:`~bbq_torchrl.options.register`; its field ``name`` says
@@ -34,7 +35,7 @@ class Option:
 
     group: ClassVar[str]
 
-    def check(self, config: Config) -> None:
+    def check(self, config: Config) -> None:  # noqa: B027 (most have nothing to refuse)
         """Refuses what cannot be combined; each value alone has been checked by then.
 
         Raises:

@@ -9,7 +9,7 @@ import importlib
 import os
 import pkgutil
 import sys
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from importlib.metadata import entry_points
 from os.path import expanduser
 from pathlib import Path
@@ -63,8 +63,9 @@ def register(option: Registered) -> Registered:
     name is the default of the field ``name``.
 
     Raises:
-        TypeError: a class that is no dataclass of a group, a field that was not declared by
-            :func:`~bbq_torchrl.options.settings.setting`, or a name that another class has.
+        TypeError: a class that is no dataclass of a group, lacks a method that its group asks for,
+            has a field that was not declared by :func:`~bbq_torchrl.options.settings.setting`, or
+            the name of another class.
     """
     group, name = _group(option), _name(option)
     for item in fields(option):
@@ -73,6 +74,11 @@ def register(option: Registered) -> Registered:
                 f"{option.__qualname__}.{item.name} must be declared by setting(default, allowed, "
                 f"meaning), got {item.default!r}"
             )
+    if option.__abstractmethods__:
+        raise TypeError(
+            f"{option.__qualname__} must have the methods that {group}= asks for; it lacks "
+            f"{', '.join(sorted(option.__abstractmethods__))}"
+        )
     other = _OPTIONS[group].get(name)
     if other is not None and _where(other) != _where(option):
         raise TypeError(f"{group}={name} is registered already, by {_where(other)}")
@@ -204,8 +210,10 @@ def explorations() -> dict[str, tuple[str, ...]]:
 
 
 def _group(option: type[Option]) -> str:
-    if not is_dataclass(option):
-        raise TypeError(f"an option must be a dataclass, got {option!r}")
+    if "__dataclass_fields__" not in vars(option):  # is_dataclass finds those of a base class, too
+        raise TypeError(
+            f"an option must be a dataclass, with @register above @dataclass, got {option!r}"
+        )
     group = getattr(option, "group", None)
     if group not in GROUPS:
         raise TypeError(
@@ -215,10 +223,13 @@ def _group(option: type[Option]) -> str:
 
 
 def _name(option: type[Option]) -> str:
-    default = next(item.default for item in fields(option) if item.name == "name")
-    if not isinstance(default, str) or not default.isidentifier():
-        raise TypeError(f"{option.__qualname__}.name must be option('<name>'), got {default!r}")
-    return default
+    item = next(item for item in fields(option) if item.name == "name")
+    name = item.default
+    is_name = isinstance(name, str) and name.isidentifier()
+    if not is_name or "allowed" not in item.metadata:
+        call = f"option({name!r})" if is_name else "option('<name>')"
+        raise TypeError(f"{option.__qualname__}.name must be {call}, got {name!r}")
+    return str(name)
 
 
 def _where(option: type[Option]) -> str:

@@ -93,6 +93,20 @@ class Vague(ExploreOption):
     patience: int = 3
 
 
+class Bare(ExploreOption):
+    name: str = option("bare")
+
+
+@dataclass
+class Plain(ExploreOption):
+    name: str = "plain"
+
+
+@dataclass
+class Idle(AgentOption):
+    name: str = option("idle")
+
+
 @dataclass
 class Odd(ExploreOption):
     name: str = option("../up")
@@ -106,7 +120,10 @@ class Nameless(ExploreOption):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (str, "an option must be a dataclass, got <class"),
+        (str, "an option must be a dataclass, with @register above @dataclass, got <class"),
+        (Bare, r"must be a dataclass, with @register above @dataclass, got <class .*\.Bare'>"),
+        (Plain, r"Plain.name must be option\('plain'\), got 'plain'"),
+        (Idle, r"Idle must have the methods that agent= asks for; it lacks make_actor, make_loss$"),
         (Homeless, "Homeless must extend the option of a group, such as"),
         (Vague, r"Vague.patience must be declared by setting\(default, all"),
         (Odd, r"Odd.name must be option\('<name>'\), got '../up'"),
@@ -129,6 +146,8 @@ def test_a_name_is_taken_once_and_by_the_same_class_again():
     class Mine(ExploreOption):
         name: str = option("thompson")
 
+        make = None
+
     with pytest.raises(
         TypeError, match=r"explore=thompson is registered already, by bbq_torchrl\."
     ):
@@ -144,6 +163,8 @@ def test_an_agent_must_be_able_to_explore_by_its_own_strategy():
         name: str = option("lost")
 
         explores_by: ClassVar[str] = "thompson"
+
+        make_actor = make_loss = None
 
     with pytest.raises(ConfigError, match=r"Lost.explores_by must be one of .*greedy.*'thompson'$"):
         explorations()

@@ -53,6 +53,7 @@ def test_a_missing_package_of_a_logger_of_ones_own_is_named_without_an_extra():
     class Own(LoggerOption):
         name = "own"
         package = "not_installed_anywhere"
+        make = None
 
     with pytest.raises(ConfigError, match=r": pip install not_installed_anywhere$"):
         Own().check_package()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -53,17 +54,18 @@ class AgentOption(Option):
     explores_by: ClassVar[str] = "epsilon_greedy"
     modes: ClassVar[tuple[str, ...]] = ()
 
+    @abstractmethod
     def make_actor(self, task: Task) -> QValueActor:
         """Makes the Q-network and its choice of an action.
 
         Weights are drawn from torch's global generator, and have the replicas as their first
-        dimension. Of what is not active yet they start by :meth:`Task.reset_inactive_`.
+        dimension: a network of your own says so by an attribute ``replicas``, the number of them.
+        Of what is not active yet they start by :meth:`Task.reset_inactive_`.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """Makes what is learned: a loss with ``loss`` (scalar) and ``loss_value`` [replicas]."""
-        raise NotImplementedError
 
     def make_optimizer(
         self, actor: QValueActor, parameters: Iterable[nn.Parameter], task: Task

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,10 +20,10 @@ class DomainOption(Option):
 
     group: ClassVar[str] = "domain"
 
+    @abstractmethod
     def make(self) -> Domain:
         """Loads the domain.
 
         Raises:
             ValueError or OSError: the corpus is damaged or not there.
         """
-        raise NotImplementedError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -43,6 +44,7 @@ class EnvOption(Option):
     has_domain: ClassVar[bool] = False
     extends: ClassVar[bool] = False
 
+    @abstractmethod
     def make(
         self,
         domain: Domain | None,
@@ -59,11 +61,10 @@ class EnvOption(Option):
             seed: of everything random in it.
             device: where it is.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def steps(self) -> int:
         """Returns how many steps an episode lasts at most."""
-        raise NotImplementedError
 
     def policies(self, domain: Domain | None) -> tuple[str, ...]:
         """Returns the names of the scripted policies; there is also ``random``."""

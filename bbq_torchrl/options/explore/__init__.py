@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -34,6 +35,7 @@ class ExploreOption(Option):
 
     needs: ClassVar[tuple[str, ...]] = ()
 
+    @abstractmethod
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """Makes the policy, and says what of it is worth a metric.
 
@@ -42,4 +44,3 @@ class ExploreOption(Option):
             greedy: the agent's policy without exploration.
             task: what it has to fit; the policy acts on batches [replicas, dialogues].
         """
-        raise NotImplementedError

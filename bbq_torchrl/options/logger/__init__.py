@@ -8,6 +8,7 @@ experiment.
 from __future__ import annotations
 
 import importlib.util
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -32,6 +33,7 @@ class LoggerOption(Option):
     package: ClassVar[str] = ""
     """What has to be installed, and for ours the extra that brings it; empty: nothing."""
 
+    @abstractmethod
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
         """Makes TorchRL's loggers of a run.
 
@@ -39,7 +41,6 @@ class LoggerOption(Option):
             run_folder: where they write.
             resume: whether the run goes on from an earlier process.
         """
-        raise NotImplementedError
 
     def check_package(self) -> None:
         """Raises ConfigError, which says what to install, where the package is missing."""
