@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from bbq_torchrl.run_folder import write_text
+from bbq_torchrl.trainers.errors import TrainingError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -68,8 +69,9 @@ class MetricsFile:
 
         Raises:
             ValueError: if the columns are others than those of the rounds before.
+            TrainingError: if a column has another shape.
         """
-        values = {name: _of_each(value, self.replicas) for name, value in columns.items()}
+        values = {name: _of_each(name, value, self.replicas) for name, value in columns.items()}
         rows: list[MetricRow] = [
             {
                 "round": round_number,
@@ -119,9 +121,14 @@ class MetricsFile:
             self.path.unlink(missing_ok=True)
 
 
-def _of_each(value: float | Tensor | Sequence[float], replicas: int) -> list[float]:
+def _of_each(name: str, value: float | Tensor | Sequence[float], replicas: int) -> list[float]:
     """Returns a metric's value for each replica."""
-    numbers = value.tolist() if isinstance(value, Tensor) else value
+    numbers = np.asarray(value.tolist() if isinstance(value, Tensor) else value)
+    if numbers.shape not in ((), (1,), (replicas,)):
+        raise TrainingError(
+            f"the metric {name} must be one number or one for each replica, shape [{replicas}], got "
+            f"shape {list(numbers.shape)}"
+        )
     of_each: list[float] = np.broadcast_to(numbers, (replicas,)).tolist()
     return of_each
 

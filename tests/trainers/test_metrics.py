@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from bbq_torchrl.trainers import MetricsFile
+from bbq_torchrl.trainers import MetricsFile, TrainingError
 
 
 def columns(round_number: int) -> dict[str, object]:
@@ -57,3 +57,14 @@ def test_other_columns_are_refused_and_nothing_is_written(tmp_path):
 
     assert metrics.path.read_text() == text
     assert metrics.rows == rows
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 1)])
+def test_a_metric_of_another_shape_is_named(shape, tmp_path):
+    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
+    with pytest.raises(
+        TrainingError,
+        match=r"^the metric epsilon must be one number or one for each replica, shape \[2\], "
+        rf"got shape \[{', '.join(map(str, shape))}\]$",
+    ):
+        metrics.append(0, {"loss": 0.5, "epsilon": torch.zeros(shape)})
