@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
+from torch import nn
 from torchrl.envs import Compose
 from torchrl.objectives import HardUpdate
 
@@ -12,13 +14,13 @@ from bbq_torchrl.cli.resume import description
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.while_training import RoundEvaluator
-from bbq_torchrl.options import Task
-from bbq_torchrl.options.task import action_mask_key
+from bbq_torchrl.options import ConfigError, Task
+from bbq_torchrl.options.task import action_mask_key, check_env
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.trainers import RoundTrainer, derive_seed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from pathlib import Path
 
     from tensordict import NestedKey
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from torchrl.objectives import LossModule
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.options import Config, EvaluateConfig
+    from bbq_torchrl.options import Config, EvaluateConfig, Option
     from bbq_torchrl.trainers import ReplicaOptimizer
     from bbq_torchrl.trainers.hooks import RoundCallback
 
@@ -82,8 +84,12 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     )
     actor = config.agent.make_actor(task)
     loss = config.agent.make_loss(actor, task)
-    policy, metrics = config.explore.make(actor, config.agent.make_greedy(actor), task)
-    loss, transforms = config.intrinsic.make(loss, task)
+    explored = config.explore.make(actor, config.agent.make_greedy(actor), task)
+    what = "a policy and a dict of metrics"
+    policy, metrics = _checked(config.explore, explored, what, nn.Module, Mapping)
+    rewarded = config.intrinsic.make(loss, task)
+    what = "a loss and a list of transforms"
+    loss, transforms = _checked(config.intrinsic, rewarded, what, nn.Module, Sequence)
     transforms = [*config.agent.make_transforms(task), *transforms]
     loss = loss.to(env.device)
     return Agent(
@@ -109,13 +115,11 @@ def build_trainer(
     """
     protocol, spike = config.protocol, config.spike
     domain = make_domain(config) if domain is None else domain
-    env = config.env.make(
-        domain,
-        (config.replicas, protocol.dialogues),
-        seed=config.seed,
-        device=config.device,
-    )
+    batch = (config.replicas, protocol.dialogues)
+    env = config.env.make(domain, batch, seed=config.seed, device=config.device)
+    check_env(env, config.env.name, batch)
     agent = make_agent(config, env)
+    loggers = config.logger.make(run_folder, resume=config.resume is not None)
     trainer = RoundTrainer(
         env,
         agent.policy,
@@ -141,13 +145,27 @@ def build_trainer(
         max_steps=config.env.steps(),
         seed=config.seed,
         spike=spike.make(config.env.make_policy(spike.policy, env)) if spike.dialogues else None,
-        loggers=config.logger.make(run_folder, resume=config.resume is not None),
+        loggers=_checked(config.logger, loggers, "a list of loggers", Sequence),
         callbacks=callbacks,
         evaluator=_evaluator(config, domain, agent),
         round_metrics={**agent.metrics, **_own_values(config)},
         described=description(config),
     )
     return trainer, agent
+
+
+def _checked(option: Option, made: Any, what: str, *kinds: type) -> Any:
+    """Returns what an option's ``make`` has made.
+
+    Raises:
+        ConfigError: it is not of its kind; of several, not a tuple of them.
+    """
+    parts = made if len(kinds) > 1 else (made,)
+    is_tuple = isinstance(parts, tuple)
+    if not is_tuple or len(parts) != len(kinds) or not all(map(isinstance, parts, kinds)):
+        got = ", ".join(type(part).__name__ for part in (parts if is_tuple else (made,)))
+        raise ConfigError(f"make of {option.group}={option.name} must return {what}, got {got}")
+    return made
 
 
 def _transition_keys(env: EnvBase) -> list[NestedKey]:

@@ -5,13 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.options.settings import ConfigError
+
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import torch
     from torch import Tensor
     from torchrl.data import TensorSpec
     from torchrl.envs import EnvBase
 
-__all__ = ["Task", "action_mask_key"]
+__all__ = ["Task", "action_mask_key", "check_env"]
 
 
 @dataclass(frozen=True)
@@ -59,3 +63,39 @@ class Task:
 def action_mask_key(env: EnvBase) -> str | None:
     """Returns where an environment says which actions are legal; None: all of them always are."""
     return "action_mask" if "action_mask" in list(env.observation_spec.keys()) else None
+
+
+def check_env(env: EnvBase, option: str, batch_size: Sequence[int]) -> None:
+    """Refuses an environment that an agent cannot be trained in, by its specs.
+
+    Args:
+        env: what the option made.
+        option: its name.
+        batch_size: what it was to be made with.
+
+    Raises:
+        ConfigError: the first thing that does not fit.
+    """
+    import torch
+    from torchrl.data import Categorical
+
+    batch, makes = torch.Size(batch_size), f"env={option} must make an environment"
+    found = getattr(env, "batch_size", None)
+    if found != batch:
+        got = type(env).__name__ if found is None else str(list(found))
+        raise ConfigError(f"{makes} of batch size {list(batch)}, got {got}")
+    specs = {**env.full_done_spec, **env.observation_spec, **env.full_action_spec}
+    for name, kind, is_kind, rest in (
+        ("observation", "floats", lambda spec: spec.dtype.is_floating_point, ["features"]),
+        ("action", "Categorical", lambda spec: isinstance(spec, Categorical), []),
+        ("success", "bool", lambda spec: spec.dtype == torch.bool, [1]),
+    ):
+        spec, shape = specs.get(name), [*batch, *rest]
+        sizes = [] if spec is None else list(spec.shape)
+        fits = [
+            size == want or want == "features" for size, want in zip(sizes, shape, strict=False)
+        ]
+        if spec is None or not is_kind(spec) or len(sizes) != len(shape) or not all(fits):
+            got = "none" if spec is None else f"{type(spec).__name__} {spec.dtype} {sizes}"
+            wanted = f"{kind} [{', '.join(map(str, shape))}]"
+            raise ConfigError(f"{makes} whose specs have {name}, {wanted}, got {got}")

@@ -9,6 +9,8 @@ import forked
 import pytest
 import torch
 from extended import PACKAGE, SHRUNKEN
+from torch import nn
+from torchrl.data import Composite, OneHot, Unbounded
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli import store
@@ -59,6 +61,101 @@ def test_its_keys_are_checked_before_anything_runs():
 def test_an_environment_without_scripted_policies_is_not_spiked():
     with pytest.raises(ConfigError, match="spike must be none with env=chain"):
         check(compose(["env=chain", "protocol=quick"]))
+
+
+def _without_success(env):
+    specs = {**env.observation_spec}
+    del specs["success"]
+    env.observation_spec = Composite(specs, shape=env.batch_size)
+
+
+def _with_observation(*features):
+    def change(env):
+        shape = (*env.batch_size, *features)
+        specs = {**env.observation_spec, "observation": Unbounded(shape)}
+        env.observation_spec = Composite(specs, shape=env.batch_size)
+
+    return change
+
+
+def _with_one_hot_actions(env):
+    env.action_spec = OneHot(2, (*env.batch_size, 2))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_without_success, r"success, bool \[2, 3, 1\], got none$"),
+        (
+            _with_observation(4, 5),
+            r"observation, floats \[2, 3, features\], got .* \[2, 3, 4, 5\]$",
+        ),
+        (_with_observation(), r"observation, floats \[2, 3, features\], got .* \[2, 3\]$"),
+        (_with_one_hot_actions, r"action, Categorical \[2, 3\], got OneHot .* \[2, 3, 2\]$"),
+    ],
+)
+def test_an_environment_that_no_agent_can_be_trained_in_is_refused(
+    change, message, monkeypatch, tmp_path
+):
+    config = compose(["agent=dqn", *SHRUNKEN])
+    make = type(config.env).make
+
+    def changed(*arguments, **kwargs):
+        env = make(*arguments, **kwargs)
+        change(env)
+        return env
+
+    monkeypatch.setattr(type(config.env), "make", changed)
+    with pytest.raises(
+        ConfigError, match=f"^env=chain must make an environment whose specs have {message}"
+    ):
+        build_trainer(config, tmp_path)
+
+
+@pytest.mark.parametrize(("made", "got"), [((), r"\[\]"), ((3,), r"\[3\]"), (None, "NoneType")])
+def test_an_environment_of_another_batch_size_is_refused(made, got, monkeypatch, tmp_path):
+    from bbq_extending.chain_env import ChainEnv
+
+    config = compose(["agent=dqn", *SHRUNKEN])
+    env = made if made is None else ChainEnv(5, made)
+    monkeypatch.setattr(type(config.env), "make", lambda *_, **__: env)
+    with pytest.raises(
+        ConfigError,
+        match=rf"^env=chain must make an environment of batch size \[2, 3\], got {got}$",
+    ):
+        build_trainer(config, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("group", "makes", "message"),
+    [
+        (
+            "explore",
+            lambda self, actor, greedy, task: greedy,
+            "explore=thompson must return a policy and a dict of metrics, got Greedy",
+        ),
+        (
+            "explore",
+            lambda self, actor, greedy, task: (greedy, None),
+            "explore=thompson must return a policy and a dict of metrics, got Greedy, NoneType",
+        ),
+        (
+            "intrinsic",
+            lambda self, loss, task: loss,
+            "intrinsic=none must return a loss and a list of transforms, got BBQNLoss",
+        ),
+        (
+            "logger",
+            lambda self, run_folder, *, resume: nn.Identity(),
+            "logger=csv must return a list of loggers, got Identity",
+        ),
+    ],
+)
+def test_what_an_option_makes_is_checked(group, makes, message, monkeypatch, tmp_path):
+    config = compose(["agent=bbqn", *SHRUNKEN])
+    monkeypatch.setattr(type(getattr(config, group)), "make", makes)
+    with pytest.raises(ConfigError, match=f"^make of {message}$"):
+        build_trainer(config, tmp_path)
 
 
 @pytest.mark.parametrize("name", RUNS)
