@@ -170,8 +170,13 @@ class CheckpointFolder:
         try:
             self._checkpoint.load(path, map_location="cpu")
         except CheckpointError as error:
-            # The cause may show whole networks; its beginning tells.
+            root: BaseException = error
+            while root.__cause__ is not None:
+                root = root.__cause__
+            # What stands between may show whole networks; its beginning tells.
             reason = shorten(str(error), 200, placeholder=" ...")
+            if "size" in str(root):
+                reason = f"its networks have other shapes ({str(root).splitlines()[0]})"
             raise CheckpointMismatchError(
                 f"the checkpoint {path} is of another configuration: {reason}"
             ) from error
