@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from itertools import accumulate
@@ -17,6 +18,7 @@ from omegaconf.errors import (
     OmegaConfBaseException,
     ValidationError,
 )
+from yaml import YAMLError
 
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import (
@@ -76,6 +78,8 @@ def explain(error: Exception, overrides: Sequence[str], root: type = Config) -> 
         return unreadable(str(error.override), "write key=value, and quote special characters")
     if isinstance(error, MissingConfigException):
         return _missing_option(error)
+    if isinstance(error, YAMLError):
+        return f"a YAML file cannot be read: {sentence(error)}"
     if isinstance(cause, InterpolationResolutionError):
         return f"{cause.full_key}: {_first_line(cause)}" if cause.full_key else _first_line(cause)
     if not isinstance(error, (HydraException, OmegaConfBaseException)):
@@ -164,7 +168,9 @@ def _missing_option(error: MissingConfigException) -> str:
             command = install_command(LAUNCHER_EXTRAS[option])
             return f"{group}={option} needs a package that is missing: {command}"
         if option != missing:
-            return f"{group} must be one of {', '.join(options(group))}, got {shown(option)}"
+            file = re.match(rf"In '({group}/[^']+)'", _first_line(error))
+            of = f"{file[1]}.yaml: " if file else ""
+            return f"{of}{group} must be one of {', '.join(options(group))}, got {shown(option)}"
     return _first_line(error)
 
 
@@ -176,10 +182,18 @@ def _wrong_value(error: Exception, cause: BaseException | None) -> str | None:
     ):
         return None
     key = key_of(match[1]) if match else str(cause.full_key).split("[")[0]
-    got = f", got {shown(match[2])}" if match else f": {_first_line(cause)}"
+    got = f", got {_typed(match[2])}" if match else f": {_first_line(cause)}"
     if (text := allowed(key, cause.object_type)) is not None:
         return f"{key} must be {text}{got}"
     return _below_a_value(key) or f"{key}: {_first_line(cause)}"
+
+
+def _typed(text: str) -> str:
+    """Returns a value as it was typed: in quotes, but for a number."""
+    with suppress(ValueError):
+        float(text)
+        return shown(text).strip("'")
+    return shown(text)
 
 
 def _below_a_value(key: str) -> str | None:
@@ -224,8 +238,11 @@ def _removed(overrides: Sequence[str]) -> str | None:
 
 def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> str | None:
     if (file := re.match(r"In '([^']+)'", str(error))) and isinstance(cause, ConfigKeyError):
-        place = _place(str(cause.full_key).rpartition(".")[0], cause.object_type)
-        return f"{file[1]} sets {cause.full_key}, which {place} does not have"
+        group = str(cause.full_key).rpartition(".")[0]
+        place = _place(group, cause.object_type)
+        # Where no option is known yet, the file does not say which it changes.
+        lacks = "; it lacks defaults: [<option>, _self_]" if place == group else ""
+        return f"{file[1]} sets {cause.full_key}, which {place} does not have{lacks}"
     match = re.match(r"(?:Could not (\w+) |Key )[^']*'([^']+)'", _first_line(error))
     if match is None:
         return None

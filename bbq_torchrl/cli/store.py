@@ -26,6 +26,7 @@ from omegaconf.errors import (
     OmegaConfBaseException,
     ValidationError,
 )
+from yaml import YAMLError
 
 from bbq_torchrl.cli.folders import quoted
 from bbq_torchrl.cli.messages import (
@@ -194,6 +195,7 @@ def compose_raw(
     except (
         HydraException,
         OmegaConfBaseException,
+        YAMLError,
         ValueError,
         OSError,
         OverflowError,

@@ -126,8 +126,8 @@ def _of_each(name: str, value: float | Tensor | Sequence[float], replicas: int) 
     numbers = np.asarray(value.tolist() if isinstance(value, Tensor) else value)
     if numbers.shape not in ((), (1,), (replicas,)):
         raise TrainingError(
-            f"the metric {name} must be one number or one for each replica, shape [{replicas}], got "
-            f"shape {list(numbers.shape)}"
+            f"the metric {name} must be one number or one for each replica, shape [{replicas}], "
+            f"got shape {list(numbers.shape)}"
         )
     of_each: list[float] = np.broadcast_to(numbers, (replicas,)).tolist()
     return of_each

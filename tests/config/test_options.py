@@ -206,6 +206,34 @@ def test_a_yaml_file_of_a_folder_is_an_option_with_other_defaults(name, tmp_path
     assert "patient" in options("explore")
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "patience: [1\n a: b",
+            r'^a YAML file cannot be read: .* in ".*explore/bold\.yaml", line 2',
+        ),
+        (
+            "patience: 9\n",
+            r"^explore/bold sets explore\.patience, which explore does not have; it lacks "
+            r"defaults: \[<option>, _self_\]$",
+        ),
+        ("defaults: [narow, _self_]\n", r"^explore/bold\.yaml: explore must be .*, got 'narow'$"),
+        (
+            "defaults: [narrow, _self_]\npatients: 9\n",
+            r"^explore/bold sets explore\.patients, which explore=narrow does not have$",
+        ),
+    ],
+)
+def test_a_yaml_file_that_is_no_option_is_named(text, said, tmp_path):
+    folder = folder_with(tmp_path / "own", narrow_faulty=STRATEGY)
+    (folder / "explore").mkdir()
+    (folder / "explore" / "bold.yaml").write_text(text)
+    load(folder)
+    with pytest.raises(ConfigError, match=said):
+        compose(["explore=bold"])
+
+
 def test_the_folder_is_part_of_the_commands_that_are_told(tmp_path):
     assert train_command() == ["python", "train.py"]
     folder = folder_with(tmp_path / "own folder")

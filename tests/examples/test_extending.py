@@ -158,6 +158,13 @@ def test_what_an_option_makes_is_checked(group, makes, message, monkeypatch, tmp
         build_trainer(config, tmp_path)
 
 
+def test_an_environment_without_a_domain_is_given_none():
+    with pytest.raises(
+        ConfigError, match=r"^domain must be movie, the default, with env=chain, .*, got 'folder'$"
+    ):
+        compose(["domain=folder", "domain.path=/nowhere", *SHRUNKEN])
+
+
 @pytest.mark.parametrize("name", RUNS)
 def test_a_resumed_run_ends_bitwise_as_one_that_was_not_interrupted(name, finished, tmp_path):
     config = compose([*RUNS[name], *SHRUNKEN])
