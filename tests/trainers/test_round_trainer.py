@@ -216,7 +216,7 @@ def test_a_loss_without_its_value_per_replica_is_refused(tmp_path):
     forward = trainer.loss.forward
     trainer.loss.forward = lambda batch: forward(batch).exclude("loss_value")
 
-    with pytest.raises(KeyError, match=r"must return loss_value of shape \[3\]"):
+    with pytest.raises(TrainingError, match=r"must return loss_value of shape \[3\]"):
         trainer.train()
 
 
