@@ -27,9 +27,10 @@ __all__ = ["EnvOption"]
 class EnvOption(Option):
     """Whom the agent acts with, or what.
 
-    What it makes is an ``EnvBase`` of batch size [replicas, episodes] with ``observation`` (one
-    dimension of features), a categorical ``action``, ``action_mask`` if not all actions are always
-    legal, and ``("next", "success")``, which says that an episode has ended well. Where it is a
+    What it makes is an ``EnvBase`` of batch size [replicas, episodes] whose specs have
+    ``observation`` (one dimension of floats), a categorical ``action``, ``action_mask`` if not all
+    actions are always legal, and ``success`` (bool [replicas, episodes, 1], in the observation's
+    spec), which says that an episode has ended well. Where it is a
     :class:`~bbq_torchrl.trainers.RoundEnv`, it is told of every round.
 
     Attributes:
