@@ -62,10 +62,10 @@ def make_agent(agent: Agent, env: TransformedEnv, frames: int) -> tuple[Any, Any
     """
     if agent == "bbqn":
         net = BayesMLP(4, 2, HIDDEN, prior_std="fan_in", mean_init="kaiming", std_init=0.03)
-        actor = q_actor(net, env.action_spec, action_mask_key=None)
+        actor = q_actor(net, env.action_spec_unbatched, action_mask_key=None)
         return actor, ThompsonSampling(actor), BBQNLoss(actor, gamma=GAMMA, noise_std=1.0)
-    actor = q_actor(FlatMLP(4, 2, HIDDEN), env.action_spec, action_mask_key=None)
-    dither = EGreedyModule(env.action_spec, eps_end=0.05, annealing_num_steps=frames // 4)
+    actor = q_actor(FlatMLP(4, 2, HIDDEN), env.action_spec_unbatched, action_mask_key=None)
+    dither = EGreedyModule(env.action_spec_unbatched, eps_end=0.05, annealing_num_steps=frames // 4)
     return actor, TensorDictSequential(Greedy(actor), dither), DropoutDQNLoss(actor, gamma=GAMMA)
 
 

@@ -46,8 +46,10 @@ def main() -> None:
 
     env = TransformedEnv(GymEnv("CartPole-v1", categorical_action_encoding=True), RewardSum())
     env.set_seed(args.seed)
-    actor = q_actor(FlatMLP(4, 2, (128, 128)), env.action_spec, action_mask_key=None)
-    epsilon = EGreedyModule(env.action_spec, eps_end=0.05, annealing_num_steps=args.frames // 4)
+    actor = q_actor(FlatMLP(4, 2, (128, 128)), env.action_spec_unbatched, action_mask_key=None)
+    epsilon = EGreedyModule(
+        env.action_spec_unbatched, eps_end=0.05, annealing_num_steps=args.frames // 4
+    )
     policy = TensorDictSequential(Greedy(actor), epsilon)
 
     dynamics = DynamicsModel(4, 2)

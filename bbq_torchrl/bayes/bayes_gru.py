@@ -148,7 +148,8 @@ class BayesGRU(BayesLayer):
             raise ValueError(
                 f'BayesGRU in mode "local" takes one step, got {steps.shape[2]}: independent '
                 "noise for each step is no draw of weights that the steps share; use mode "
-                '"draw", or give each row weights of its own by draw_weights(rows)'
+                '"draw", or give each row weights of its own by draw_weights(rows); in '
+                "ThompsonSampling shared=True or per='episode'"
             )
         means = self._matrices(self.posterior.mu.reshape(count, -1))
         variances = self._matrices(self.posterior.sigma.square().reshape(count, -1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
-from tensordict import TensorDict, pad_sequence
+from tensordict import TensorDict, TensorDictBase, pad_sequence
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
@@ -19,7 +19,7 @@ from bbq_torchrl.hooks import modules_with
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from tensordict import NestedKey, TensorDictBase
+    from tensordict import NestedKey
     from torchrl.envs import Transform
 
 __all__ = ["TRANSITION_KEYS", "ReplicaReplay"]
@@ -161,9 +161,19 @@ class ReplicaReplay:
         Raises:
             ValueError: if a row could not be learned from (see
                 :func:`~bbq_torchrl.data.validate_transitions`); nothing is stored then.
+            KeyError: if the rows lack one of the keys.
         """
-        if len(rows) != self.replicas:
-            raise ValueError(f"rows must be {self.replicas}, one for each replica, got {len(rows)}")
+        if isinstance(rows, TensorDictBase) or len(rows) != self.replicas:
+            raise ValueError(
+                f"rows must be a list of {self.replicas} TensorDicts, one for each replica, got "
+                f"{type(rows).__name__} of {len(rows)}"
+            )
+        missing = [key for key in self.keys if any(td.get(key, None) is None for td in rows)]
+        if missing:
+            raise KeyError(
+                f"the rows lack {missing[0]!r}, one of the replay's keys: give it keys=[...] that "
+                "they have"
+            )
         selected = [td.select(*self.keys) for td in rows]
         for replica, td in enumerate(selected):
             validate_transitions(td, name=f"replica {replica}")

@@ -78,8 +78,8 @@ class CarefulPolicy(TensorDictModuleBase):
     left out.
 
     Args:
-        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms, whose domain's
-            actions it plays.
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv` whose domain's actions it plays, with or
+            without transforms; these must leave the observation as it is.
         slots: the slots that it requests, in order.
 
     Raises:
@@ -155,7 +155,8 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
         name: one of the domain's policies (the movie domain has ``rule``, ``rule_inform``,
             ``careful_essential`` and ``careful``), ``"random"``, or the privileged
             ``"clairvoyant"``.
-        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms.
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms; these must
+            leave the observation and the mask as they are.
 
     Raises:
         ValueError: if there is no such policy, or a step of its script is illegal in the

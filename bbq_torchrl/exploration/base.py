@@ -13,6 +13,8 @@ from bbq_torchrl.exploration.hooks import Resampled
 from bbq_torchrl.hooks import provides
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torch import Tensor
@@ -20,7 +22,17 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
     from typing_extensions import Self
 
-__all__ = ["ActorPolicy", "Per", "check_batch", "explores", "schedule"]
+    from bbq_torchrl.bayes import GaussianPosterior
+
+__all__ = [
+    "ActorPolicy",
+    "Per",
+    "check_batch",
+    "explores",
+    "fit_posteriors",
+    "forget_draws",
+    "schedule",
+]
 
 Per = Literal["step", "episode", "round"]
 
@@ -58,6 +70,22 @@ def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
         ) from None
 
 
+def fit_posteriors(held: Mapping[GaussianPosterior, Tensor]) -> bool:
+    """Returns whether held draws have the dtype and device that their posteriors have now.
+
+    A loss that shares the network may have been moved, which the policy is not told.
+    """
+    return all(
+        (draws.dtype, draws.device) == (posterior.mu.dtype, posterior.mu.device)
+        for posterior, draws in held.items()
+    )
+
+
+def forget_draws(policy: Resampled, _: object = None) -> None:
+    """Has a policy whose state was loaded draw anew; a hook of ``load_state_dict``."""
+    policy.resample()
+
+
 class ActorPolicy(TensorDictModuleBase):
     """A policy that reads and writes what its actor does.
 
@@ -70,13 +98,18 @@ class ActorPolicy(TensorDictModuleBase):
             per="episode".
 
     Raises:
-        ValueError: for another ``per``.
+        ValueError: for another ``per``, or an actor that is no TensorDict module.
     """
 
     def __init__(
         self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
     ) -> None:
         check_choice("per", per, get_args(Per))
+        if not isinstance(actor, TensorDictModuleBase):
+            raise ValueError(
+                "actor must be a TensorDict module, such as q_actor makes of a network, got "
+                f"{type(actor).__name__}"
+            )
         super().__init__()
         self.actor = actor
         self.per = per

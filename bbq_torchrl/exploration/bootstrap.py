@@ -104,7 +104,8 @@ class BootstrapSampling(_OnHeads):
 
     Keyword Args:
         per: how long a head is acted on. "step": one action. "episode" (the paper): until the
-            row's next ``init_key``. "round": until :meth:`resample`. Defaults to "episode".
+            row's next ``init_key``. "round": until :meth:`resample`, which does not reach the
+            copies of a collector with processes of its own. Defaults to "episode".
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
             ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to
             "is_init".

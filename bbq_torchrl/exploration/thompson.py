@@ -9,7 +9,13 @@ import torch
 from bbq_torchrl.bayes.layers import own_weights_of_rows
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.exploration.base import ActorPolicy, Per, explores
+from bbq_torchrl.exploration.base import (
+    ActorPolicy,
+    Per,
+    explores,
+    fit_posteriors,
+    forget_draws,
+)
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -33,7 +39,8 @@ class ThompsonSampling(ActorPolicy):
 
     Keyword Args:
         per: how long a draw is acted on. "step" (the paper): one action. "episode": until the
-            row's next ``init_key``. "round": until :meth:`resample`. Defaults to "step".
+            row's next ``init_key``. "round": until :meth:`resample`, which does not reach the
+            copies of a collector with processes of its own. Defaults to "step".
         shared: whether the rows of a batch act on one draw (each replica has its
             own) or each on its own. One shared draw makes 50 episodes side by side one
             experiment; with per="episode" it is redrawn for all as soon as one of them begins.
@@ -81,6 +88,7 @@ class ThompsonSampling(ActorPolicy):
         self._held: dict[GaussianPosterior, Tensor] = {}
         self._held_rows: torch.Size | None = None
         posteriors(actor)
+        self.register_load_state_dict_post_hook(forget_draws)
 
     def resample(self) -> None:
         """Forgets the draws: the next call acts on new ones."""
@@ -108,7 +116,7 @@ class ThompsonSampling(ActorPolicy):
         replicas = found[0].replicas
         rows = tensordict.batch_size[len(replicas) :]
         new = self._begins(tensordict)
-        if self._held_rows != rows:
+        if self._held_rows != rows or not fit_posteriors(self._held):
             drawn = () if self.shared else tuple(rows)
             self._held = {posterior: posterior.sample(drawn) for posterior in found}
             self._held_rows = rows

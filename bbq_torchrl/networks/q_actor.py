@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from tensordict.nn import TensorDictSequential
 from tensordict.utils import unravel_key
+from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
     from torchrl.data import TensorSpec
 
-__all__ = ["legal_actions", "masked", "q_actor", "split_actor"]
+__all__ = ["check_spec_of_one_action", "legal_actions", "masked", "q_actor", "split_actor"]
 
 
 def q_actor(
@@ -44,7 +45,8 @@ def q_actor(
         action_value_key: where the values go; forbidden actions have the least float there.
 
     Raises:
-        ValueError: for another action_key, by which TorchRL would not find the spec.
+        ValueError: for another action_key, by which TorchRL would not find the spec, or a spec with
+            batch dimensions.
 
     Examples:
         >>> import torch
@@ -60,6 +62,7 @@ def q_actor(
     """
     if unravel_key(("", action_key))[-1] != "action":
         raise ValueError(f"action_key must be 'action' or end in it, got {action_key!r}")
+    check_spec_of_one_action(spec)
     actor = QValueActor(
         network,
         in_keys=list(in_keys),
@@ -71,6 +74,15 @@ def q_actor(
     # TorchRL's own marks every action of the greatest value: several, where all values are 0.
     actor[-1].action_func_mapping["one_hot"] = _one_hot
     return actor
+
+
+def check_spec_of_one_action(spec: TensorSpec) -> None:
+    """Raises ValueError for the index of many actions."""
+    if isinstance(spec, Categorical) and spec.shape not in ((), (1,)):
+        raise ValueError(
+            "spec must be that of one action, env.action_spec_unbatched, got shape "
+            f"{list(spec.shape)}"
+        )
 
 
 def _one_hot(values: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.data import Categorical, Composite, OneHot
 from torchrl.modules import QValueActor
 
-from bbq_torchrl.networks.q_actor import legal_actions, masked
+from bbq_torchrl.networks.q_actor import check_spec_of_one_action, legal_actions, masked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,6 +67,7 @@ class VoteModule(TensorDictModuleBase):
         super().__init__()
         if type(spec) not in (Categorical, OneHot):  # Binary is a Categorical
             raise ValueError(f"spec must be a Categorical or a OneHot, got {type(spec).__name__}")
+        check_spec_of_one_action(spec)
         # what TorchRL calls the key that a Q-value module reads
         self.action_value_key = head_value_key
         self.action_mask_key = action_mask_key
@@ -157,7 +158,7 @@ def bootstrap_actor(
         head_value_key: where the values of all heads go.
 
     Raises:
-        ValueError: for a spec that is neither Categorical nor OneHot.
+        ValueError: for a spec that is neither Categorical nor OneHot, or has batch dimensions.
 
     Examples:
         >>> import torch

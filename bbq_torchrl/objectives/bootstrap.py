@@ -84,6 +84,7 @@ class BootstrapDQNLoss(OneStepQLoss):
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
+    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL looks for a class's own
 
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

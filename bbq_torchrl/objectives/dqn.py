@@ -52,6 +52,8 @@ class DropoutDQNLoss(OneStepQLoss):
         (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
     """
 
+    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL looks for a class's own
+
 
 class NoisyDQNLoss(OneStepQLoss):
     """NoisyNet's DQN loss of replicas of a network (Fortunato et al., Noisy Networks, ICLR 2018).
@@ -100,6 +102,7 @@ class NoisyDQNLoss(OneStepQLoss):
         (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
     """
 
+    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL looks for a class's own
     _target_mode: WeightMode = "draw"
 
     def __init__(self, value_network: QValueActor | nn.Module, **settings: Any) -> None:

@@ -127,6 +127,14 @@ def test_what_cannot_be_protected_in_all_replicas_is_protected_in_none():
     assert replay.protected == (0, 0)
 
 
+def test_an_entry_that_the_rows_lack_is_named():
+    lacking = rows(0, 3).exclude(("next", "reward"))
+    replay = ReplicaReplay(5, replicas=2, keys=KEYS)
+    with pytest.raises(KeyError, match=r"lack \('next', 'reward'\), .* give it keys=\[\.\.\.\]"):
+        replay.extend([rows(0, 3), lacking])
+    assert replay.lengths == (0, 0)
+
+
 EMPTY = r"every replica needs a transition to learn from, got \(0,\)"
 
 
@@ -136,7 +144,8 @@ EMPTY = r"every replica needs a transition to learn from, got \(0,\)"
         (lambda replay: ReplicaReplay(0), "capacity must be at least 1, got 0"),
         (lambda replay: ReplicaReplay(5, replicas=0), "replicas must be at least 1, got 0"),
         (lambda replay: replay.epoch(0), "batch_size must be at least 1, got 0"),
-        (lambda replay: replay.extend([rows(0, 1)]), "rows must be 2, one for each replica, got 1"),
+        (lambda replay: replay.extend([rows(0, 1)]), "a list of 2 TensorDicts, .*, got list of 1"),
+        (lambda replay: replay.extend(rows(0, 2)), "one for each replica, got TensorDict of 2"),
         (lambda replay: replay.seed([1, 2, 3]), "seeds must be 2, one for each replica, got 3"),
         (lambda replay: replay.protect(), "fewer than the capacity 5, but .* replica 0"),
         (lambda replay: ReplicaReplay(5).epoch(2), EMPTY),

@@ -145,6 +145,32 @@ def test_a_policy_that_is_cast_acts_on_draws_of_its_new_dtype(make):
     assert torch.equal(values(policy, td), found)
 
 
+@pytest.mark.parametrize("per", ["episode", "round"])
+@pytest.mark.parametrize("make", [thompson, shared, evaluated])
+def test_a_network_that_is_cast_where_a_policy_holds_draws_is_acted_on(make, per):
+    policy, td = make(per=per), observations(40)
+    values(policy, td)
+    policy.actor.double()  # as a loss that shares it is cast, past the policy
+    td["observation"] = td["observation"].double()
+    assert values(policy, td).dtype == torch.float64
+
+
+@pytest.mark.parametrize("make", [thompson, shared, evaluated])
+def test_a_policy_whose_state_was_loaded_acts_on_draws_of_it(make):
+    policy, other, td = make(per="episode"), make(per="episode"), observations(40)
+    with torch.no_grad():
+        next(other.parameters()).fill_(50.0)
+    before = values(policy, td)
+    policy.load_state_dict(other.state_dict())
+    assert (values(policy, td) - before).abs().max() > 50
+
+
+@pytest.mark.parametrize("make", [ThompsonSampling, EvaluationPolicy])
+def test_a_network_that_is_no_actor_is_refused(make):
+    with pytest.raises(ValueError, match=r"such as q_actor makes of a network, got BayesMLP"):
+        make(bayes_actor()[0].module)
+
+
 @pytest.mark.parametrize("make", [thompson, shared, heads, evaluated])
 def test_a_policy_that_is_moved_acts_on_draws_made_there(make):
     policy, td = make(per="round"), observations(40)

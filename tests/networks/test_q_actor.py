@@ -8,9 +8,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchrl.data import OneHot
+from torchrl.data import Categorical, OneHot
 
-from bbq_torchrl.networks import q_actor
+from bbq_torchrl.networks import bootstrap_actor, q_actor
 from bbq_torchrl.networks.q_actor import masked
 
 
@@ -29,6 +29,12 @@ def test_of_actions_of_one_value_one_legal_action_is_chosen():
     assert td["action"].argmax(-1).tolist() == [1, 0]
     assert td["action"].sum(-1).tolist() == [1, 1]
     assert td["chosen_action_value"].tolist() == [[0], [0]]
+
+
+@pytest.mark.parametrize("make", [q_actor, bootstrap_actor])
+def test_a_spec_of_many_actions_is_refused(make):
+    with pytest.raises(ValueError, match=r"env\.action_spec_unbatched, got shape \[3\]"):
+        make(constant(4), Categorical(4, shape=(3,)))
 
 
 def test_a_mask_of_other_actions_is_refused():

@@ -73,6 +73,7 @@ def test_in_and_out_keys(case):
     }
     assert loss.out_keys == case.out_keys
     assert set(loss(transitions()).keys()) == set(case.out_keys)
+    assert list(loss.select_out_keys("loss")(transitions()).keys()) == ["loss"]
 
 
 @pytest.mark.parametrize("replicas", [(), (3,)])

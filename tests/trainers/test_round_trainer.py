@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
+from torch.optim import Adam
 from trainer_parts import GuessEnv, make_trainer, random_policy
 
 from bbq_torchrl.options import ProtocolOption
@@ -230,10 +231,20 @@ def test_a_folder_that_holds_a_training_is_not_overwritten(tmp_path):
     assert (tmp_path / "metrics.csv").read_text() == before
 
 
+class Unsuccessful(GuessEnv):
+    """Says nowhere that an episode has ended well."""
+
+    def __init__(self, *args):
+        super().__init__(*args)
+        del self.observation_spec["success"]
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
         ({"env": GuessEnv(2, 8)}, r"must be \[3, places\] for 3 replicas, got \[2, 8\]"),
+        ({"env": Unsuccessful(3, 8)}, "must say in 'success', which its specs lack"),
+        ({"optimizer": Adam([torch.ones(1)])}, "as ReplicaAdam does, got Adam"),
         ({"rounds": 0}, "rounds must be at least 1, got 0"),
         ({"batch_size": -1}, "batch_size must be at least 1, got -1"),
         ({"keep_checkpoints": 0}, "keep_checkpoints must be at least 1, got 0"),

@@ -164,7 +164,7 @@ def make_trainer(
         TensorDictSequential(actor, acts),
         loss,
         ReplicaReplay(capacity, replicas=replicas),
-        ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
+        given.pop("optimizer", None) or ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
         HardUpdate(loss, value_network_update_interval=0),
         folder,
         **{**own, **given},
