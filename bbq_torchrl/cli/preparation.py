@@ -9,6 +9,7 @@ of that folder.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from hydra._internal.callbacks import Callbacks
 from hydra._internal.utils import get_args_parser
 from hydra.core.utils import run_job
+from hydra.errors import HydraException
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, open_dict, read_write
 
@@ -121,6 +123,9 @@ def _refuse_unread(parsed: Namespace) -> None:
         if getattr(parsed, flag, None) is not None:
             name = "--" + flag.replace("_", "-")
             raise ConfigError(f"{name} is not supported: choose by <group>=<option>")
+    for flag in ("resolve", "package"):
+        if getattr(parsed, flag):
+            raise ConfigError(f"--{flag} is for --cfg, which shows a configuration")
 
 
 def _new_run(hydra_session: Any, overrides: Sequence[str]) -> tuple[DictConfig, Config] | None:
@@ -129,8 +134,9 @@ def _new_run(hydra_session: Any, overrides: Sequence[str]) -> tuple[DictConfig, 
         composed = compose_raw(overrides)
     except ConfigError:
         # Values of a sweep cannot be composed; an experiment, too, may ask for one.
-        if hydra_session.get_mode("config", searched(overrides)) is RunMode.MULTIRUN:
-            return None
+        with suppress(HydraException):
+            if hydra_session.get_mode("config", searched(overrides)) is RunMode.MULTIRUN:
+                return None
         raise
     if composed.hydra.mode is RunMode.MULTIRUN:
         return None

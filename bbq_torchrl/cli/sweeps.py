@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import re
 import shutil
 from collections import Counter
 from contextlib import nullcontext
@@ -27,7 +26,7 @@ from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG, HYDRA, LOG, OVERRIDES, RESULT
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.text import numbers_in_order, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -228,7 +227,7 @@ def table_of_runs(sweep: Path, jobs: int) -> str:
     """
     configs = (item.parent for item in sweep.rglob(CONFIG))
     begun = {folder.parent if folder.name == HYDRA else folder for folder in configs}
-    folders = sorted(begun, key=_numbers_in_order)
+    folders = sorted(begun, key=numbers_in_order)
     overrides = [_overrides(folder) for folder in folders]
     shared = set(overrides[0]).intersection(*overrides) if len(overrides) > 1 else set()
     rows = [
@@ -254,7 +253,9 @@ def table_of_runs(sweep: Path, jobs: int) -> str:
 
 def _success_and_state(folder: Path) -> tuple[str, str]:
     file = folder / RESULT
-    unfinished = "–", f"not finished: {LOG} in it says why"
+    log = folder / LOG
+    is_silent = log.is_file() and not log.stat().st_size  # as a signal leaves the jobs behind
+    unfinished = "–", "not begun" if is_silent else f"not finished: {LOG} in it says why"
     if not file.is_file():
         return unfinished
     # Imported here: it takes a second.
@@ -277,9 +278,3 @@ def _overrides(folder: Path) -> list[str]:
     if not file.is_file():
         return []
     return [str(item) for item in yaml.safe_load(file.read_text(encoding="utf-8")) or []]
-
-
-def _numbers_in_order(folder: Path) -> list[tuple[bool, int, str]]:
-    """Returns what sorts ``2_dqn`` before ``10_dqn``."""
-    parts = re.findall(r"\d+|\D+", str(folder))
-    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]

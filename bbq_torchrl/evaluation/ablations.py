@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bbq_torchrl.evaluation.figures import draw_panels
+from bbq_torchrl.evaluation.groups import as_typed
 from bbq_torchrl.evaluation.pairs import compare
 from bbq_torchrl.evaluation.runs import telling
 from bbq_torchrl.evaluation.statistics import estimate
@@ -74,10 +75,10 @@ def _row(names: Sequence[str], row: Sequence[Group]) -> dict[str, Group]:
     values = []
     for own, group in zip(settings, row, strict=True):
         told = dict.fromkeys(key for other in settings for key in _changed(own, other))
-        more = [f"{key}={_shown(own[key])}" for key in told if key in own and key not in names]
+        more = [f"{key}={as_typed(own[key])}" for key in told if key in own and key not in names]
         value = _value(own, names)
-        values.append((", ".join([_shown(value), *more]) if more else value, group))
-    return {_shown(value): group for value, group in sorted(values, key=_place)}
+        values.append((", ".join([as_typed(value), *more]) if more else value, group))
+    return {as_typed(value): group for value, group in sorted(values, key=_place)}
 
 
 def _changed(own: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
@@ -90,13 +91,7 @@ def _groups(names: Sequence[str]) -> int:
 
 def _value(setting: Mapping[str, Any], names: Sequence[str]) -> Any:
     first, *more = (setting.get(name) for name in names)
-    return ", ".join(map(_shown, (first, *more))) if more else first
-
-
-def _shown(value: Any) -> str:
-    """Returns a value as it is written on a command line."""
-    text = "null" if value is None else str(value)
-    return text.lower() if isinstance(value, bool) else text
+    return ", ".join(map(as_typed, (first, *more))) if more else first
 
 
 def _place(entry: tuple[Any, Group]) -> tuple[bool, float]:

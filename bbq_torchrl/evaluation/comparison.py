@@ -28,14 +28,16 @@ seeds). Cumulative training success: share of all training dialogues that succee
 
 PAIRS_NOTE = """\
 Differences by pairs: replicas of the same seed, which saw the same spiked dialogues, goals and
-noise of the simulator, one minus the other, the mean with its 95 % Student t interval."""
+noise of the simulator, one minus the other, the mean with its 95 % Student t interval, not adjusted
+for the number of comparisons."""
 
 LEARNING_NOTE = f"""\
 Rounds (and dialogues) until success is reached: in training, until the mean of the last {WINDOW}
 rounds reaches it; in evaluation, until the first that does. The median over seeds, a seed that did
 not reach it counting as longer than all that did (the rounds after which half of the seeds had),
 with its 95 % interval from six seeds on; and how many seeds reached it, where not all did. The area
-under the curve is its mean height: in training the cumulative success."""
+under the curve is its mean height, its values joined by straight lines: in training the cumulative
+success."""
 
 NOTES = (NOTE, PAIRS_NOTE, LEARNING_NOTE)
 
@@ -56,7 +58,7 @@ def comparison_report(groups: Sequence[Group]) -> Report:
     parts = [
         *(success_table(groups), NOTE),
         *pair_parts(pairs),
-        *([PAIRS_NOTE] if pairs else []),
+        *([PAIRS_NOTE] if any(item.pairs for item in pairs) else []),
         *(learning_table(groups), LEARNING_NOTE),
     ]
     figures = {}

@@ -33,10 +33,10 @@ QUANTITIES = {
 
 GRID_NOTE = """\
 Means over seeds with their 95 % Student t interval. Training success counts what exploring costs;
-evaluation, a mean over the training, counts what was learned. By pairs, replicas that saw the same
-spiked dialogues, goals and noise of the simulator: a learner's explorers and its first one, and an
-explorer's learners and its first one. p: of a t test of the differences, by Holm's
-method for all explorers of the learner, or all learners of the explorer."""
+evaluation, the mean height of its curve, counts what was learned. By pairs, replicas that saw the
+same spiked dialogues, goals and noise of the simulator: a learner's explorers and its first one,
+and an explorer's learners and its first one. p: of a t test of the differences, by Holm's method
+for all explorers of the learner, or all learners of the explorer."""
 
 Grid = Mapping[str, Mapping[str, "Group"]]
 """Learner -> explorer -> the runs, both in the order in which they were given."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.evaluation.runs import Replica
 
-__all__ = ["Group", "label", "read_groups"]
+__all__ = ["Group", "as_typed", "label", "read_groups"]
 
 _OF_AN_AGENT = ("agent", "explore", "intrinsic")
 """Groups that make up an agent: what is compared."""
@@ -191,8 +191,18 @@ def label(
         told |= _told_from(setting, other, same_agent=other_name == name)
     options = sorted(filter(names_option, told))
     words = [name, *(f"{key.removesuffix('.name')}={setting[key]}" for key in options)]
-    words += [f"{key}={value}" for key, value in setting.items() if key in told.difference(options)]
+    words += [
+        f"{key}={as_typed(value)}"
+        for key, value in setting.items()
+        if key in told.difference(options)
+    ]
     return ", ".join(words)
+
+
+def as_typed(value: Any) -> str:
+    """Returns a value as it is written on a command line."""
+    text = "null" if value is None else str(value)
+    return text.lower() if isinstance(value, bool) else text
 
 
 def _told_from(

@@ -16,8 +16,8 @@ import yaml
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT
-from bbq_torchrl.text import sentence
+from bbq_torchrl.run_folder import CONFIG, HYDRA, METRICS, RESULT
+from bbq_torchrl.text import numbers_in_order, sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -129,30 +129,38 @@ def find_results(places: Iterable[Path]) -> list[Path]:
     """Returns the folders of finished runs that are, or lie anywhere below, the given folders.
 
     Raises:
-        ValueError: there is none in one of them.
+        ValueError: there is none at all, or one of the folders holds no run.
     """
     found: dict[Path, None] = {}
     for place in places:
-        folders = sorted(file.parent for file in place.rglob(RESULT))
+        folders = sorted((file.parent for file in place.rglob(RESULT)), key=numbers_in_order)
         finished = [folder.resolve() for folder in folders if not _is_extended(folder)]
         if not finished:
             reason = f"no {RESULT} is in or below it"
             if folders:
                 reason = f"the {RESULT} in {folders[0]} is of fewer rounds than {CONFIG} asks for"
-            raise ValueError(f"{place} holds no finished run: {reason}")
+            none = ValueError(f"{place} holds no finished run: {reason}")
+            if not find_unfinished([place]):
+                raise none
         found.update(dict.fromkeys(finished))
+    if not found:
+        raise none
     return list(found)
 
 
 def find_unfinished(places: Iterable[Path]) -> list[Path]:
-    """Returns the run folders in or below the given folders that have metrics and no result yet.
+    """Returns the run folders in or below the given folders that have no result yet.
 
-    The result of a run that goes on to more rounds is none yet.
+    The result of a run that goes on to more rounds is none yet. A job of a sweep that never began
+    is among them.
     """
-    folders = {file.parent.resolve() for place in places for file in place.rglob(METRICS)}
-    return sorted(
+    files = [file for place in places for name in (CONFIG, METRICS) for file in place.rglob(name)]
+    parents = [file.parent.resolve() for file in files]
+    folders = {parent.parent if parent.name == HYDRA else parent for parent in parents}
+    unfinished = (
         folder for folder in folders if not (folder / RESULT).is_file() or _is_extended(folder)
     )
+    return sorted(unfinished, key=numbers_in_order)
 
 
 def _is_extended(folder: Path) -> bool:

@@ -36,6 +36,12 @@ def make_run(
         (folder / "curve.png").touch()
 
 
+def test_a_job_that_a_signal_left_behind_has_not_begun(tmp_path):
+    make_run(tmp_path / "0", ["seed=0"])
+    (tmp_path / "0" / "train.log").touch()
+    assert table_of_runs(tmp_path, jobs=1).splitlines()[-1].endswith("–              not begun")
+
+
 def cells(line: str) -> list[str]:
     return [cell for cell in line.split("  ") if cell]
 

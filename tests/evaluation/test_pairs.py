@@ -89,14 +89,19 @@ def test_replicas_with_other_random_numbers_are_not_paired(tmp_path, change):
     assert (found.pairs, found.remark) == (0, NO_PARTNER)
 
 
-@pytest.mark.parametrize("change", [{"spike.protect": False}, {"protocol.batch_size": 128}])
-def test_learning_in_another_way_from_the_same_dialogues_is_paired_and_named(tmp_path, change):
+@pytest.mark.parametrize(
+    ("key", "value", "typed"),
+    [("spike.protect", False, "false"), ("protocol.batch_size", 128, "128")],
+)
+def test_learning_in_another_way_from_the_same_dialogues_is_paired_and_named(
+    tmp_path, key, value, typed
+):
+    change = {key: value}
     found = compared(
         make_run(tmp_path / "a", GOOD), make_run(tmp_path / "b", BAD, changes=change, **DQN)
     )
-    ((key, value),) = change.items()
     assert found.pairs == 5
-    assert found.label.endswith(f"DQN, {key}={value}")
+    assert found.label.endswith(f"DQN, {key}={typed}")
     assert f"BBQN-MAP, {key}=" in found.label
 
 

@@ -13,7 +13,7 @@ from bbq_torchrl.evaluation import estimate, estimate_iqm, interquartile_mean
 from bbq_torchrl.evaluation.comparison import comparison_report, references, success_table
 from bbq_torchrl.evaluation.groups import label, read_groups
 from bbq_torchrl.evaluation.report import main
-from bbq_torchrl.evaluation.runs import find_results
+from bbq_torchrl.evaluation.runs import find_results, find_unfinished
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
@@ -37,6 +37,33 @@ def test_results_are_found_in_and_below_folders_once(tmp_path):
     second = make_run(tmp_path / "sweep" / "deeper" / "1", [0.5], seed=1)
     found = find_results([tmp_path / "sweep", first])
     assert found == [first.resolve(), second.resolve()]
+
+
+def test_results_are_found_in_the_order_of_their_numbers(tmp_path):
+    folders = [make_run(tmp_path / name, [0.5]) for name in ("2_dqn", "10_bbqn")]
+    assert find_results([tmp_path]) == [folder.resolve() for folder in folders]
+
+
+def test_runs_without_a_result_are_named_wherever_they_stand(tmp_path):
+    finished = make_run(tmp_path / "runs" / "1", [0.5])
+    stopped, failed, waiting = (
+        make_run(tmp_path / "runs" / name, [0.5], seed=1) for name in ("2", "3", "10")
+    )
+    for folder in (stopped, failed, waiting):
+        (folder / "result.json").unlink()
+    (failed / "metrics.csv").unlink()
+    (waiting / "metrics.csv").unlink()
+    (waiting / ".hydra").mkdir()
+    (waiting / "config.yaml").rename(waiting / ".hydra" / "config.yaml")
+    left_out = [folder.resolve() for folder in (stopped, failed, waiting)]
+    for places in ([tmp_path], [finished, stopped, failed, waiting]):
+        assert find_results(places) == [finished.resolve()]
+        assert find_unfinished(places) == left_out
+    with pytest.raises(ValueError, match=r"holds no finished run: no result\.json is in or below"):
+        find_results([stopped])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="empty holds no finished run"):
+        find_results([finished, tmp_path / "empty"])
 
 
 def test_runs_that_differ_in_their_seed_alone_are_one_group(tmp_path):
