@@ -87,7 +87,7 @@ def numbers_in_order(text: object) -> list[tuple[bool, int, str]]:
         ['2_dqn', '10_dqn']
     """
     parts = re.findall(r"\d+|\D+", str(text))
-    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
 def _one_line(text: str) -> str:

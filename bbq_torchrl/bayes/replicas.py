@@ -48,7 +48,7 @@ def replicas_of(network: nn.Module) -> torch.Size:
     shapes = set()
     for module in network.modules():
         found = getattr(module, "replicas", None)
-        if found is None:
+        if found is None or callable(found):  # a module or method of that name says something else
             continue
         sizes = found if isinstance(found, (tuple, list)) else (found,)
         if not all(isinstance(size, int) for size in sizes):

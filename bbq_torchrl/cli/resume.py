@@ -137,15 +137,16 @@ def load_config(file: Path) -> Config:
 
 
 def _rename(plain: DictConfig) -> None:
-    """Says what strategies of 0.1.0 did by the keys and words of today."""
+    """Says what our strategies of 0.1.0 did by the keys and words of today."""
     explore, rounds = plain.get("explore"), OmegaConf.select(plain, "protocol.rounds")
     if not OmegaConf.is_dict(explore):
         return
-    if explore.get("per") == "dialogue":
+    if explore.get("name") in ("bootstrap", "thompson") and explore.get("per") == "dialogue":
         explore.per = "episode"
-    fall = explore.pop("anneal_rounds", None)
-    if isinstance(fall, int) and isinstance(rounds, int):
-        explore.anneal_fraction = min(1.0, fall / max(1, rounds))
+    if explore.get("name") in ("boltzmann", "epsilon_greedy", "thompson_epsilon"):
+        fall = explore.get("anneal_rounds")
+        if isinstance(fall, int) and isinstance(rounds, int):
+            explore.anneal_fraction = min(1.0, explore.pop("anneal_rounds") / max(1, rounds))
 
 
 def folder_to_resume(overrides: Sequence[str]) -> Path | None:

@@ -143,7 +143,9 @@ def keys_of_others() -> str:
                 for item in fields(option)
                 if item.name not in ours
             ]
-    return "\n".join(["Keys of options of your own", *lines, "", ""]) if lines else ""
+    # Hydra takes what it shows for a template.
+    table = "\n".join(["Keys of options of your own", *lines, "", ""]).replace("$", "$$")
+    return table if lines else ""
 
 
 def _indented_groups() -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -20,7 +20,7 @@ from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.trainers import RoundTrainer, derive_seed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from tensordict import NestedKey
@@ -89,7 +89,7 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     policy, metrics = _checked(config.explore, explored, what, nn.Module, Mapping)
     rewarded = config.intrinsic.make(loss, task)
     what = "a loss and a list of transforms"
-    loss, transforms = _checked(config.intrinsic, rewarded, what, nn.Module, Sequence)
+    loss, transforms = _checked(config.intrinsic, rewarded, what, nn.Module, (Iterable, Compose))
     transforms = [*config.agent.make_transforms(task), *transforms]
     loss = loss.to(env.device)
     return Agent(
@@ -145,7 +145,7 @@ def build_trainer(
         max_steps=config.env.steps(),
         seed=config.seed,
         spike=spike.make(config.env.make_policy(spike.policy, env)) if spike.dialogues else None,
-        loggers=_checked(config.logger, loggers, "a list of loggers", Sequence),
+        loggers=_checked(config.logger, loggers, "a list of loggers", Iterable),
         callbacks=callbacks,
         evaluator=_evaluator(config, domain, agent),
         round_metrics={**agent.metrics, **_own_values(config)},
@@ -154,14 +154,14 @@ def build_trainer(
     return trainer, agent
 
 
-def _checked(option: Option, made: Any, what: str, *kinds: type) -> Any:
+def _checked(option: Option, made: Any, what: str, *kinds: type | tuple[type, ...]) -> Any:
     """Returns what an option's ``make`` has made.
 
     Raises:
         ConfigError: it is not of its kind; of several, not a tuple of them.
     """
     parts = made if len(kinds) > 1 else (made,)
-    is_tuple = isinstance(parts, tuple)
+    is_tuple = isinstance(parts, (tuple, list))
     if not is_tuple or len(parts) != len(kinds) or not all(map(isinstance, parts, kinds)):
         got = ", ".join(type(part).__name__ for part in (parts if is_tuple else (made,)))
         raise ConfigError(f"make of {option.group}={option.name} must return {what}, got {got}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase, pad_sequence
+from tensordict import TensorDict, pad_sequence
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
@@ -19,7 +19,7 @@ from bbq_torchrl.hooks import modules_with
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from tensordict import NestedKey
+    from tensordict import NestedKey, TensorDictBase
     from torchrl.envs import Transform
 
 __all__ = ["TRANSITION_KEYS", "ReplicaReplay"]
@@ -163,7 +163,7 @@ class ReplicaReplay:
                 :func:`~bbq_torchrl.data.validate_transitions`); nothing is stored then.
             KeyError: if the rows lack one of the keys.
         """
-        if isinstance(rows, TensorDictBase) or len(rows) != self.replicas:
+        if len(rows) != self.replicas or getattr(rows, "ndim", 2) < 2:
             raise ValueError(
                 f"rows must be a list of {self.replicas} TensorDicts, one for each replica, got "
                 f"{type(rows).__name__} of {len(rows)}"

@@ -39,7 +39,7 @@ class ClairvoyantPolicy(TensorDictModuleBase):
 
     Args:
         env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms; the policy plays
-            in no other one.
+            in no other one, a copy neither.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain
@@ -66,12 +66,12 @@ class ClairvoyantPolicy(TensorDictModuleBase):
         self._constrains = tensors.constrains
         self._knowledge_base = env.simulator.knowledge_base
         self._records_with = pack((tensors.records != NONE).t())
-        # Kept in a tuple: an environment is a module, and would become part of this one.
-        self._env = (env,)
+        # Kept in a closure: an environment is a module, and would become part of this one.
+        self._dialogues = lambda: env.dialogues
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that comes next."""
-        state = self._env[0].dialogues
+        state = self._dialogues()
         is_legal = tensordict.get("action_mask")
         may_request, may_inform = _legal(is_legal, self._request), _legal(is_legal, self._inform)
         constraints, held, agenda = state["constraints"], state["held"], state["agenda"]

@@ -132,6 +132,7 @@ def find_results(places: Iterable[Path]) -> list[Path]:
         ValueError: there is none at all, or one of the folders holds no run.
     """
     found: dict[Path, None] = {}
+    nothing: list[ValueError] = []
     for place in places:
         folders = sorted((file.parent for file in place.rglob(RESULT)), key=numbers_in_order)
         finished = [folder.resolve() for folder in folders if not _is_extended(folder)]
@@ -139,12 +140,12 @@ def find_results(places: Iterable[Path]) -> list[Path]:
             reason = f"no {RESULT} is in or below it"
             if folders:
                 reason = f"the {RESULT} in {folders[0]} is of fewer rounds than {CONFIG} asks for"
-            none = ValueError(f"{place} holds no finished run: {reason}")
+            nothing.append(ValueError(f"{place} holds no finished run: {reason}"))
             if not find_unfinished([place]):
-                raise none
+                raise nothing[-1]
         found.update(dict.fromkeys(finished))
-    if not found:
-        raise none
+    if nothing and not found:
+        raise nothing[0]
     return list(found)
 
 
@@ -154,13 +155,24 @@ def find_unfinished(places: Iterable[Path]) -> list[Path]:
     The result of a run that goes on to more rounds is none yet. A job of a sweep that never began
     is among them.
     """
-    files = [file for place in places for name in (CONFIG, METRICS) for file in place.rglob(name)]
-    parents = [file.parent.resolve() for file in files]
-    folders = {parent.parent if parent.name == HYDRA else parent for parent in parents}
-    unfinished = (
-        folder for folder in folders if not (folder / RESULT).is_file() or _is_extended(folder)
-    )
+    unfinished = set()
+    for file in (
+        file for place in places for name in (METRICS, CONFIG) for file in place.rglob(name)
+    ):
+        folder = file.parent.parent if file.parent.name == HYDRA else file.parent
+        is_open = not (folder / RESULT).is_file() or _is_extended(folder)
+        if is_open and (file.name == METRICS or _is_of_a_run(file)):
+            unfinished.add(folder.resolve())
     return sorted(unfinished, key=numbers_in_order)
+
+
+def _is_of_a_run(file: Path) -> bool:
+    """Whether a configuration is that of a training; other programs call theirs so, too."""
+    try:
+        config = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError, RecursionError):
+        return False
+    return isinstance(config, dict) and {"agent", "protocol"} <= config.keys()
 
 
 def _is_extended(folder: Path) -> bool:

@@ -105,7 +105,7 @@ class ActorPolicy(TensorDictModuleBase):
         self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
     ) -> None:
         check_choice("per", per, get_args(Per))
-        if not isinstance(actor, TensorDictModuleBase):
+        if not (hasattr(actor, "in_keys") and hasattr(actor, "out_keys")):  # compiled, too
             raise ValueError(
                 "actor must be a TensorDict module, such as q_actor makes of a network, got "
                 f"{type(actor).__name__}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import is_not
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -139,17 +140,19 @@ class OneStepQLoss(DQNLoss):
         """Returns the online and the target network's parameters and buffers."""
         # TorchRL erases attributes that begin with _cache when it casts or moves the loss. Loading
         # a state writes into the tensors that are there; to_module puts others in their place.
-        params = self.value_network_params
+        networks = [self.value_network_params]
+        if self.delay_value:
+            networks.append(self.target_value_network_params)
+        held = [params._param_td for params in networks]
         cached = self.__dict__.get("_cache_tensors")
-        if cached is None or cached[0] is not params._param_td:
-            target = self.target_value_network_params if self.delay_value else None
-            tensors = [
-                None if of is None else self._function.tensors(of) for of in (params, target)
-            ]
-            cached = self.__dict__["_cache_tensors"] = (params._param_td, *tensors)
-        _, online, target = cached
+        if cached is None or any(map(is_not, cached[0], held)):
+            cached = self.__dict__["_cache_tensors"] = (
+                held,
+                [*map(self._function.tensors, networks)],
+            )
+        online, *target = cached[1]
         # Not kept: what a parameter is detached to stays behind where its data are replaced.
-        return online, [tensor.detach() for tensor in online] if target is None else target
+        return online, target[0] if target else [tensor.detach() for tensor in online]
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

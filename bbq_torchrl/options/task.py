@@ -77,25 +77,33 @@ def check_env(env: EnvBase, option: str, batch_size: Sequence[int]) -> None:
         ConfigError: the first thing that does not fit.
     """
     import torch
-    from torchrl.data import Categorical
+    from torchrl.data import Categorical, OneHot
 
     batch, makes = torch.Size(batch_size), f"env={option} must make an environment"
     found = getattr(env, "batch_size", None)
     if found != batch:
         got = type(env).__name__ if found is None else str(list(found))
         raise ConfigError(f"{makes} of batch size {list(batch)}, got {got}")
-    specs = {**env.full_done_spec, **env.observation_spec, **env.full_action_spec}
-    for name, kind, is_kind, rest in (
-        ("observation", "floats", lambda spec: spec.dtype.is_floating_point, ["features"]),
-        ("action", "Categorical", lambda spec: isinstance(spec, Categorical), []),
-        ("success", "bool", lambda spec: spec.dtype == torch.bool, [1]),
+    observation = env.observation_spec.get("observation", None)
+    action = env.full_action_spec.get("action", None)
+    rows = ", ".join(map(str, batch))
+    one_hot = isinstance(action, OneHot) and action.shape[:-1] == batch
+    for name, spec, fits, wanted in (
+        (
+            "observation",
+            observation,
+            observation is not None
+            and observation.dtype.is_floating_point
+            and observation.shape[:-1] == batch,
+            f"floats [{rows}, features]",
+        ),
+        (
+            "action",
+            action,
+            one_hot or (isinstance(action, Categorical) and action.shape == batch),
+            f"Categorical [{rows}] or OneHot [{rows}, actions]",
+        ),
     ):
-        spec, shape = specs.get(name), [*batch, *rest]
-        sizes = [] if spec is None else list(spec.shape)
-        fits = [
-            size == want or want == "features" for size, want in zip(sizes, shape, strict=False)
-        ]
-        if spec is None or not is_kind(spec) or len(sizes) != len(shape) or not all(fits):
-            got = "none" if spec is None else f"{type(spec).__name__} {spec.dtype} {sizes}"
-            wanted = f"{kind} [{', '.join(map(str, shape))}]"
+        if not fits:
+            got = "none" if spec is None else f"{type(spec).__name__} {list(spec.shape)}"
             raise ConfigError(f"{makes} whose specs have {name}, {wanted}, got {got}")

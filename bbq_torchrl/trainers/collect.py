@@ -10,6 +10,8 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from bbq_torchrl.trainers.errors import TrainingError
+
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
@@ -133,10 +135,19 @@ def episode_stats(rollout: TensorDictBase) -> EpisodeStats:
     Args:
         rollout: batch size [*batch, turns], with ``valid``, and whether the dialogue is a success
             so far under ``("next", "success")``.
+
+    Raises:
+        TrainingError: if it does not say so.
     """
     valid = rollout["valid"]
     after = rollout["next"]
-    success = after["success"].squeeze(-1) & valid
+    success = after.get("success", None)
+    if success is None:
+        raise TrainingError(
+            "the environment must write ('next', 'success'), which says that an episode has ended "
+            "well"
+        )
+    success = success.squeeze(-1) & valid
     reward = after["reward"].squeeze(-1).double() * valid
     return EpisodeStats(success.any(-1), reward.sum(-1), valid.sum(-1))
 

@@ -131,11 +131,6 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(self.env.batch_size)}"
             )
-        if "success" not in {*self.env.observation_spec.keys(), *self.env.full_done_spec.keys()}:
-            raise ValueError(
-                "the environment must say in 'success', which its specs lack, that an episode has "
-                "ended well"
-            )
         if not hasattr(self.optimizer, "replicas"):
             raise ValueError(
                 "the optimizer must move each replica by itself, as ReplicaAdam does, got "

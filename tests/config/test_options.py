@@ -44,7 +44,8 @@ class Narrow(ExploreOption):
     \"\"\"Greedy, and patient.\"\"\"
 
     name: str = option("narrow")
-    patience: int = setting(3, COUNT, "rounds")
+    patience: int = setting(3, COUNT, "rounds, $5 each")
+    anneal_rounds: int = setting(2, COUNT, "a key that one of 0.1.0 has, too")
 
     needs: ClassVar[tuple[str, ...]] = ("posterior",)
 
@@ -181,7 +182,8 @@ def test_an_option_of_a_folder_is_checked_and_paired_like_ours(tmp_path):
     assert compose(rest).explore.patience == 5
     assert "narrow" in options("explore")
     assert "narrow" in explorations()["bbqn"]
-    own = "  explore.patience (explore=narrow): rounds; an integer from 1 to 10**9"
+    # Hydra shows $$ as $
+    own = "  explore.patience (explore=narrow): rounds, $$5 each; an integer from 1 to 10**9"
     assert own in store.keys_of_others().splitlines()
     for command, said in {
         "explore=narrow explore.patience=0": "explore.patience must be an integer from 1 to",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-
 import pytest
 import torch
 
@@ -41,14 +39,6 @@ def test_it_plays_one_dialogue_as_a_batch_of_one(movie):
         plays = [env.rollout(env.max_agent_turns, policy)["action"].flatten() for _ in range(20)]
         actions.append(torch.cat(plays))
     assert torch.equal(*actions)
-
-
-def test_copied_with_its_environment_it_plays_in_the_copy(movie):
-    env = DialogueEnv(movie, batch_size=(200,), seed=0, slot_error_prob=0.0)
-    copied, policy = deepcopy((env, ClairvoyantPolicy(env)))
-    (rollout,) = evaluation_rollouts(copied, policy, 200)
-    assert rollout["next", "success"].any(1).double().mean() > 0.5
-    assert not list(policy.children())  # the environment is no part of it
 
 
 @pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed"])

@@ -40,7 +40,7 @@ def test_results_are_found_in_and_below_folders_once(tmp_path):
 
 
 def test_results_are_found_in_the_order_of_their_numbers(tmp_path):
-    folders = [make_run(tmp_path / name, [0.5]) for name in ("2_dqn", "10_bbqn")]
+    folders = [make_run(tmp_path / name, [0.5]) for name in ("2_dqn", "5²", "10_bbqn")]
     assert find_results([tmp_path]) == [folder.resolve() for folder in folders]
 
 
@@ -56,6 +56,9 @@ def test_runs_without_a_result_are_named_wherever_they_stand(tmp_path):
     (waiting / ".hydra").mkdir()
     (waiting / "config.yaml").rename(waiting / ".hydra" / "config.yaml")
     left_out = [folder.resolve() for folder in (stopped, failed, waiting)]
+    for other in (finished / "wandb" / "files", tmp_path / "other" / ".hydra"):
+        other.mkdir(parents=True)
+        (other / "config.yaml").write_text("lr: 1")  # of another program
     for places in ([tmp_path], [finished, stopped, failed, waiting]):
         assert find_results(places) == [finished.resolve()]
         assert find_unfinished(places) == left_out

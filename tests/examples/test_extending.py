@@ -10,7 +10,7 @@ import pytest
 import torch
 from extended import PACKAGE, SHRUNKEN
 from torch import nn
-from torchrl.data import Composite, OneHot, Unbounded
+from torchrl.data import Composite, Unbounded
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli import store
@@ -63,12 +63,6 @@ def test_an_environment_without_scripted_policies_is_not_spiked():
         check(compose(["env=chain", "protocol=quick"]))
 
 
-def _without_success(env):
-    specs = {**env.observation_spec}
-    del specs["success"]
-    env.observation_spec = Composite(specs, shape=env.batch_size)
-
-
 def _with_observation(*features):
     def change(env):
         shape = (*env.batch_size, *features)
@@ -78,20 +72,22 @@ def _with_observation(*features):
     return change
 
 
-def _with_one_hot_actions(env):
-    env.action_spec = OneHot(2, (*env.batch_size, 2))
+def _with_continuous_actions(env):
+    env.action_spec = Unbounded((*env.batch_size, 2))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_without_success, r"success, bool \[2, 3, 1\], got none$"),
         (
             _with_observation(4, 5),
             r"observation, floats \[2, 3, features\], got .* \[2, 3, 4, 5\]$",
         ),
         (_with_observation(), r"observation, floats \[2, 3, features\], got .* \[2, 3\]$"),
-        (_with_one_hot_actions, r"action, Categorical \[2, 3\], got OneHot .* \[2, 3, 2\]$"),
+        (
+            _with_continuous_actions,
+            r"action, Categorical \[2, 3\] or OneHot \[2, 3, actions\], got .* \[2, 3, 2\]$",
+        ),
     ],
 )
 def test_an_environment_that_no_agent_can_be_trained_in_is_refused(
@@ -156,13 +152,6 @@ def test_what_an_option_makes_is_checked(group, makes, message, monkeypatch, tmp
     monkeypatch.setattr(type(getattr(config, group)), "make", makes)
     with pytest.raises(ConfigError, match=f"^make of {message}$"):
         build_trainer(config, tmp_path)
-
-
-def test_an_environment_without_a_domain_is_given_none():
-    with pytest.raises(
-        ConfigError, match=r"^domain must be movie, the default, with env=chain, .*, got 'folder'$"
-    ):
-        compose(["domain=folder", "domain.path=/nowhere", *SHRUNKEN])
 
 
 @pytest.mark.parametrize("name", RUNS)

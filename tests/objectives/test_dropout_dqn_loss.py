@@ -49,6 +49,14 @@ def to_module(loss):
 
 
 @contextmanager
+def to_targets(loss):
+    """Other parameters of the frozen copy within it."""
+    target = loss.target_value_network_params.data.apply(lambda p: p + 1)
+    with TensorDict(target_value_network_params=target).to_module(loss):
+        yield
+
+
+@contextmanager
 def to_parameters(loss):
     """Other data in the parameters, as torch's own function writes them."""
     vector = nn.utils.parameters_to_vector(loss.parameters())
@@ -173,8 +181,13 @@ def test_without_a_frozen_copy_the_target_follows_the_network():
     loss(td)["loss"].backward()
 
 
-@pytest.mark.parametrize("delay_value", [False, True])
-@pytest.mark.parametrize("replace", [to_module, to_parameters])
+@pytest.mark.parametrize(
+    ("delay_value", "replace"),
+    [
+        *((False, way) for way in (to_module, to_parameters)),
+        *((True, way) for way in (to_module, to_targets, to_parameters)),
+    ],
+)
 def test_parameters_put_in_the_place_of_others_are_used(delay_value, replace):
     actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,)), Categorical(ACTIONS))
     settings = {"delay_value": delay_value}
