@@ -28,9 +28,9 @@ class EnvOption(Option):
     """Whom the agent acts with, or what.
 
     What it makes is an ``EnvBase`` of batch size [replicas, episodes] whose specs have
-    ``observation`` (one dimension of floats), a categorical ``action``, ``action_mask`` if not all
-    actions are always legal, and ``success`` (bool [replicas, episodes, 1], in the observation's
-    spec), which says that an episode has ended well. Where it is a
+    ``observation`` (one dimension of floats), a categorical or one-hot ``action``, and
+    ``action_mask`` if not all actions are always legal. It writes ``("next", "success")``, bool
+    [replicas, episodes, 1], which says that an episode has ended well. Where it is a
     :class:`~bbq_torchrl.trainers.RoundEnv`, it is told of every round.
 
     Attributes:
