@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ __all__ = [
     "METRICS",
     "OVERRIDES",
     "RESULT",
+    "folder_of",
+    "numbers_in_order",
     "write_bytes",
     "write_text",
 ]
@@ -48,6 +51,22 @@ OVERRIDES = f"{HYDRA}/overrides.yaml"
 
 LOCK = ".lock"
 """The file that is locked; the file stays, the lock ends with its process."""
+
+
+def folder_of(file: Path) -> Path:
+    """Returns the run folder of a configuration or of metrics; Hydra's own lies a folder deeper."""
+    return file.parent.parent if file.parent.name == HYDRA else file.parent
+
+
+def numbers_in_order(folder: Path | str) -> list[tuple[bool, int, str]]:
+    """Returns what sorts ``2_dqn`` before ``10_dqn``.
+
+    Examples:
+        >>> sorted(["10_dqn", "2_dqn"], key=numbers_in_order)
+        ['2_dqn', '10_dqn']
+    """
+    parts = re.findall(r"\d+|\D+", str(folder))
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,15 +1,14 @@
-"""What a person reads of an error: lines, in which no value takes more than its share; order."""
+"""What a person reads of an error: lines, in which no value takes more than its share."""
 
 from __future__ import annotations
 
-import re
 import reprlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["FaultsError", "numbers_in_order", "sentence", "shown"]
+__all__ = ["FaultsError", "sentence", "shown"]
 
 _VALUE = 200  # characters of a value: more than any that somebody typed
 _LINE = 5_000  # characters of a sentence
@@ -77,17 +76,6 @@ def sentence(error: object) -> str:
         first, *rest = map(_one_line, str(error).splitlines())
         return "\n  ".join([first, *rest])
     return _one_line(str(error))
-
-
-def numbers_in_order(text: object) -> list[tuple[bool, int, str]]:
-    """Returns what sorts ``2_dqn`` before ``10_dqn``.
-
-    Examples:
-        >>> sorted(["10_dqn", "2_dqn"], key=numbers_in_order)
-        ['2_dqn', '10_dqn']
-    """
-    parts = re.findall(r"\d+|\D+", str(text))
-    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
 def _one_line(text: str) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from os.path import expanduser
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bbq_torchrl.bayes.settings import check_choice
@@ -17,6 +15,8 @@ from bbq_torchrl.trainers import BestWeights, CheckpointFolder
 from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import torch
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
@@ -78,9 +78,7 @@ def load_run(
         >>> env.rollout(20, policy, break_when_any_done=False)  # doctest: +SKIP
     """
     if options is not None:
-        if not Path(expanduser(options)).is_dir():
-            raise ConfigError(f"options must be a folder, got {str(options)!r}")
-        load_folder(options)
+        load_folder(options, "options")
     folder = run_folder(folder)
     config = run_config(folder)
     env = config.env.make(

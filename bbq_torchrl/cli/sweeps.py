@@ -25,8 +25,15 @@ from bbq_torchrl.cli.store import compose_raw, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CONFIG, HYDRA, LOG, OVERRIDES, RESULT
-from bbq_torchrl.text import numbers_in_order, sentence, shown
+from bbq_torchrl.run_folder import (
+    CONFIG,
+    LOG,
+    OVERRIDES,
+    RESULT,
+    folder_of,
+    numbers_in_order,
+)
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -225,9 +232,7 @@ def table_of_runs(sweep: Path, jobs: int) -> str:
         sweep: the sweep's folder.
         jobs: how many jobs it has; 0 where only the sweeper knows.
     """
-    configs = (item.parent for item in sweep.rglob(CONFIG))
-    begun = {folder.parent if folder.name == HYDRA else folder for folder in configs}
-    folders = sorted(begun, key=numbers_in_order)
+    folders = sorted({folder_of(file) for file in sweep.rglob(CONFIG)}, key=numbers_in_order)
     overrides = [_overrides(folder) for folder in folders]
     shared = set(overrides[0]).intersection(*overrides) if len(overrides) > 1 else set()
     rows = [

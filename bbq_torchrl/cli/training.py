@@ -84,12 +84,18 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     )
     actor = config.agent.make_actor(task)
     loss = config.agent.make_loss(actor, task)
-    explored = config.explore.make(actor, config.agent.make_greedy(actor), task)
-    what = "a policy and a dict of metrics"
-    policy, metrics = _checked(config.explore, explored, what, nn.Module, Mapping)
-    rewarded = config.intrinsic.make(loss, task)
-    what = "a loss and a list of transforms"
-    loss, transforms = _checked(config.intrinsic, rewarded, what, nn.Module, (Iterable, Compose))
+    policy, metrics = _checked(
+        config.explore,
+        config.explore.make(actor, config.agent.make_greedy(actor), task),
+        "a policy and a dict of metrics",
+        *(nn.Module, Mapping),
+    )
+    loss, transforms = _checked(
+        config.intrinsic,
+        config.intrinsic.make(loss, task),
+        "a loss and a list of transforms",
+        *(nn.Module, (Iterable, Compose)),
+    )
     transforms = [*config.agent.make_transforms(task), *transforms]
     loss = loss.to(env.device)
     return Agent(
@@ -119,7 +125,8 @@ def build_trainer(
     env = config.env.make(domain, batch, seed=config.seed, device=config.device)
     check_env(env, config.env.name, batch)
     agent = make_agent(config, env)
-    loggers = config.logger.make(run_folder, resume=config.resume is not None)
+    made = config.logger.make(run_folder, resume=config.resume is not None)
+    (loggers,) = _checked(config.logger, (made,), "a list of loggers", Iterable)
     trainer = RoundTrainer(
         env,
         agent.policy,
@@ -145,7 +152,7 @@ def build_trainer(
         max_steps=config.env.steps(),
         seed=config.seed,
         spike=spike.make(config.env.make_policy(spike.policy, env)) if spike.dialogues else None,
-        loggers=_checked(config.logger, loggers, "a list of loggers", Iterable),
+        loggers=loggers,
         callbacks=callbacks,
         evaluator=_evaluator(config, domain, agent),
         round_metrics={**agent.metrics, **_own_values(config)},
@@ -155,17 +162,16 @@ def build_trainer(
 
 
 def _checked(option: Option, made: Any, what: str, *kinds: type | tuple[type, ...]) -> Any:
-    """Returns what an option's ``make`` has made.
+    """Returns the parts that an option's ``make`` has made.
 
     Raises:
-        ConfigError: it is not of its kind; of several, not a tuple of them.
+        ConfigError: they are not of these kinds.
     """
-    parts = made if len(kinds) > 1 else (made,)
-    is_tuple = isinstance(parts, (tuple, list))
-    if not is_tuple or len(parts) != len(kinds) or not all(map(isinstance, parts, kinds)):
-        got = ", ".join(type(part).__name__ for part in (parts if is_tuple else (made,)))
+    parts = made if isinstance(made, (tuple, list)) else (made,)
+    if len(parts) != len(kinds) or not all(map(isinstance, parts, kinds)):
+        got = ", ".join(type(part).__name__ for part in parts)
         raise ConfigError(f"make of {option.group}={option.name} must return {what}, got {got}")
-    return made
+    return parts
 
 
 def _transition_keys(env: EnvBase) -> list[NestedKey]:

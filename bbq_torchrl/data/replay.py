@@ -196,12 +196,8 @@ class ReplicaReplay:
         Raises:
             ValueError: if they fill the capacity of a replica.
         """
-        full = [number for number, rows in enumerate(self.lengths) if rows >= self.capacity]
-        if full:
-            raise ValueError(
-                f"protected rows must be fewer than the capacity {self.capacity}, but they fill "
-                f"that of replica {full[0]}"
-            )
+        for buffer in self.buffers:
+            buffer.writer.check_room()
         for buffer in self.buffers:
             buffer.writer.protect()
 

@@ -55,20 +55,23 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         """The number of rows of the storage that are written in turn."""
         return int(self._storage.max_size) - self.protected
 
-    def protect(self) -> None:
-        """Protects every row that the storage holds now.
-
-        Raises:
-            ValueError: if they fill the storage, so that nothing could be written any more.
-        """
+    def check_room(self) -> None:
+        """Raises ValueError if the rows fill the storage: protected, nothing could be written."""
         rows = len(self._storage)
         if rows >= self._storage.max_size:
             raise ValueError(
                 f"protected rows must be fewer than the capacity {self._storage.max_size} of the "
                 f"storage, got {rows}"
             )
-        self.protected = rows
-        self._cursor = rows
+
+    def protect(self) -> None:
+        """Protects every row that the storage holds now.
+
+        Raises:
+            ValueError: as :meth:`check_room` does.
+        """
+        self.check_room()
+        self.protected = self._cursor = len(self._storage)
 
     def oldest_first(self) -> torch.Tensor:
         """Returns the indices of the unprotected rows from oldest to newest, shape [rows]."""

@@ -16,8 +16,8 @@ import yaml
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.run_folder import CONFIG, HYDRA, METRICS, RESULT
-from bbq_torchrl.text import numbers_in_order, sentence
+from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT, folder_of, numbers_in_order
+from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -155,14 +155,14 @@ def find_unfinished(places: Iterable[Path]) -> list[Path]:
     The result of a run that goes on to more rounds is none yet. A job of a sweep that never began
     is among them.
     """
-    unfinished = set()
-    for file in (
-        file for place in places for name in (METRICS, CONFIG) for file in place.rglob(name)
-    ):
-        folder = file.parent.parent if file.parent.name == HYDRA else file.parent
-        is_open = not (folder / RESULT).is_file() or _is_extended(folder)
-        if is_open and (file.name == METRICS or _is_of_a_run(file)):
-            unfinished.add(folder.resolve())
+    files = [file for place in places for name in (CONFIG, METRICS) for file in place.rglob(name)]
+    known = {folder_of(file).resolve(): file for file in files}  # the metrics where there are
+    unfinished = (
+        folder
+        for folder, file in known.items()
+        if (file.name == METRICS or _is_of_a_run(file))
+        and (not (folder / RESULT).is_file() or _is_extended(folder))
+    )
     return sorted(unfinished, key=numbers_in_order)
 
 

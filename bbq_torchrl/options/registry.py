@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from bbq_torchrl.options.settings import Allowed, ConfigError
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -112,18 +113,22 @@ def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
     return _OPTIONS
 
 
-def load_folder(folder: Path | str) -> None:
+def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
     """Imports the Python files of a folder, which register their options.
 
     The folder is put in front of the module path, so that a sweep's workers find them too.
+
+    Args:
+        folder: where they are.
+        given_by: the argument that named it, for the message.
 
     Raises:
         ConfigError: no such folder, a file that cannot be imported, or one that has the name of an
             option or a file of ours.
     """
-    folder = Path(expanduser(folder)).resolve()
+    given, folder = str(folder), Path(expanduser(folder)).resolve()
     if not folder.is_dir():
-        raise ConfigError(f"--config-dir must be a folder, got {folder}")
+        raise ConfigError(f"{given_by} must be a folder, got {shown(given)}")
     schemas()  # ours first: of two options of one name the folder's is refused
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))

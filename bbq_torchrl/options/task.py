@@ -84,26 +84,16 @@ def check_env(env: EnvBase, option: str, batch_size: Sequence[int]) -> None:
     if found != batch:
         got = type(env).__name__ if found is None else str(list(found))
         raise ConfigError(f"{makes} of batch size {list(batch)}, got {got}")
-    observation = env.observation_spec.get("observation", None)
-    action = env.full_action_spec.get("action", None)
     rows = ", ".join(map(str, batch))
-    one_hot = isinstance(action, OneHot) and action.shape[:-1] == batch
-    for name, spec, fits, wanted in (
-        (
-            "observation",
-            observation,
-            observation is not None
-            and observation.dtype.is_floating_point
-            and observation.shape[:-1] == batch,
-            f"floats [{rows}, features]",
-        ),
-        (
-            "action",
-            action,
-            one_hot or (isinstance(action, Categorical) and action.shape == batch),
-            f"Categorical [{rows}] or OneHot [{rows}, actions]",
-        ),
-    ):
-        if not fits:
-            got = "none" if spec is None else f"{type(spec).__name__} {list(spec.shape)}"
-            raise ConfigError(f"{makes} whose specs have {name}, {wanted}, got {got}")
+
+    def refusal(name: str, spec: TensorSpec | None, wanted: str) -> ConfigError:
+        got = "none" if spec is None else f"{type(spec).__name__} {list(spec.shape)}"
+        return ConfigError(f"{makes} whose specs have {name}, {wanted}, got {got}")
+
+    spec = env.observation_spec.get("observation", None)
+    if spec is None or not spec.dtype.is_floating_point or spec.shape[:-1] != batch:
+        raise refusal("observation", spec, f"floats [{rows}, features]")
+    spec = env.full_action_spec.get("action", None)
+    is_index = isinstance(spec, Categorical) and spec.shape == batch
+    if not is_index and not (isinstance(spec, OneHot) and spec.shape[:-1] == batch):
+        raise refusal("action", spec, f"Categorical [{rows}] or OneHot [{rows}, actions]")

@@ -122,7 +122,7 @@ def test_a_state_that_is_not_full_fits_another_capacity():
 def test_what_cannot_be_protected_in_all_replicas_is_protected_in_none():
     replay = ReplicaReplay(5, replicas=2, keys=KEYS)
     replay.extend([rows(0, 3), rows(0, 5)])
-    with pytest.raises(ValueError, match="they fill that of replica 1"):
+    with pytest.raises(ValueError, match="fewer than the capacity 5 of the storage, got 5"):
         replay.protect()
     assert replay.protected == (0, 0)
 
@@ -147,7 +147,7 @@ EMPTY = r"every replica needs a transition to learn from, got \(0,\)"
         (lambda replay: replay.extend([rows(0, 1)]), "a list of 2 TensorDicts, .*, got list of 1"),
         (lambda replay: replay.extend(rows(0, 2)), "one for each replica, got TensorDict of 2"),
         (lambda replay: replay.seed([1, 2, 3]), "seeds must be 2, one for each replica, got 3"),
-        (lambda replay: replay.protect(), "fewer than the capacity 5, but .* replica 0"),
+        (lambda replay: replay.protect(), "fewer than the capacity 5 of the storage, got 5"),
         (lambda replay: ReplicaReplay(5).epoch(2), EMPTY),
         (lambda replay: ReplicaReplay(5).compute("x", abs), EMPTY),
         (
