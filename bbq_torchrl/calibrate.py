@@ -22,8 +22,6 @@ from bbq_torchrl.text import shown
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["Calibration", "calibrate", "main"]
-
 USAGE = """\
 usage: python -m bbq_torchrl.domains calibrate [<key>=<value> ...]
 

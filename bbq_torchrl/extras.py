@@ -10,8 +10,6 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
 
-__all__ = ["install_command", "needed"]
-
 _PACKAGE = Path(__file__).resolve().parent
 
 

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, TypeGuard, TypeVar, cast
 if TYPE_CHECKING:
     from torch import nn
 
-__all__ = ["modules_with", "provides"]
-
 Hooks = TypeVar("Hooks")
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
 
-__all__ = ["Interrupted", "check", "exit_code", "gently", "line", "listen", "tell"]
-
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -21,18 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from typing import TextIO
 
-__all__ = [
-    "NOT_WRITTEN",
-    "NO_READER",
-    "Parser",
-    "between",
-    "collected",
-    "complain",
-    "refusing",
-    "settle",
-    "write",
-]
-
 Given = ParamSpec("Given")
 
 NOT_WRITTEN = 1

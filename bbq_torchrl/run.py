@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers.hooks import RoundCallback
 
-__all__ = ["run"]
-
 _LOG = logging.getLogger(__name__)
 
 

@@ -9,22 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = [
-    "CHECKPOINTS",
-    "CONFIG",
-    "CURVE",
-    "HYDRA",
-    "LOCK",
-    "LOG",
-    "METRICS",
-    "OVERRIDES",
-    "RESULT",
-    "folder_of",
-    "numbers_in_order",
-    "write_bytes",
-    "write_text",
-]
-
 CONFIG = "config.yaml"
 """The composed configuration."""
 

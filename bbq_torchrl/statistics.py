@@ -9,8 +9,6 @@ from scipy import stats
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["CONFIDENCE", "half_width", "holm"]
-
 CONFIDENCE = 0.95
 
 

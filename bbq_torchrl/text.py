@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["FaultsError", "sentence", "shown"]
-
 _VALUE = 200  # characters of a value: more than any that somebody typed
 _LINE = 5_000  # characters of a sentence
 _FAULTS = 100  # lines

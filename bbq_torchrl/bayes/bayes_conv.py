@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from torch import Tensor
     from typing_extensions import Unpack
 
-__all__ = ["BayesConv2d"]
-
 
 class BayesConv2d(BayesLayer):
     """A 2d convolution with a Gaussian over every weight and bias.

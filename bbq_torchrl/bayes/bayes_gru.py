@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.bayes.scope import WeightMode
 
-__all__ = ["BayesGRU"]
-
 
 class BayesGRU(BayesLayer):
     """A layer of gated recurrent units (as ``nn.GRU``) with a Gaussian over every weight and bias.

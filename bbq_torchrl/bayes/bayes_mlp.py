@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from torch import Tensor
     from typing_extensions import Unpack
 
-__all__ = ["BayesLinear", "BayesMLP"]
-
 
 class BayesMLP(BayesLayer):
     """A ReLU network with a Gaussian over every weight and bias (Blundell et al. 2015).

@@ -22,18 +22,6 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-__all__ = [
-    "FlatLayout",
-    "affine",
-    "affine_of_own_draws",
-    "as_rows",
-    "init_linear_",
-    "mlp",
-    "mlp_local",
-    "once_differentiable",
-    "run_layers",
-]
-
 Result = TypeVar("Result")
 
 _relu_backward = torch.ops.aten.threshold_backward.grad_input

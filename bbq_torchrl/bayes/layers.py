@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.bayes.scope import WeightScope
 
-__all__ = ["BayesLayer", "LayerSettings", "MeanInit", "own_weights_of_rows"]
-
 MeanInit = Literal["zero", "kaiming"]
 
 

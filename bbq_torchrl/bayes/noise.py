@@ -19,15 +19,6 @@ from torch import Tensor
 if TYPE_CHECKING:
     from bbq_torchrl.bayes.posterior import GaussianPosterior
 
-__all__ = [
-    "NoisePool",
-    "NoiseSource",
-    "SharedNoise",
-    "fill_kept_",
-    "fill_normal_",
-    "is_transformed",
-]
-
 _LEVELS = 2**16  # 16 random bits a number
 _WORTHWHILE = 2**13  # below this many numbers torch's own generator is as fast
 _DRAWS = 8

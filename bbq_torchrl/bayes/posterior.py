@@ -14,8 +14,6 @@ from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mo
 from bbq_torchrl.bayes.settings import check_choice, checked_number
 from bbq_torchrl.bayes.weight_draw import KL_KINDS, KLKind, closed_kl, draw_with_kl
 
-__all__ = ["GaussianPosterior", "inverse_softplus", "kl_divergence", "posteriors"]
-
 
 def inverse_softplus(std: Tensor) -> Tensor:
     """Returns ρ with softplus(ρ) = std, as log(expm1(std)) without overflow."""

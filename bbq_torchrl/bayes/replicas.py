@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from torch import nn
 
-__all__ = ["replica_shape", "replicas_of"]
-
 
 def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:
     """Returns the leading shape that replicas give to weights and data: 5 is (5,).

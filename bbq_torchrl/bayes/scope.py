@@ -27,16 +27,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.bayes.noise import NoiseSource
     from bbq_torchrl.bayes.posterior import GaussianPosterior
 
-__all__ = [
-    "WEIGHT_MODES",
-    "KLSum",
-    "WeightMode",
-    "WeightScope",
-    "current_scope",
-    "resolve_weight_mode",
-    "weight_scope",
-]
-
 WeightMode = Literal["draw", "local", "mean"]
 WEIGHT_MODES: tuple[str, ...] = get_args(WeightMode)
 

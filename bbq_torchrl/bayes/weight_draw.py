@@ -19,8 +19,6 @@ from bbq_torchrl.bayes.noise import is_transformed
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["KL_KINDS", "KLKind", "closed_kl", "draw_with_kl"]
-
 KLKind = Literal["closed", "sampled"]
 KL_KINDS: tuple[str, ...] = get_args(KLKind)
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
 
-__all__ = ["main"]
-
 _KEY = "BBQ_ENDPOINT_KEY"
 
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.simulator import Simulator
 
-__all__ = ["Reason", "Reasons", "TrainedAgent"]
-
 DRAWS = 300
 """Draws of the Q-values behind bands and probabilities."""
 

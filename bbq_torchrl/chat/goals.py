@@ -11,8 +11,6 @@ from bbq_torchrl.study.outcome import Judge
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain, Goal
 
-__all__ = ["REASONS", "choose_goal"]
-
 REASONS = {
     "no offer": "no booking was offered",
     "wishes": "the last offer did not hold all of your wishes",

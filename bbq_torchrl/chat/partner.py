@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     Ears = Understander | EndpointUnderstander
     Mouth = Generator | EndpointGenerator
 
-__all__ = ["Answer", "Partner", "as_act"]
-
 
 @dataclass(frozen=True)
 class Answer:

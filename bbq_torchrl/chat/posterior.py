@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torch import Tensor
 
-__all__ = ["path_draws", "q_draws"]
-
 
 def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor | None:
     """Returns draws of the Q-values in one state, ``[*replicas, draws, N]``.

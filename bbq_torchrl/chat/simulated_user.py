@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.study import Frame as Act
     from bbq_torchrl.study import Study
 
-__all__ = ["SimulatedUser", "make_users"]
-
 _MULTIPLE_CHOICE = "multiple_choice"
 
 

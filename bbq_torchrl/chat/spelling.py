@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["Spelling"]
-
 
 class Spelling:
     """The one spelling that each value of a domain has in a conversation.

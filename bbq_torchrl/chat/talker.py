@@ -19,8 +19,6 @@ from bbq_torchrl.study import Reply, StudyError
 if TYPE_CHECKING:
     from bbq_torchrl.study import Study
 
-__all__ = ["AgentTalker", "make_talker"]
-
 
 class AgentTalker:
     """The agents of a study, of run folders or shipped: text in, text out, frames and beliefs.

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.chat.partner import Answer, Partner
     from bbq_torchrl.domains import Goal
 
-__all__ = ["Chat", "console", "prompt"]
-
 COMMANDS = {
     "/acts": "what was understood, and what the agent thinks of its best actions",
     "/why": "why it took its action and not the next one",

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language import Frame
     from bbq_torchrl.simulator import Simulator
 
-__all__ = ["Tracking"]
-
 
 class Tracking:
     """What the agent knows of one dialogue, as pure functions on a state.

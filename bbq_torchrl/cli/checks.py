@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
 
-__all__ = ["check", "check_device"]
-
 
 def check(config: Config) -> Domain | None:
     """Checks device, logger, corpus, scripted policy and checkpoint before anything runs.

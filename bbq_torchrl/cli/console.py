@@ -8,8 +8,6 @@ import sys
 from bbq_torchrl import __version__, interruption, output
 from bbq_torchrl.text import shown
 
-__all__ = ["main"]
-
 COMMANDS = {
     "train": ("bbq_torchrl.cli.train", "train an agent and evaluate it, or many (--multirun)"),
     "evaluate": ("bbq_torchrl.evaluate", "play dialogues with a run or a scripted policy"),

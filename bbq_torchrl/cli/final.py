@@ -9,7 +9,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import bbq_torchrl
-from bbq_torchrl.envs.policies import RANDOM_POLICY
+from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import (
     RunResult,
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
-
-__all__ = ["final_result"]
 
 _LOG = logging.getLogger(__name__)
 

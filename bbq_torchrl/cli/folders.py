@@ -22,15 +22,6 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
 
-__all__ = [
-    "named_folder",
-    "quoted",
-    "refuse_other_folder",
-    "reserve",
-    "run_folder",
-    "run_lock",
-]
-
 
 def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
     """Refuses the folder of a sweep for a single run, and the other way round."""

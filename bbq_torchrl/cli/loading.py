@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Config
 
-__all__ = ["LoadedRun", "load_run", "trained_policy"]
-
 
 class LoadedRun(NamedTuple):
     """What :func:`load_run` returns.

@@ -36,21 +36,6 @@ from bbq_torchrl.text import sentence, shown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = [
-    "LAUNCHER",
-    "allowed",
-    "explain",
-    "groups_of",
-    "key_of",
-    "not_an_option",
-    "refuse_second_folder",
-    "take_config_dir",
-    "too_large",
-    "train_command",
-    "unknown_key",
-    "unreadable",
-]
-
 LAUNCHER = "hydra/launcher"
 """The group of the launchers, Hydra's own."""
 

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["SingleRun", "prepare"]
-
 
 @dataclass(frozen=True)
 class SingleRun:

@@ -24,19 +24,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.results import RunResult
 
-__all__ = [
-    "NOT_SWEPT",
-    "description",
-    "folder_to_resume",
-    "is_finished",
-    "load_config",
-    "restarted_config",
-    "result_of",
-    "resumed",
-    "run_config",
-    "save_config",
-]
-
 NOT_SWEPT = "resume cannot be combined with --multirun"
 
 CHANGEABLE = (

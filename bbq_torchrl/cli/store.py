@@ -61,20 +61,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Option
 
-__all__ = [
-    "compose",
-    "compose_raw",
-    "explorations_table",
-    "keys_of_others",
-    "load_yaml",
-    "read_config",
-    "register_options",
-    "run_of",
-    "searched",
-    "session",
-    "to_config",
-]
-
 Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
 
 ROOTS = {Config: "config", EvaluateConfig: "evaluate", CalibrateConfig: "calibrate"}

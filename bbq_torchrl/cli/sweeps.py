@@ -41,14 +41,6 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
 
-__all__ = [
-    "FULL_ERROR",
-    "Sweep",
-    "prepare_sweep",
-    "refuse_unswept",
-    "table_of_runs",
-]
-
 FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
 
 _SLURM = ("slurm", "submitit_slurm")

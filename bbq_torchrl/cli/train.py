@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.cli.sweeps import Sweep
     from bbq_torchrl.domains import Domain
 
-__all__ = ["REFUSED", "UsageError", "main"]
-
 _LOG = logging.getLogger(__name__)
 
 REFUSED = 2

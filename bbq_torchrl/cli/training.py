@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers import ReplicaOptimizer
     from bbq_torchrl.trainers.hooks import RoundCallback
 
-__all__ = ["Agent", "build_trainer", "make_agent", "make_domain"]
-
 
 class Agent(NamedTuple):
     """What learns and acts.

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
 
-__all__ = ["BootstrapMask"]
-
 
 class BootstrapMask(Transform):
     """Marks the heads that learn from each transition, as it is stored (Osband et al. 2016).

@@ -9,8 +9,6 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-__all__ = ["Measured", "Seeded"]
-
 
 class Seeded(Protocol):
     """A transform with random numbers of its own. Others draw none, or from torch's generator."""

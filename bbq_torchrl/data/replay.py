@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from tensordict import NestedKey, TensorDictBase
     from torchrl.envs import Transform
 
-__all__ = ["TRANSITION_KEYS", "ReplicaReplay"]
-
 TRANSITION_KEYS: tuple[NestedKey, ...] = (
     "observation",
     "action_mask",

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.data import TensorDictReplayBuffer
 
-__all__ = ["Batch", "gather_epoch", "map_stored_rows"]
-
 _ROWS_AT_ONCE = 512
 
 

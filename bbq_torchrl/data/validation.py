@@ -14,8 +14,6 @@ from torch import Tensor
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-__all__ = ["validate_transitions"]
-
 
 def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> None:
     """Raises if a row could not be learned from; returns nothing otherwise.

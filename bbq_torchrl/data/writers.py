@@ -11,8 +11,6 @@ from torchrl.data import TensorDictRoundRobinWriter
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-__all__ = ["ProtectedRoundRobinWriter"]
-
 _PROTECTED = "protected.txt"  # beside the file of TorchRL's writer
 
 

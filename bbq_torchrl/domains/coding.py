@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.tensors import DomainTensors
 
-__all__ = ["Coding"]
-
 _SAID_BY_USERS = ("request", "inform", "deny", "thanks", "closing")
 """The acts of simulated users: an agent has learned from no others."""
 

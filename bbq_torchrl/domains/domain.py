@@ -6,13 +6,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
-from bbq_torchrl.domains.validate import ACTION_KINDS, REQUIRED_ACTS, check_domain
+from bbq_torchrl.domains.validate import ACTION_KINDS, check_domain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-
-__all__ = ["REQUIRED_ACTS", "Action", "Domain", "Goal", "ScriptedPolicySpec"]
 
 PolicyKind = Literal["script", "careful"]
 

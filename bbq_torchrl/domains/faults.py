@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-__all__ = ["DomainError", "Fault", "Place", "Source", "tell"]
-
 Place = tuple[str | int, ...]
 """A field of a domain and, where it has entries, which: ``("goals", 3)``, ``("policies", "rule")``.
 The third item of ``("error_values", slot, value)`` says which of the slot's values."""

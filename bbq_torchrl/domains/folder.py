@@ -37,16 +37,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.domain import Goal
 
-__all__ = [
-    "GOALS_FILE",
-    "MOVIE_FOLDER",
-    "RECORDS_FILE",
-    "VALUES_FILE",
-    "load_domain",
-    "movie_domain",
-    "save_data",
-]
-
 MOVIE_FOLDER = Path(__file__).parent / "movie"
 """The folder of the movie domain that comes with the package."""
 

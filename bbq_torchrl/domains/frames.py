@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.domain import Domain
 
-__all__ = ["ANY", "AVAILABLE_TEXT", "NO_MATCH_TEXT", "Frame"]
-
 ANY = RESERVED_TEXT[DONT_CARE]
 """The value of a slot that does not matter."""
 

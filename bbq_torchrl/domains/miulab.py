@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.faults import Fault
 
-__all__ = ["REFERENCE_SLOT_ERROR_PROB", "load_miulab", "read_plain_pickle"]
-
 REFERENCE_SLOT_ERROR_PROB = 0.0581
 """The slot error probability (mode ``value``) at which the rule policy succeeds in 18.3 % of the
 dialogues on the default files: 18.31 % of 500,000 at 0.058, and 0.0119 less for every 0.01 more.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.faults import Place
 
-__all__ = ["SPECIFICATION_FILE", "UniqueKeyLoader", "read_specification"]
-
 SPECIFICATION_FILE = "domain.yaml"
 
 _HARMLESS: dict[str, Any] = {

@@ -18,16 +18,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.faults import Place
 
-__all__ = [
-    "GOALS_FILE",
-    "NEEDS_VALUES",
-    "RECORDS_FILE",
-    "VALUES_FILE",
-    "read_goals",
-    "read_records",
-    "read_values",
-]
-
 RECORDS_FILE = "knowledge_base.csv"
 GOALS_FILE = "goals.jsonl"
 VALUES_FILE = "values.json"

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.domain import Domain
 
-__all__ = ["DomainTensors", "Movable", "build_vocabulary", "tensorize"]
-
 
 class Movable:
     """An object whose tensors are its attributes."""

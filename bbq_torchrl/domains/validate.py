@@ -15,16 +15,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains.domain import Action, Domain, Goal, ScriptedPolicySpec
     from bbq_torchrl.domains.faults import Place
 
-__all__ = [
-    "ACTION_KINDS",
-    "MAX_TURN_WIDTH",
-    "PRIVILEGED_POLICY",
-    "RANDOM_POLICY",
-    "REQUIRED_ACTS",
-    "check_domain",
-    "repeated",
-]
-
 REQUIRED_ACTS = (
     "request",
     "inform",

@@ -11,17 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = [
-    "AVAILABLE",
-    "DONT_CARE",
-    "FIRST_VALUE",
-    "NONE",
-    "NO_MATCH",
-    "RESERVED_TEXT",
-    "fold",
-    "value_ids",
-]
-
 NONE = 0
 """The slot holds nothing."""
 

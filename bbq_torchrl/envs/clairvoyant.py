@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torchrl.envs import EnvBase
 
-__all__ = ["ClairvoyantPolicy"]
-
 
 class ClairvoyantPolicy(TensorDictModuleBase):
     """Books as well as one can who knows the user's goal and all that was misheard.

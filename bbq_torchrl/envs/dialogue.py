@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.envs.schedule import ExtensionSchedule
     from bbq_torchrl.simulator import Channel, FeatureLayout, SlotErrorMode
 
-__all__ = ["DialogueEnv"]
-
 
 class DialogueEnv(EnvBase):
     """Dialogues of an agent with agenda-based users, any number side by side.

@@ -24,8 +24,6 @@ from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ENV_ID", "GymnasiumDialogue"]
-
 ENV_ID = "bbq_torchrl/MovieDialogue-v0"
 """What ``gymnasium.make`` knows the environment as."""
 

@@ -12,8 +12,9 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.envs.dialogue import DialogueEnv
-from bbq_torchrl.envs.policies import RANDOM_POLICY, scripted_policy
+from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.envs.text import text_channel
 from bbq_torchrl.simulator import MeasuredErrors
 from bbq_torchrl.simulator.measured_errors import (
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.envs.text import TextChannel
     from bbq_torchrl.simulator import Utterance
     from bbq_torchrl.simulator.tracker import AgentTurn
-
-__all__ = ["ERRORS_FILE", "count_errors", "errors_text", "load_errors"]
 
 ERRORS_FILE = "errors.json"
 """The counts in a domain's folder."""

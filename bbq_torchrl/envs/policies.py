@@ -18,15 +18,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = [
-    "PRIVILEGED_POLICY",
-    "RANDOM_POLICY",
-    "CarefulPolicy",
-    "SequencePolicy",
-    "UniformPolicy",
-    "scripted_policy",
-]
-
 
 class SequencePolicy(TensorDictModuleBase):
     """Plays a fixed sequence of actions, whatever happens; its last action again and again.

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
-__all__ = ["ExtensionSchedule"]
-
 
 @dataclass(frozen=True)
 class ExtensionSchedule:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language import Understander
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["TextChannel", "text_channel"]
-
 VARIANTS = 16
 """How many ways there are to say an act; the words of each are chosen anew."""
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.groups import Group
 
-__all__ = ["Ablations", "ablations_report", "find_ablations"]
-
 ABLATIONS_NOTE = """\
 Means over seeds with their 95 % Student t interval; the reference stands in every table. Others are
 compared with it by pairs: replicas of one seed, which saw the same spiked dialogues, goals and

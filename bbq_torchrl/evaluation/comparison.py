@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Pairing
 
-__all__ = ["comparison_report", "learning_table", "pair_parts", "success_table"]
-
 NOTE = """\
 The unit is the training seed, never the dialogue. Means over seeds with their 95 % Student t
 interval. IQM: interquartile mean over seeds with its 95 % bootstrap interval (none below five

@@ -18,15 +18,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.groups import Group
 
-__all__ = [
-    "draw_comparison",
-    "draw_families",
-    "draw_panels",
-    "draw_run",
-    "moving_average",
-    "save",
-]
-
 MIN_BAND = 5
 """Seeds from which on a band is drawn: of fewer it would hide the curves."""
 

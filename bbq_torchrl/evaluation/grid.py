@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Comparison
 
-__all__ = ["Grid", "deviations", "find_grid", "grid_report"]
-
 QUANTITIES = {
     "final": "Final success",
     "cumulative": "Cumulative training success",

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.evaluation.runs import Replica
 
-__all__ = ["Group", "as_typed", "label", "read_groups"]
-
 _OF_AN_AGENT = ("agent", "explore", "intrinsic")
 """Groups that make up an agent: what is compared."""
 

@@ -12,15 +12,6 @@ from scipy import integrate, stats
 
 from bbq_torchrl.statistics import CONFIDENCE
 
-__all__ = [
-    "LEVELS",
-    "WINDOW",
-    "Reach",
-    "areas",
-    "reach",
-    "rounds_to_reach",
-]
-
 LEVELS = (0.5, 0.6, 0.7, 0.8)
 """Success rates that are to be reached."""
 

@@ -13,8 +13,6 @@ from bbq_torchrl.text import shown
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["Metrics", "read_metrics"]
-
 _NEEDED = ("round", "replica", "dialogues", "success_rate")
 
 

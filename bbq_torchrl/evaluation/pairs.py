@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.statistics import Estimate
 
-__all__ = ["NOT_PAIRED", "NOT_RUN", "Comparison", "Pairing", "compare", "difference", "pair"]
-
 ALPHA = 0.05
 NOT_RUN = "not run"
 NOT_PAIRED = "not paired"

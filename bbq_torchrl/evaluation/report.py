@@ -21,8 +21,6 @@ from bbq_torchrl.evaluation.table1 import table1_report
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["main"]
-
 FORMS = {
     "table1": (
         table1_report,

@@ -16,14 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = [
-    "ReplicaResult",
-    "RunResult",
-    "TrainingEvaluation",
-    "read_result",
-    "write_json",
-]
-
 LAST = 5
 """Evaluations while training that ``last_five`` is the mean of."""
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torchrl.envs import EnvBase
 
-__all__ = ["evaluate", "evaluation_rollouts"]
-
 
 def evaluate(
     env: EnvBase, policy: Policy, dialogues: int, *, seed: int = 0, max_steps: int = 1000

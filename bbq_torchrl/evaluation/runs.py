@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.metrics import Metrics
     from bbq_torchrl.evaluation.results import ReplicaResult, RunResult
 
-__all__ = ["Replica", "find_results", "find_unfinished", "names_option", "read_run", "telling"]
-
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
 

@@ -20,15 +20,6 @@ from bbq_torchrl.statistics import CONFIDENCE, half_width
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = [
-    "Estimate",
-    "binomial_standard_error",
-    "estimate",
-    "estimate_iqm",
-    "interquartile_mean",
-    "t_test",
-]
-
 RESAMPLES = 9_999
 MIN_BOOTSTRAP = 5
 """Below so many seeds a bootstrap has too few distinct samples to mean anything."""

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.evaluation.pairs import Comparison
 
-__all__ = ["PAPER", "PaperCell", "comparisons", "draw_table1", "find_cells", "table1_report"]
-
 
 class PaperCell(NamedTuple):
     """What the paper reports of an agent, on its own corpus and with its own noise.

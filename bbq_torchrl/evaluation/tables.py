@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.groups import Group
 
-__all__ = ["Cell", "Report", "Table", "replicas_table"]
-
 NONE = "–"
 """Stands in Markdown where there is nothing."""
 

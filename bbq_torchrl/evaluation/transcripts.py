@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.envs import DialogueEnv
     from bbq_torchrl.trainers import Policy
 
-__all__ = ["transcripts"]
-
 
 def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int = 0) -> list[str]:
     """Plays dialogues and returns them as texts, a line a turn.

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.envs import EnvBase
 
-__all__ = ["RoundEvaluator"]
-
 _COLUMNS = ("eval_success_rate", "eval_reward", "eval_turns")
 
 

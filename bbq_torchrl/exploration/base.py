@@ -24,16 +24,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.bayes import GaussianPosterior
 
-__all__ = [
-    "ActorPolicy",
-    "Per",
-    "check_batch",
-    "explores",
-    "fit_posteriors",
-    "forget_draws",
-    "schedule",
-]
-
 Per = Literal["step", "episode", "round"]
 
 

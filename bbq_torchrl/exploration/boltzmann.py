@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from tensordict.utils import NestedKey
     from torch import Tensor
 
-__all__ = ["Boltzmann"]
-
 
 class Boltzmann(TensorDictModuleBase):
     """Replaces the greedy action by a draw from softmax(Q / temperature).

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
 
-__all__ = ["BootstrapSampling", "MajorityVote"]
-
 
 class _OnHeads(ActorPolicy):
     """What acts on the heads of an actor, without writing the values of all of them."""

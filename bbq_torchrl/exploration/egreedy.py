@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.data import TensorSpec
 
-__all__ = ["BatchedEGreedy"]
-
 
 class BatchedEGreedy(EGreedyModule):
     """TorchRL's ``EGreedyModule`` with an epsilon of its own for each part of the batch.

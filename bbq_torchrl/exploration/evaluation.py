@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.bayes import GaussianPosterior
 
-__all__ = ["EvaluationMode", "EvaluationPolicy"]
-
 EvaluationMode = Literal["mean", "average", "draw", "thompson"]
 
 

@@ -10,8 +10,6 @@ from bbq_torchrl.exploration.base import ActorPolicy
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-__all__ = ["Greedy"]
-
 
 class Greedy(ActorPolicy):
     """Acts greedily on the mean network, whatever the exploration type.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Protocol
 
-__all__ = ["Annealed", "Resampled"]
-
 
 class Resampled(Protocol):
     """A module that keeps something for a round, such as a draw of weights. Others keep nothing."""

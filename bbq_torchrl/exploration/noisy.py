@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torchrl.modules import QValueActor
 
-__all__ = ["NoisySampling"]
-
 
 class NoisySampling(ActorPolicy):
     """Acts greedily on noise that is new at every step (NoisyNet's exploration).

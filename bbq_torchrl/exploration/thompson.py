@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.bayes import GaussianPosterior
 
-__all__ = ["ThompsonSampling"]
-
 
 class ThompsonSampling(ActorPolicy):
     """Draws weights from the posterior and acts greedily on them.

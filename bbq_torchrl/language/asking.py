@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.frames import Understood
     from bbq_torchrl.language.understand import Understander
 
-__all__ = ["MOST_ASKS", "Asking", "repeated"]
-
 MOST_ASKS = 2
 """How often a system asks again in a row: better a mistake, which can be corrected, than no end."""
 

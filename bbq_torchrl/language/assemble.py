@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.model import Reading
 
-__all__ = ["assemble", "chosen"]
-
 _PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
 _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
 _ORDER |= {"last": -1, "latter": -1}

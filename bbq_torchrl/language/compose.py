@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.language.lexicon import Lexicon
 
-__all__ = ["Composer"]
-
 _TRIES = 8
 _ASIDES = 0.2
 _LISTS = 0.4

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.frames import Unclear
     from bbq_torchrl.language.model import Reading
 
-__all__ = ["CUES", "cues_of", "fit_confidence", "probability"]
-
 _PEOPLE = 10.0  # how much of the grammar's weights people's sentences must outweigh
 _GRAMMAR = 1.0
 _WHOLE = 0.3  # log-odds by which the whole model is more often right than those of half the lines

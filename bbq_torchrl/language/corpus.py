@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.templates import Piece
 
-__all__ = ["Example", "make_examples", "spoiled", "tag"]
-
 _SLOTLESS = tuple(
     "greeting thanks deny confirm_answer not_sure closing welcome request inform confirm_question "
     "multiple_choice".split()

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.generate import Generator
     from bbq_torchrl.language.understand import Understander
 
-__all__ = ["Endpoint", "EndpointGenerator", "EndpointUnderstander"]
-
 _LONGEST_ANSWER = 100_000
 _UNDERSTAND = (
     "You read what the user of a booking agent says. Answer by JSON only: the dialogue act, the "

@@ -7,8 +7,6 @@ from typing import Any
 
 import yaml
 
-__all__ = ["ENGLISH", "pairs", "word_set"]
-
 ENGLISH: dict[str, Any] = yaml.safe_load(
     Path(__file__).with_name("english.yaml").read_text(encoding="utf-8")
 )

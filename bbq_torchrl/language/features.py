@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.quantities import Kind
 
-__all__ = ["Features"]
-
 _LONGEST = 9
 _LONGEST_QUANTITY = 6
 QUANTITIES = ("time", "date", "count")

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from bbq_torchrl.domains.frames import Frame
 
-__all__ = ["OPENING", "Unclear", "Understood", "asked_slot"]
-
 OPENING = Frame("none")
 """What stands for the agent's last act where it has said nothing yet."""
 

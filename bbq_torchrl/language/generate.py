@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.frames import Understood
     from bbq_torchrl.language.templates import Template
 
-__all__ = ["Generator", "chance", "sentence"]
-
 _MOST_IN_CONFLICT = 4
 _MOST_CHOICES = 5
 _NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)

@@ -14,8 +14,6 @@ from torch.nn import functional
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["IntentNet", "train_intents"]
-
 _WIDTH = 48
 _BATCH = 512
 _RATE = 0.012

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["kept_understander", "language_key"]
-
 
 def kept_understander(
     domain: Domain,

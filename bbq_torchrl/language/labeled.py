@@ -21,16 +21,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.lexicon import Lexicon
     from bbq_torchrl.language.surfaces import Surfaces
 
-__all__ = [
-    "DRILLED_FILE",
-    "LEARNED_FILE",
-    "Line",
-    "as_examples",
-    "lines_of",
-    "read_lines",
-    "varied",
-]
-
 LEARNED_FILE = "learned.txt"
 """Labeled lines in a domain's folder, as people type them: learned beside the grammar's."""
 

@@ -19,8 +19,6 @@ from bbq_torchrl.language.words import compact, tokenize
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
-__all__ = ["Lexicon", "Link"]
-
 _SMALL = word_set("small")
 _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045

@@ -21,15 +21,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.generate import Generator
     from bbq_torchrl.language.understand import Understander
 
-__all__ = [
-    "VOICES",
-    "calibration_error",
-    "calibration_floor",
-    "measure_lines",
-    "measure_round_trip",
-    "score",
-]
-
 VOICES = ("terse", "chatty", "nonnative")
 LATER = ("second_held_out", "third_held_out")
 """Files of sentences that were written when phrases and features were there."""

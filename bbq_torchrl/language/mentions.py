@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.lexicon import Lexicon, Link
     from bbq_torchrl.language.model import Reading
 
-__all__ = ["LONGEST", "SHORT", "values_of"]
-
 _FAIR = 0.85  # how well words must fit a name to be taken for it
 
 LONGEST = 8

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.corpus import Example
     from bbq_torchrl.language.lexicon import Lexicon
 
-__all__ = ["Model", "Reading", "fit"]
-
 _MOST_CLAUSES = 6
 _SURE = 0.75
 

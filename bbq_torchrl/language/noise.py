@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Sequence
 
-__all__ = ["DROPPED", "as_second_language", "lowered", "slangy", "typo", "with_typos"]
-
 Tagged = list[tuple[str, str]]
 """Words, each with its tag."""
 

@@ -7,17 +7,6 @@ import re
 from bbq_torchrl.language.english import ENGLISH, word_set
 from bbq_torchrl.language.words import tokenize
 
-__all__ = [
-    "COUNT_WORDS",
-    "NUMBER_WORDS",
-    "ORDINALS",
-    "TENS",
-    "TEN_WORDS",
-    "UNITS",
-    "number_of",
-    "read_count",
-]
-
 UNITS = ENGLISH["units"].split()
 """Zero to nineteen."""
 

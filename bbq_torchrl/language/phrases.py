@@ -19,14 +19,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = [
-    "LANGUAGE_FILE",
-    "Phrases",
-    "PhrasesError",
-    "SlotPhrases",
-    "load_phrases",
-]
-
 LANGUAGE_FILE = "language.yaml"
 _GENERIC = Path(__file__).with_name("generic.yaml")
 _SECTIONS = ("rules", "user", "agent")

@@ -17,16 +17,6 @@ from bbq_torchrl.language.words import tokenize
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-__all__ = [
-    "KINDS",
-    "READERS",
-    "Kind",
-    "kind_of",
-    "read_date",
-    "read_price",
-    "read_time",
-]
-
 Kind = Literal["text", "time", "date", "count", "price"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 

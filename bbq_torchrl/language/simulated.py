@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.domains.frames import Frame
 
-__all__ = ["play"]
-
 _BATCH = 500
 
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.language.lexicon import Lexicon
 
-__all__ = ["Surfaces"]
-
 _MATES = ENGLISH["mates"].split()
 
 

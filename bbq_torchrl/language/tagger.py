@@ -12,9 +12,6 @@ from bbq_torchrl.extras import needed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["OUTSIDE", "Span", "Tagger", "spans_of"]
-
-
 OUTSIDE = "-"
 """The tag of a word that is part of no value."""
 

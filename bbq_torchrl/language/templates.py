@@ -20,17 +20,6 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Iterator, Mapping, Sequence
 
-__all__ = [
-    "Piece",
-    "Template",
-    "TemplateError",
-    "choose",
-    "expand",
-    "is_possible",
-    "parse",
-    "plain",
-]
-
 _TOKEN = re.compile(r"[\[\]|]|\{\w*\}|<\w+>|[^\[\]|{}<>]+|.", re.DOTALL)
 _DEEPEST = 20
 

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.language.frames import Unclear
     from bbq_torchrl.language.labeled import Line
 
-__all__ = ["SENTENCES", "THRESHOLD", "Understander"]
-
 SENTENCES = 7_200
 """How many sentences of people to learn from, at most."""
 

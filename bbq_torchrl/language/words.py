@@ -7,17 +7,6 @@ import unicodedata
 
 from bbq_torchrl.language.english import pairs
 
-__all__ = [
-    "BREAKS",
-    "MAX_CHARACTERS",
-    "TextError",
-    "clean",
-    "compact",
-    "normalize",
-    "tokenize",
-    "words_of",
-]
-
 MAX_CHARACTERS = 1_000
 """The longest text that is read; nobody types more to a ticket agent."""
 

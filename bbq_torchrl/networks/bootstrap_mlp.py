@@ -14,8 +14,6 @@ from bbq_torchrl.bayes.settings import checked_number
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["BootstrapMLP"]
-
 
 class BootstrapMLP(nn.Module):
     """A ReLU network with K heads, or replicas of it (Osband et al., Bootstrapped DQN, 2016).

@@ -15,8 +15,6 @@ from bbq_torchrl.bayes.settings import check_choice
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["FlatMLP"]
-
 
 class FlatMLP(nn.Module):
     """A ReLU network, or independent replicas of it, with dropout after each hidden layer.

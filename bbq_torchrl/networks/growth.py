@@ -17,8 +17,6 @@ from bbq_torchrl.hooks import provides
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["Growing", "reset_inactive_"]
-
 
 class Growing(Protocol):
     """A network that can start with inputs and outputs that come into use later.

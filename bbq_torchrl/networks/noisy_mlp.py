@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-__all__ = ["NoisyMLP", "ReplicaNoisyLinear", "noisy_layers"]
-
-
 class ReplicaNoisyLinear(NoisyLinear):
     """TorchRL's NoisyLinear with a replica dimension and noise that belongs to a call.
 

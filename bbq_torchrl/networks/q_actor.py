@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
     from torchrl.data import TensorSpec
 
-__all__ = ["check_spec_of_one_action", "legal_actions", "masked", "q_actor", "split_actor"]
-
 
 def q_actor(
     network: nn.Module,

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from tensordict.utils import NestedKey
     from torch import Tensor, nn
 
-__all__ = ["VoteModule", "bootstrap_actor"]
-
 
 class VoteModule(TensorDictModuleBase):
     """Turns the values of K heads into an action by majority vote.

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.bayes.noise import NoiseSource
     from bbq_torchrl.objectives.value_function import Inputs
 
-__all__ = ["BBQNLoss", "Target", "TargetNoise"]
-
 Target = Literal["map", "mc"]
 TargetNoise = Literal["mean", "independent", "shared"]
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tensordict.utils import NestedKey
     from torch import Tensor
 
-__all__ = ["BootstrapDQNLoss"]
-
 
 class BootstrapDQNLoss(OneStepQLoss):
     """The DQN loss of K heads, each with its own target and its own share of the data.

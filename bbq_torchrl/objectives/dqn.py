@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.bayes.scope import WeightMode
 
-__all__ = ["DropoutDQNLoss", "NoisyDQNLoss"]
-
 
 class DropoutDQNLoss(OneStepQLoss):
     """The DQN loss of replicas of a network, dropout on in the prediction and off in the target.

@@ -8,8 +8,6 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torch import Tensor
 
-__all__ = ["BeginsEpochs", "FixedTargets", "UsesNumData"]
-
 
 class UsesNumData(Protocol):
     """A loss that weighs a prior against the number of data. Others are not told it."""

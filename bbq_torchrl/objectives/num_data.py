@@ -10,8 +10,6 @@ from torch import Tensor, nn
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["NumData"]
-
 
 class NumData(nn.Module):
     """What losses with a KL / N share: N for each replica, a buffer.

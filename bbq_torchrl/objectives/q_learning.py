@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.bayes.scope import WeightMode
     from bbq_torchrl.objectives.value_function import Inputs
 
-__all__ = ["OneStepQLoss"]
-
 
 class OneStepQLoss(DQNLoss):
     """A :class:`~torchrl.objectives.DQNLoss` for replicas of a network with uncertain weights.

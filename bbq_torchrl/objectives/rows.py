@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
-__all__ = ["row_entry", "row_weights", "rows_that_count"]
-
 
 def row_entry(tensordict: TensorDictBase, key: NestedKey, rows: torch.Size) -> Tensor | None:
     """Returns an entry with one value a row, in the shape [*rows, 1]; None where it is absent.

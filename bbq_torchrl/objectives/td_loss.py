@@ -10,8 +10,6 @@ from torch import Tensor
 from bbq_torchrl.bayes.functional import once_differentiable
 from bbq_torchrl.bayes.noise import is_transformed
 
-__all__ = ["Distance", "td_loss"]
-
 Distance = Literal["l2", "l1", "smooth_l1"]
 DISTANCES: tuple[str, ...] = get_args(Distance)
 

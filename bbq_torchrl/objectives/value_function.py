@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     Inputs: TypeAlias = Sequence[Tensor] | TensorDictBase  # entry by entry, or all of them
 
-__all__ = ["ValueFunction"]
-
 _WITH_DROPOUT = (_DropoutNd, nn.RNNBase, nn.MultiheadAttention)  # by their training flag
 
 

@@ -17,8 +17,6 @@ from bbq_torchrl.options.settings import REQUIRED
 if TYPE_CHECKING:
     from bbq_torchrl.options.root import Config
 
-__all__ = ["Option"]
-
 
 @dataclass
 class Option(ABC):

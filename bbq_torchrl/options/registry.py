@@ -23,20 +23,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options.base import Option
 
-__all__ = [
-    "ENTRY_POINTS",
-    "EXPERIMENT",
-    "GROUPS",
-    "conf_folder",
-    "config_folders",
-    "explorations",
-    "load_folder",
-    "options",
-    "options_folder",
-    "register",
-    "schemas",
-]
-
 ENTRY_POINTS = "bbq_torchrl.options"
 """The group of entry points by which an installed package offers options: each a module."""
 

@@ -33,8 +33,6 @@ from bbq_torchrl.options.settings import (
 from bbq_torchrl.options.spike import SpikeOption  # noqa: TC001
 from bbq_torchrl.options.values import check_values
 
-__all__ = ["CalibrateConfig", "Config", "EvaluateConfig", "validate"]
-
 PLAYED = integers(1, 10**7)
 DEVICE = Allowed(
     "'cpu', 'cuda' or 'cuda:<number>'",

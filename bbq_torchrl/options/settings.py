@@ -23,42 +23,6 @@ else:
     # OmegaConf has no union with a list; what a key allows checks these instead.
     Values = Any
 
-__all__ = [
-    "ABOVE_ZERO_TO_ONE",
-    "ANY_TEXT",
-    "BATCH",
-    "BELOW_ONE",
-    "BOOLEAN",
-    "COUNT",
-    "COUNTS",
-    "NON_NEGATIVE",
-    "NON_NEGATIVE_INTEGER",
-    "POSITIVE",
-    "PROBABILITY",
-    "REQUIRED",
-    "REWARD",
-    "SEED",
-    "SIZE",
-    "STEP_SIZE",
-    "THREADS",
-    "Allowed",
-    "ConfigError",
-    "Values",
-    "check_settings",
-    "filled",
-    "integers",
-    "numbers",
-    "one_of",
-    "option",
-    "optional",
-    "or_text",
-    "other_default",
-    "per_replica",
-    "setting",
-    "walk",
-]
-
-
 Schema = TypeVar("Schema")
 
 REQUIRED = "???"

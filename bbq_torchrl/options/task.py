@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from torchrl.data import TensorSpec
     from torchrl.envs import EnvBase
 
-__all__ = ["Task", "action_mask_key", "check_env"]
-
 
 @dataclass(frozen=True)
 class Task:

@@ -15,17 +15,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.options.root import Config
     from bbq_torchrl.options.task import Task
 
-__all__ = [
-    "annealed_rounds",
-    "beside_dialogues",
-    "check_falls",
-    "check_values",
-    "keys_with_lists",
-    "over_replicas",
-    "replica_values",
-    "spread",
-]
-
 
 def spread(value: Any, replicas: int) -> list[Any]:
     """Returns what each replica has: neighbors share a value where there are fewer than replicas.

@@ -18,8 +18,6 @@ from bbq_torchrl.text import sentence
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["main"]
-
 USAGE = """\
 usage: python -m bbq_torchrl.search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
 

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Config
 
-__all__ = ["SEARCH", "Search", "SearchConfig", "compose_search"]
-
 SEARCH = "search"
 """What the search's own keys begin with, and the folder of its YAML files."""
 

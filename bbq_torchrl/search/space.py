@@ -20,8 +20,6 @@ from bbq_torchrl.options.settings import (
 )
 from bbq_torchrl.text import shown
 
-__all__ = ["Choices", "Parameter", "Range", "as_entry", "parse_parameter"]
-
 NUMBER = Allowed(
     "a number",
     lambda value: type(value) in (int, float) and math.isfinite(value),

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
     from bbq_torchrl.search.definition import Search
 
-__all__ = ["run_search"]
-
 _LOG = logging.getLogger(__name__)
 _DEFINITION = "search.yaml"
 _DEFINED = "definition"

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers import RoundTrainer
     from bbq_torchrl.trainers.metrics import MetricRow
 
-__all__ = ["Outcome", "best_trial", "play_trial", "trial_name", "write_tables"]
-
 TRIALS = "trials.csv"
 BEST = "best.json"
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import torch
 
-__all__ = ["WORD_BITS", "byte_counts", "pack", "popcount"]
-
 WORD_BITS = 64
 _BYTE_BITS = 8
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import torch
 
-__all__ = ["index_below", "one_of", "pick_slot", "rows"]
-
 
 def index_below(uniform: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
     """Chooses an index below ``count``, ``floor(uniform * count)``. Returns long, same shape.

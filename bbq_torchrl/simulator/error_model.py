@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["ABOVE_IDS", "Channel", "ErrorModel", "SlotErrorMode", "Utterance"]
-
 SlotErrorMode = Literal["value", "slot", "delete", "mixed"]
 
 ABOVE_IDS = 1 << 32

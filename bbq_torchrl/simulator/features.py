@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
-__all__ = ["FeatureGroup", "FeatureLayout", "Features"]
-
 TURN_SCALE = 10.0  # acts; keeps the turn feature near the size of the flags
 COUNT_SCALE = 100.0  # records
 

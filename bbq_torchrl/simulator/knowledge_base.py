@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import DomainTensors
 
-__all__ = ["KnowledgeBase"]
-
 _BYTE_BITS = 8
 _WORD_BYTES = WORD_BITS // _BYTE_BITS
 # Dialogues to fill at a time: the temporaries hold a long for every value of a slot, and above

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["CONTEXTS", "MOST_REQUESTS", "MeasuredErrors", "questions_of", "situation_of"]
-
 CONTEXTS = ("opening", "asked", "beside", "corrected", "told")
 """Where a slot is spoken of: at the opening; where the agent has asked for it, or for another one;
 where the agent has told it; and elsewhere."""

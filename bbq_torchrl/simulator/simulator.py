@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator.features import FeatureLayout
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["Simulator"]
-
 _ACTS_PER_TURN = 2
 
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator.error_model import Utterance
     from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
-__all__ = ["AgentTurn", "Tracker"]
-
 
 @dataclass(frozen=True)
 class AgentTurn:

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.domains.frames import Frame
 
-__all__ = ["Transcript"]
-
 
 class Transcript:
     """Writes the acts of a dialogue's state as text.

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.tracker import AgentTurn
 
-__all__ = ["User"]
-
 
 class User:
     """The agenda-based user of Li et al. (2016), for any number of dialogues at once.

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
 
-__all__ = ["main"]
-
 TALKER = "bbq_torchrl.chat.talker:make_talker"
 USERS = "bbq_torchrl.chat.simulated_user:make_users"
 """Named, not imported: the study knows neither networks nor language."""

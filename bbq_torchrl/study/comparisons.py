@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.study.results import Results
 
-__all__ = ["Comparison", "Difference", "compare_pairs"]
-
 
 class Difference(NamedTuple):
     """People's differences between two agents in success, or in the overall rating.

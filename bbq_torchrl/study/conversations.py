@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.study.store import Store
     from bbq_torchrl.study.talk import Frame, Talker
 
-__all__ = ["MAX_TEXT", "Conversations", "RefusedError", "seed_of"]
-
 MAX_TEXT = 1_000
 """Characters of a message."""
 

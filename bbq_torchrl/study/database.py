@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["StoreError", "reading", "told", "writing"]
-
 _VERSION = 1
 _SCHEMA = """
 CREATE TABLE study (

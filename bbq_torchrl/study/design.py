@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["assignments", "williams_rows"]
-
 
 def williams_rows(count: int) -> list[list[int]]:
     """Returns orders of ``count`` treatments that are balanced for first-order carry-over.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.study.results import Results
 
-__all__ = ["defused", "export", "without_names"]
-
 _FORMULA = ("=", "+", "-", "@")
 _REPLACED = (
     (re.compile(r"[\w.+-]+@[\w-]+\.[\w.-]+"), "[address]"),

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.study.comparisons import Comparison
     from bbq_torchrl.study.results import Results
 
-__all__ = ["draw_ratings", "draw_success"]
-
 BAR = "#56B4E9"
 RATINGS = ("#D55E00", "#E6A277", "#DDDDDD", "#7FB3D5", "#0072B2")  # from 1 to 5
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["Guard"]
-
 MAX_BODY = 16_384
 """Bytes of a form; a message of the longest text in the widest letters has fewer."""
 

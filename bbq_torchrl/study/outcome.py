@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain, Goal
     from bbq_torchrl.study.talk import Frame
 
-__all__ = ["Judge", "card"]
-
 _NO_MATCH = fold(RESERVED_TEXT[NO_MATCH])
 _AVAILABLE = fold(RESERVED_TEXT[AVAILABLE])
 _DONT_CARE = fold(RESERVED_TEXT[DONT_CARE])

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["Study", "StudyError", "Terms", "load_study"]
-
 _MOVIE = "movie"
 _DOMAIN = f"be {_MOVIE} or a domain's folder"
 _ATTAINABLE = "attainable"

@@ -11,8 +11,6 @@ from scipy import optimize, special, stats
 
 from bbq_torchrl.study.statistics import sign_flip
 
-__all__ = ["Power", "power"]
-
 LEVEL = 0.05
 """Of the tests."""
 

@@ -6,8 +6,6 @@ from random import Random
 
 from bbq_torchrl.study.records import SCALES
 
-__all__ = ["RATING_RULE", "drawn_ratings"]
-
 RATING_RULE = (
     "Their own verdict is whether they have got what they wanted, as far as they know. Their "
     "ratings are drawn, each scale by itself: 4.5 after a yes and 2 after a no, less 0.1 for every "

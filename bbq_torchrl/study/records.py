@@ -11,8 +11,6 @@ from bbq_torchrl.study.talk import Frame
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["EXCHANGES", "SCALES", "SESSIONS", "Session", "StoredExchange", "current"]
-
 SCALES = ("overall", "naturalness", "coherence", "completion")
 """What people rate from 1 to 5; the first is the paper's one figure."""
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.study.results import Result, Results
     from bbq_torchrl.study.statistics import Interval
 
-__all__ = ["report_text", "write_report"]
-
 FIRST = 3
 """Answers of a session whose entropy could warn in time."""
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-__all__ = ["Result", "Results", "read_results"]
-
 Value = TypeVar("Value")
 
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.study.plan import Study
     from bbq_torchrl.study.talk import Frame, Talker
 
-__all__ = ["User", "simulate"]
-
 _DAY, _HOUR, _PAUSE = 86_400.0, 3_600.0, 10.0
 
 

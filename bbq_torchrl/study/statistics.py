@@ -18,17 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from fractions import Fraction
 
-__all__ = [
-    "Interval",
-    "auroc",
-    "kappa",
-    "mann_whitney",
-    "mean",
-    "proportion",
-    "sign_flip",
-    "two_by_two",
-]
-
 _Z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
 _MAX_SUMS = 5_000_000
 _RESAMPLES = 99_999

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.study.talk import Reply
 
-__all__ = ["Store"]
-
 
 class Store:
     """The data of a study, in one SQLite file, written by one thread at a time.

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["Belief", "Beliefs", "Frame", "Reply", "Talker"]
-
 
 @dataclass(frozen=True)
 class Frame:

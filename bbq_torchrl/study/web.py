@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.study.store import Store
     from bbq_torchrl.study.talk import Talker
 
-__all__ = ["JOIN", "RESEARCHER", "application"]
-
 JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-__all__ = ["TensorFiles", "read_archive"]
-
 _COMPONENT = re.compile(r"components/\d{4}-[\w.%~-]+", re.ASCII)
 _FILE = re.compile(r"state\.json|state/(meta\.json|tensor_\d{8}\.memmap)", re.ASCII)
 

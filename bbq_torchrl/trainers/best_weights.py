@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from torch import nn
 
-__all__ = ["BestWeights"]
-
 
 class BestWeights:
     """Keeps a copy of a policy's weights, for each replica as they were at its best.

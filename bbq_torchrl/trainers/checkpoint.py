@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-__all__ = ["CheckpointFolder"]
-
 _LOG = logging.getLogger(__name__)
 _SUFFIX = ".torchrl"
 _NAME = re.compile(r"round-(\d{6,})\.torchrl")

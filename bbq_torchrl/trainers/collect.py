@@ -17,16 +17,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.data import ReplicaReplay
 
-__all__ = [
-    "EpisodeStats",
-    "Policy",
-    "collect_dialogues",
-    "episode_stats",
-    "rollout",
-    "rollouts",
-    "rows_per_replica",
-]
-
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
 

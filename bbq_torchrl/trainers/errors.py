@@ -7,14 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = [
-    "CheckpointDamagedError",
-    "CheckpointMismatchError",
-    "NonFiniteLossError",
-    "SpikeError",
-    "TrainingError",
-]
-
 
 class TrainingError(ValueError):
     """What stops a training, or keeps one from going on; its text is enough for a person."""

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.metrics import MetricRow
     from bbq_torchrl.trainers.round_trainer import RoundTrainer
 
-__all__ = ["EvaluationHook", "RoundCallback", "RoundEnv", "enter_round"]
-
 
 class RoundEnv(Protocol):
     """An environment that changes with the rounds (domain extension). Others stay as they are."""

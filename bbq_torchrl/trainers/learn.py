@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.data import Batch, ReplicaReplay
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
 
-__all__ = ["Learner", "LossSums", "Update"]
-
-
 _AT_ONCE = 64
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from torchrl.record.loggers import Logger
 
-__all__ = ["MetricRow", "MetricsFile"]
-
 MetricRow = dict[str, int | float]
 """A round's metrics of one replica."""
 

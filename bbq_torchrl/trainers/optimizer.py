@@ -12,8 +12,6 @@ from torch.optim.adam import adam
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["ReplicaAdam", "ReplicaOptimizer"]
-
 
 class ReplicaOptimizer(Protocol):
     """What moves parameters whose first dimension are replicas that must not touch one another.

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.trainers.metrics import MetricRow
 
-__all__ = ["RoundProgress"]
-
 _LOG = logging.getLogger(__name__)
 
 LINES = 40

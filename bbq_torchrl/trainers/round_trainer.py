@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
     from bbq_torchrl.trainers.spiking import Spike
 
-__all__ = ["RoundTrainer"]
-
 
 @dataclass(eq=False)
 class RoundTrainer:

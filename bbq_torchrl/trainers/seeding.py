@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 
-__all__ = ["derive_seed"]
-
 
 def derive_seed(seed: int, *path: str | int) -> int:
     """Returns the seed of one phase of a run, in [0, 2**63): a hash of the run's seed and a path.

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.data import ReplicaReplay
 
-__all__ = ["Spike"]
-
 _LOG = logging.getLogger(__name__)
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.bayes.layers import LayerSettings
     from bbq_torchrl.bayes.scope import WeightMode
 
-__all__ = ["DynamicsModel"]
-
 
 class DynamicsModel(nn.Module):
     """A Bayesian network that predicts the next state (VIME, Houthooft et al. 2016).

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.vime.dynamics import DynamicsModel
 
-__all__ = ["DynamicsLoss"]
-
 
 class DynamicsLoss(NumData, LossModule):
     """Negative evidence bound of a dynamics model, per transition.

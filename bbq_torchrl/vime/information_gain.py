@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.vime.dynamics import DynamicsModel
 
-__all__ = ["information_gain"]
-
 
 @torch.no_grad()
 def information_gain(

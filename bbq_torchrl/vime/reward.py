@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.vime.dynamics import DynamicsModel
 
-__all__ = ["GainWeights", "VIMEReward"]
-
 GainWeights = Literal["map", "mc"]
 
 _PIECE = 256  # rows worked on at a time, so that none depends on how many others there are

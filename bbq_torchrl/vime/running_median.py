@@ -10,8 +10,6 @@ from torch import Tensor, nn
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["RunningMedian"]
-
 
 class RunningMedian(nn.Module):
     """The median of the medians of the last calls, each replica its own.

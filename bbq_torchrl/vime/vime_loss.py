@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.vime.dynamics_loss import DynamicsLoss
 
-__all__ = ["VIMELoss"]
-
 
 class VIMELoss(LossModule):
     """Runs a Q-learning loss and a :class:`DynamicsLoss` on the same batch.

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.bayes.bayes_mlp import MeanInit
     from bbq_torchrl.trainers import ReplicaOptimizer
 
-__all__ = ["Agent", "Settings", "default_settings", "make_agent"]
-
 ACTION = Categorical(2)
 
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from tensordict import TensorDictBase
 
-__all__ = ["DeepSeaEnv"]
-
 MOVE_COST = 0.01
 """What N steps to the right cost, in units of the treasure."""
 

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["AGENT_NAMES", "RESULTS", "Line", "append", "read", "table", "typical"]
-
 AGENT_NAMES = {
     "epsilon_greedy": "ε-greedy",
     "bootstrap": "bootstrap",

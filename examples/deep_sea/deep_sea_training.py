@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from tensordict import NestedKey
     from torch import Tensor
 
-__all__ = ["DiveMemory", "reaches_treasure", "train"]
-
 SOLVED_SHARE = 0.1
 """Share of all episodes so far that must have found the treasure."""
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from scripts.movie_corpus.dice import Dice
     from scripts.movie_corpus.records import Record
 
-__all__ = ["GoalWriter"]
-
 # What goals request besides the ticket, and how many goals request just that. Of moviename,
 # theater, starttime and date each goal constrains those that it does not request.
 REQUESTS = {

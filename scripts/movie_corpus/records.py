@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from scripts.movie_corpus.dice import Dice
 
-__all__ = ["SHARES", "Record", "RecordWriter", "make_values"]
-
 Record = dict[str, str]
 
 ROWS = 1000

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Config, Task
 
-__all__ = ["BBQN", "EVALUATION_MODES"]
-
 EVALUATION_MODES = ("mean", "average", "draw", "thompson")
 """The policies that a Bayesian agent can be evaluated by."""
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Config, Task
 
-__all__ = ["Bootstrap"]
-
 
 @register
 @dataclass

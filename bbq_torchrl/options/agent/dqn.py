@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Config, Task
 
-__all__ = ["DQN"]
-
 
 @register
 @dataclass

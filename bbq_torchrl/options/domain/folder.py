@@ -11,8 +11,6 @@ from bbq_torchrl.options.settings import ANY_TEXT, REQUIRED, option, setting
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
-__all__ = ["FolderDomain"]
-
 
 @register
 @dataclass

@@ -11,8 +11,6 @@ from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, option, se
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
-__all__ = ["MiuLabDomain"]
-
 
 @register
 @dataclass

@@ -11,8 +11,6 @@ from bbq_torchrl.options.settings import option
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
-__all__ = ["MovieDomain"]
-
 
 @register
 @dataclass

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs import ExtensionSchedule
 
-__all__ = ["DomainExtension"]
-
 
 @register
 @dataclass

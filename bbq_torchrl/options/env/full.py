@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
     from bbq_torchrl.simulator import Channel
 
-__all__ = ["FullDomain"]
-
 
 @register
 @dataclass
@@ -151,7 +149,7 @@ class FullDomain(EnvOption):
 
     def references(self, domain: Domain | None) -> tuple[str, ...]:
         """The one that knows the user's goal."""
-        from bbq_torchrl.envs.policies import PRIVILEGED_POLICY
+        from bbq_torchrl.domains.validate import PRIVILEGED_POLICY
 
         return (PRIVILEGED_POLICY,)
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Config, Exploration, Task
 
-__all__ = ["BoltzmannActing"]
-
 
 @register
 @dataclass

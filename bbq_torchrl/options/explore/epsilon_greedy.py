@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Config, Exploration, Task
 
-__all__ = ["EpsilonGreedy"]
-
 
 @register
 @dataclass

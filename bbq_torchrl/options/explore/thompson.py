@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Exploration, Task
 
-__all__ = ["Thompson"]
-
 
 @register
 @dataclass

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Task
 
-__all__ = ["VIME"]
-
 
 @register
 @dataclass

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from torchrl.record.loggers import Logger
 
-__all__ = ["CSV"]
-
 
 @register
 @dataclass

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from torchrl.record.loggers import Logger
 
-__all__ = ["WandB"]
-
 
 @register
 @dataclass

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from bbq_torchrl.options import ProtocolOption, register
 from bbq_torchrl.options.settings import option, other_default
 
-__all__ = ["QuickProtocol"]
-
 
 @register
 @dataclass

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from bbq_torchrl.options import SpikeOption, register
 from bbq_torchrl.options.settings import Allowed, option, setting
 
-__all__ = ["NoSpike"]
-
 
 @register
 @dataclass

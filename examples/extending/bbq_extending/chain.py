@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-__all__ = ["Chain"]
-
 
 @register
 @dataclass

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from tensordict import TensorDictBase
 
-__all__ = ["ChainEnv"]
-
 
 class ChainEnv(EnvBase):
     """A walk of N + 9 steps along N states, from the second one, to the left (0) or right (1).

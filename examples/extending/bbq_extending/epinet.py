@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Exploration, Task
 
-__all__ = ["Epinet", "IndexActing"]
-
 
 @register
 @dataclass

@@ -12,8 +12,6 @@ from bbq_torchrl.networks import FlatMLP
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["EpinetMLP"]
-
 
 class EpinetMLP(nn.Module):
     r"""A ReLU network with an epinet beside it, or replicas of both (Osband et al., 2023).

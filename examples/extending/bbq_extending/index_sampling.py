@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.modules import QValueActor
 
-__all__ = ["INDEX", "IndexLoss", "IndexSampling"]
-
 INDEX = "index"
 """Entry that holds the index, [*batch, index_size]."""
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Task
     from bbq_torchrl.trainers import ReplicaOptimizer
 
-__all__ = ["Langevin"]
-
 
 @register
 @dataclass

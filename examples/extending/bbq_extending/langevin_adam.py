@@ -10,8 +10,6 @@ from torch import Tensor, nn
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["LangevinAdam"]
-
 
 class LangevinAdam:
     r"""Samples weights by Langevin dynamics whose drift Adam adapts (Ishfaq et al., ICLR 2024).

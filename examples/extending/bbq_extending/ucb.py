@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Exploration, Task
 
-__all__ = ["UCB"]
-
 
 @register
 @dataclass

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torchrl.modules import QValueActor
 
-__all__ = ["UpperConfidence"]
-
 
 class UpperConfidence(TensorDictModuleBase):
     """Takes the action of the highest mean + coefficient · std over draws of the weights.

@@ -11,8 +11,6 @@ from torchrl.envs import Transform
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-__all__ = ["VisitReward"]
-
 
 class VisitReward(Transform):
     """Adds eta / √n to the reward of a transition to a state that was stored n times.

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.options import Task
 
-__all__ = ["Visits"]
-
 
 @register
 @dataclass
