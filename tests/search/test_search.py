@@ -36,54 +36,42 @@ class Killed(BaseException):
     """What ends a process."""
 
 
-class Diverged(TrainingError):
-    """What a trial's values are to blame for."""
+def success(lr):
+    return max(0.0, 1 - abs(math.log10(float(lr)) + 3))
 
 
 class Training:
-    """A training whose success in each round is a function of the learning rate.
+    """A training of three replicas, whose success is a function of the learning rate.
 
-    It keeps the rounds that are done in its folder, as the real one does in its checkpoints, and
-    is killed in the round ``dies_in`` = (trial, round).
+    It keeps the number of its rounds in its folder, as the real one does in its checkpoints.
+    ``fails`` has what is raised, by trial and round.
     """
 
-    def __init__(self, dies_in=None, diverges=(), error=Diverged):
-        self.error = error
-        self.dies_in = dies_in
-        self.diverges = diverges
-        self.played = []
+    def __init__(self, fails=()):
+        self.fails, self.played = dict(fails), []
 
     def __call__(self, config, folder, callbacks, *, domain):
         save_config(dataclasses.replace(config, resume=None), folder / "config.yaml")
-        kept = folder / "rounds.json"
-        done = json.loads(kept.read_text()) if kept.exists() else 0
+        kept, trial = folder / "rounds.json", int(folder.name.removeprefix("trial_"))
         assert (config.resume is not None) == kept.exists()
-        success = max(0.0, 1 - abs(math.log10(config.agent.lr) + 3))
-        trial = int(folder.name.rpartition("_")[2])
-        while done < ROUNDS:
-            if self.dies_in == (trial, done):
-                raise Killed
-            if trial in self.diverges and done == 2:
-                raise self.error("the loss is\nnot finite")
-            done += 1
-            self.played.append((trial, done))
-            rows = [
-                {"success_rate": success * shade} for _ in range(done) for shade in (0.9, 1.0, 1.1)
-            ]
-            trainer = SimpleNamespace(
-                rounds_done=done,
-                metrics=SimpleNamespace(rows=rows),
-                rounds=ROUNDS,
-            )
+        done = json.loads(kept.read_text()) if kept.exists() else 0
+        replicas = [success(config.agent.lr) * shade for shade in (0.9, 1.0, 1.1)]
+        rows = [{"success_rate": rate} for rate in replicas]
+        for number in range(done + 1, ROUNDS + 1):
+            if (trial, number) in self.fails:
+                raise self.fails[trial, number]
+            self.played.append((trial, number))
+            metrics = SimpleNamespace(rows=rows * number)
+            trainer = SimpleNamespace(rounds_done=number, rounds=ROUNDS, metrics=metrics)
             for callback in callbacks:
-                callback(trainer, rows[-3:])
-            kept.write_text(json.dumps(done))
-        return SimpleNamespace(
-            per_replica=[
-                SimpleNamespace(training_success=success * shade, success_rate=success / 2 * shade)
-                for shade in (0.9, 1.0, 1.1)
-            ]
-        )
+                callback(trainer, rows)
+            kept.write_text(json.dumps(number))
+        results = [SimpleNamespace(training_success=r, success_rate=r / 2) for r in replicas]
+        return SimpleNamespace(per_replica=results)
+
+    @property
+    def trials(self):
+        return {trial for trial, _ in self.played}
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +92,9 @@ def composed_once(plain, monkeypatch):
     monkeypatch.setattr(Search, "config", config)
 
 
-def search(folder, *arguments, trials=4, of="dqn"):
-    return compose_search(
+def search(folder, *arguments, trials=4, of="dqn", training=None, **more):
+    """Searches. Returns what was best."""
+    defined = compose_search(
         [
             f"search={Path(__file__).with_name(f'{of}.yaml')}",
             f"protocol.rounds={ROUNDS}",
@@ -115,107 +104,23 @@ def search(folder, *arguments, trials=4, of="dqn"):
             *arguments,
         ]
     )
+    return run_search(defined, training or Training(), **more)
 
 
 def table(folder):
-    """trials.csv without its times."""
     return rows(folder / "trials.csv")
 
 
 def test_the_best_trial_is_written_down_with_the_command_that_trains_it(tmp_path):
-    best = run_search(search(tmp_path, "search.pruner=none"), Training())
-    rows = table(tmp_path)
-    values = [float(row["value"]) for row in rows]
-    assert [row["state"] for row in rows] == ["complete"] * 4
-    assert best["value"] == max(values)
-    assert best["trial"] == values.index(max(values))
+    best = search(tmp_path, "search.pruner=none")
+    values = [float(row["value"]) for row in table(tmp_path)]
+    assert [row["state"] for row in table(tmp_path)] == ["complete"] * 4
+    assert (best["value"], best["trial"]) == (max(values), values.index(max(values)))
     assert json.loads((tmp_path / "best.json").read_text()) == best
     program, script, *overrides = shlex.split(best["command"])
     assert (program, script) == ("python", "train.py")
-    config = compose(overrides)
-    assert config.agent.lr == best["values"]["agent.lr"] == float(rows[best["trial"]]["agent.lr"])
-    assert best["value"] == pytest.approx(max(0.0, 1 - abs(math.log10(config.agent.lr) + 3)))
-
-
-@pytest.mark.parametrize("trials", [5, 9])
-def test_of_choices_alone_none_is_tried_twice(tmp_path, trials):
-    run_search(search(tmp_path, "search.pruner=none", trials=trials, of="choices"), Training())
-    tried = [(row["agent.lr"], row["explore.eps_init"]) for row in table(tmp_path)]
-    assert len(tried) == len(set(tried)) == min(trials, 3 * 2)
-
-
-@pytest.mark.parametrize(("of", "trial"), [("dqn", 0), ("dqn", 2), ("choices", 3)])
-def test_a_search_that_was_killed_ends_as_one_that_was_not(tmp_path, of, trial):
-    run_search(search(tmp_path / "whole", of=of), Training())
-    parts = search(tmp_path / "parts", of=of)
-    first, second = Training(dies_in=(trial, 1)), Training()
-    with pytest.raises(Killed):
-        run_search(parts, first)
-    run_search(parts, second)
-    assert table(tmp_path / "parts") == table(tmp_path / "whole")
-    # Finished trials were not played again, and the killed one from where it was.
-    assert second.played[0] == (trial, 2)
-    assert {number for number, _ in second.played} == set(range(trial, 4))
-
-
-def test_a_finished_search_is_extended_by_more_trials(tmp_path):
-    run_search(search(tmp_path, trials=2), Training())
-    before = table(tmp_path)
-    again = Training()
-    run_search(search(tmp_path, trials=2), again)
-    assert again.played == []
-    run_search(search(tmp_path, trials=3), again)
-    assert table(tmp_path)[:2] == before
-    assert {number for number, _ in again.played} == {2}
-
-
-def test_two_processes_never_work_at_the_same_trial(tmp_path):
-    inner = Training()
-
-    class Meanwhile(Training):
-        def __call__(self, config, folder, callbacks, *, domain):
-            if not inner.played:  # while this trial is under way, another process does the rest
-                run_search(search(tmp_path), inner)
-            return super().__call__(config, folder, callbacks, domain=domain)
-
-    outer = Meanwhile()
-    run_search(search(tmp_path), outer)
-    assert {number for number, _ in outer.played} == {0}
-    assert {number for number, _ in inner.played} == {1, 2, 3}
-    assert len(table(tmp_path)) == 4
-
-
-def test_a_trial_that_diverges_is_noted_and_the_search_goes_on(tmp_path):
-    best = run_search(search(tmp_path, trials=3), Training(diverges=[1]))
-    rows = table(tmp_path)
-    assert [row["state"] for row in rows] == ["complete", "fail", "complete"]
-    assert rows[1]["reason"] == "the loss is not finite"
-    assert best["trial"] != 1
-
-
-def test_an_error_that_the_values_are_not_to_blame_for_ends_the_search(tmp_path):
-    with pytest.raises(KeyError):
-        run_search(search(tmp_path, trials=2), Training(diverges=[0], error=KeyError))
-    run_search(search(tmp_path, trials=2), Training())
-    assert [row["state"] for row in table(tmp_path)] == ["complete", "complete"]
-
-
-def test_nothing_is_best_where_no_trial_was_completed(tmp_path):
-    assert run_search(search(tmp_path, trials=1), Training(diverges=[0])) is None
-    assert not (tmp_path / "best.json").exists()
-
-
-def test_a_trial_below_the_median_of_the_others_is_stopped_after_its_grace(tmp_path):
-    run_search(search(tmp_path, "search.prune_after=.5", trials=8), Training())
-    rows = table(tmp_path)
-    pruned = [row for row in rows if row["state"] == "pruned"]
-    complete = [float(row["value"]) for row in rows if row["state"] == "complete"]
-    assert pruned
-    assert {int(row["rounds"]) for row in pruned} == {3}  # half of 4 rounds, and the one that tells
-    assert all(row["state"] == "complete" for row in rows[:2])
-    for row in pruned:
-        success = max(0.0, 1 - abs(math.log10(float(row["agent.lr"])) + 3))
-        assert success < max(complete)
+    lr = compose(overrides).agent.lr
+    assert lr == best["values"]["agent.lr"] == float(table(tmp_path)[best["trial"]]["agent.lr"])
 
 
 @pytest.mark.parametrize(
@@ -224,43 +129,53 @@ def test_a_trial_below_the_median_of_the_others_is_stopped_after_its_grace(tmp_p
 )
 def test_the_objective_is_the_success_that_was_chosen(tmp_path, objective, statistic, share):
     chosen = [f"search.objective={objective}", f"search.statistic={statistic}"]
-    best = run_search(search(tmp_path, *chosen, trials=1), Training())
-    success = max(0.0, 1 - abs(math.log10(best["values"]["agent.lr"]) + 3))
-    assert best["value"] == pytest.approx(share * success)
+    best = search(tmp_path, *chosen, trials=1)
+    assert best["value"] == pytest.approx(share * success(best["values"]["agent.lr"]))
 
 
-@pytest.mark.parametrize(
-    ("changed", "key"),
-    [
-        ("search.objective=final", "search.objective=training"),
-        ("search.space.agent.lr.high=.1", "search.space.agent.lr="),
-        ("replicas=2", "fixed="),
-    ],
-)
-def test_a_folder_is_not_used_for_another_search(tmp_path, changed, key):
-    run_search(search(tmp_path, trials=1), Training())
-    with pytest.raises(ConfigError, match="choose another") as refused:
-        run_search(search(tmp_path, changed, trials=2), Training())
-    assert f"holds a search with {key}" in str(refused.value)
+@pytest.mark.parametrize("trials", [5, 9])
+def test_of_choices_alone_none_is_tried_twice(tmp_path, trials):
+    search(tmp_path, "search.pruner=none", trials=trials, of="choices")
+    tried = [(row["agent.lr"], row["explore.eps_init"]) for row in table(tmp_path)]
+    assert len(tried) == len(set(tried)) == min(trials, 3 * 2)
 
 
-def test_a_database_is_not_used_for_another_search_of_another_folder(tmp_path):
-    shared = f"search.storage=sqlite:///{tmp_path / 'shared.db'}"
-    run_search(search(tmp_path / "a", shared, trials=1), Training())
-    with pytest.raises(ConfigError, match=r"choose another search\.storage") as refused:
-        run_search(search(tmp_path / "b", shared, "env=domain_ext", trials=1), Training())
-    assert "search.storage holds a search with fixed=" in str(refused.value)
+@pytest.mark.parametrize(("of", "trial"), [("dqn", 0), ("dqn", 2), ("choices", 3)])
+def test_a_search_that_was_killed_ends_as_one_that_was_not(tmp_path, of, trial):
+    search(tmp_path / "whole", of=of)
+    with pytest.raises(Killed):
+        search(tmp_path / "parts", of=of, training=Training({(trial, 2): Killed}))
+    again = Training()
+    search(tmp_path / "parts", of=of, training=again)
+    assert table(tmp_path / "parts") == table(tmp_path / "whole")
+    # Finished trials were not played again, and the killed one from where it was.
+    assert again.played[0] == (trial, 2)
+    assert again.trials == set(range(trial, 4))
 
 
-def test_a_full_disk_ends_the_command_in_a_sentence(tmp_path, monkeypatch, capsys):
-    def full(config, folder, callbacks, *, domain):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+def test_a_finished_search_is_extended_by_more_trials(tmp_path):
+    search(tmp_path, trials=2)
+    before, again = table(tmp_path), Training()
+    search(tmp_path, trials=2, training=again)
+    assert again.trials == set()
+    search(tmp_path, trials=3, training=again)
+    assert again.trials == {2}
+    assert table(tmp_path)[:2] == before
 
-    monkeypatch.setattr("bbq_torchrl.run.run", full)
-    space = Path(__file__).with_name("dqn.yaml")
-    assert main([f"search={space}", "search.trials=2", f"search.folder={tmp_path}"]) == 1
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert told.startswith(f"error: {tmp_path / 'trial_0000'}: No space left on device; ")
+
+def test_two_processes_never_work_at_the_same_trial(tmp_path):
+    inner = Training()
+
+    class Meanwhile(Training):
+        def __call__(self, *given, **more):
+            if not inner.played:  # while this trial is under way, another process does the rest
+                search(tmp_path, training=inner)
+            return super().__call__(*given, **more)
+
+    outer = Meanwhile()
+    search(tmp_path, training=outer)
+    assert (outer.trials, inner.trials) == ({0}, {1, 2, 3})
+    assert len(table(tmp_path)) == 4
 
 
 def test_nobody_looks_for_a_trial_while_another_is_told(tmp_path, monkeypatch):
@@ -275,24 +190,79 @@ def test_nobody_looks_for_a_trial_while_another_is_told(tmp_path, monkeypatch):
 
     original = optuna.Study.tell
     monkeypatch.setattr(optuna.Study, "tell", tell)
-    run_search(search(tmp_path, trials=2), Training())
+    search(tmp_path, trials=2)
     assert told == [0, 1]
 
 
-def test_values_that_cannot_be_run_fail_their_trial_and_the_search_goes_on(tmp_path):
+def test_trials_that_cannot_be_run_or_diverge_fail_and_the_search_goes_on(tmp_path):
     checked = []
 
     def check(config):
-        checked.append(config.agent.lr)
+        checked.append(config)
         if len(checked) == 2:
             raise ConfigError("protocol.capacity must be\nmore")
 
-    training = Training()
-    run_search(search(tmp_path, trials=3), training, check)
-    rows = table(tmp_path)
-    assert [row["state"] for row in rows] == ["complete", "fail", "complete"]
-    assert rows[1]["reason"] == "protocol.capacity must be more"
-    assert {number for number, _ in training.played} == {0, 2}
+    training = Training({(2, 3): TrainingError("the loss is\nnot finite")})
+    best = search(tmp_path, training=training, check=check)
+    assert [(row["state"], row["reason"]) for row in table(tmp_path)] == [
+        ("complete", ""),
+        ("fail", "protocol.capacity must be more"),
+        ("fail", "the loss is not finite"),
+        ("complete", ""),
+    ]
+    assert training.trials == {0, 2, 3}
+    assert best["trial"] in (0, 3)
+
+
+def test_nothing_is_best_where_no_trial_was_completed(tmp_path):
+    assert search(tmp_path, trials=1, training=Training({(0, 1): TrainingError("bad")})) is None
+    assert not (tmp_path / "best.json").exists()
+
+
+def test_an_error_that_the_values_are_not_to_blame_for_ends_the_search(tmp_path):
+    with pytest.raises(KeyError):
+        search(tmp_path, trials=2, training=Training({(0, 3): KeyError}))
+    search(tmp_path, trials=2)
+    assert [row["state"] for row in table(tmp_path)] == ["complete", "complete"]
+
+
+def test_a_trial_below_the_median_of_the_others_is_stopped_after_its_grace(tmp_path):
+    search(tmp_path, "search.prune_after=.5", trials=8)
+    pruned = [row for row in table(tmp_path) if row["state"] == "pruned"]
+    complete = [row for row in table(tmp_path) if row["state"] == "complete"]
+    assert pruned
+    assert {row["rounds"] for row in pruned} == {"3"}  # half of 4 rounds, and the one that tells
+    assert [row["trial"] for row in complete[:2]] == ["0", "1"]
+    best = max(float(row["value"]) for row in complete)
+    assert all(success(row["agent.lr"]) < best for row in pruned)
+
+
+@pytest.mark.parametrize(
+    ("changed", "folder", "sentence"),
+    [
+        ("search.objective=final", "a", "a holds a search with search.objective=training"),
+        ("search.space.agent.lr.high=.1", "a", "a holds a search with search.space.agent.lr="),
+        ("replicas=2", "a", "a holds a search with fixed="),
+        ("env=domain_ext", "b", "search.storage holds a search with fixed="),
+    ],
+)
+def test_a_folder_or_database_is_not_used_for_another_search(tmp_path, changed, folder, sentence):
+    shared = f"search.storage=sqlite:///{tmp_path / 'shared.db'}"
+    search(tmp_path / "a", shared, trials=1)
+    with pytest.raises(ConfigError, match="choose another search") as refused:
+        search(tmp_path / folder, shared, changed, trials=2)
+    assert sentence in str(refused.value)
+
+
+def test_a_full_disk_ends_the_command_in_a_sentence(tmp_path, monkeypatch, capsys):
+    def full(config, folder, callbacks, *, domain):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+
+    monkeypatch.setattr("bbq_torchrl.run.run", full)
+    space = Path(__file__).with_name("dqn.yaml")
+    assert main([f"search={space}", "search.trials=2", f"search.folder={tmp_path}"]) == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith(f"error: {tmp_path / 'trial_0000'}: No space left on device; ")
 
 
 def test_help_and_refusals_need_no_optuna(tmp_path):

@@ -28,6 +28,7 @@ agents: {secret-bbqn: runs/vault-bbqn, secret-dqn: runs/vault-dqn}
 pairs: [[secret-bbqn, secret-dqn]]
 participants: 5
 """
+RATED = {**dict.fromkeys(SCALES, "4"), "verdict": "yes"}
 
 
 class Clock:
@@ -42,30 +43,30 @@ class Clock:
 class Site:
     """A served study and what a test does with it."""
 
-    def __init__(self, study, client, store, talker, clock):
-        self.study, self.client, self.store = study, client, store
-        self.talker, self.clock = talker, clock
+    def __init__(self, study, client, store, talker):
+        self.study, self.client, self.store, self.talker = study, client, store, talker
         self.join = f"/join/{store.key(JOIN)}"
         self.researcher = f"/r/{store.key(RESEARCHER)}"
 
+    def form(self, link, **given):
+        """The form on a page, filled in."""
+        return {**hidden(self.client.get(link).text), **given}
+
     def enroll(self):
-        form = {**hidden(self.client.get(self.join).text), "consent": "yes"}
+        form = self.form(self.join, consent="yes")
         return str(self.client.post(self.join, data=form).url.path)
 
-    def say(self, link, text, **changed):
-        form = {**hidden(self.client.get(link).text), "text": text, **changed}
-        return self.client.post(f"{link}/say", data=form)
+    def take(self, link, step, **given):
+        return self.client.post(f"{link}/{step}", data=self.form(link, **given))
 
-    def rate(self, link, **changed):
-        scales = dict.fromkeys(SCALES, "4")
-        form = {**hidden(self.client.get(link).text), **scales, "verdict": "yes", **changed}
-        return self.client.post(f"{link}/rate", data=form)
-
-    def token(self, link):
-        return link.removeprefix("/p/")
+    def say(self, link, *texts):
+        return [self.take(link, "say", text=text) for text in texts][-1]
 
     def session(self, link):
-        return current(self.store.sessions(self.token(link)))
+        return current(self.store.sessions(link.removeprefix("/p/")))
+
+    def goal(self, link):
+        return self.talker.domain.goals[self.session(link).goal - 1]
 
 
 def hidden(page):
@@ -92,10 +93,22 @@ def clock():
     return Clock()
 
 
+@pytest.fixture(scope="session")
+def spelled(loaded):
+    """The study's domain as its talker spells it."""
+
+    def other(values):
+        return {slot: f"{value} otherwise" for slot, value in values.items()}
+
+    domain = loaded.domain
+    goals = [replace(goal, constraints=other(goal.constraints)) for goal in domain.goals]
+    return replace(domain, records=tuple(map(other, domain.records)), goals=tuple(goals))
+
+
 @pytest.fixture
-def site(study, clock):
-    talker = FakeTalker(study.domain)
-    store = Store(study.data, study.terms, prints(study), clock=clock)
-    with TestClient(application(study, store, talker), raise_server_exceptions=False) as client:
-        yield Site(study, client, store, talker, clock)
+def site(study, spelled):
+    store = Store(study.data, study.terms, prints(study))
+    app = application(study, store, talker := FakeTalker(spelled))
+    with TestClient(app, raise_server_exceptions=False) as client:
+        yield Site(study, client, store, talker)
     store.close()

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 
-from bbq_torchrl.domains import fold, movie_domain
+from bbq_torchrl.domains import fold
 from bbq_torchrl.study import Belief, Beliefs, Frame, Reply
-
-AGENTS = {"secret-bbqn": "runs/vault-bbqn", "secret-dqn": "runs/vault-dqn"}
 
 
 class FakeTalker:
     """Holds what it hears; answers and offers from the records that match."""
 
-    def __init__(self, domain=None, *, seconds=0.0, weights="1"):
+    def __init__(self, domain):
         self.labels = {"moviename": "movie", "numberofpeople": "number of people"}
-        self.domain = domain or movie_domain()
-        self.seconds, self.weights = seconds, weights
-        self.calls = 0
+        self.domain, self.seconds, self.calls = domain, 0.0, 0
 
     def fingerprint(self, agent):
-        return hashlib.sha256(f"{agent} {self.weights}".encode()).hexdigest()
+        return f"weights of {agent}"
 
     def reply(self, agent, state, text, seed):
         self.calls += 1
@@ -34,14 +29,9 @@ class FakeTalker:
         heard = {slot.strip(): value.strip() for slot, _, value in pairs}
         asked = tuple(text.split()[1:]) if text.startswith("ask ") else ()
         held |= heard
-        rows = [
-            row
-            for row in self.domain.records
-            if all(
-                slot in self.domain.free_slots or fold(row.get(slot, "")) == fold(value)
-                for slot, value in held.items()
-            )
-        ]
+        known = {slot: v for slot, v in held.items() if slot not in self.domain.free_slots}
+        records = self.domain.records
+        rows = [r for r in records if all(fold(r.get(s, "")) == fold(known[s]) for s in known)]
         said, answer = Frame("request", {}, ("city",)), f"Which city? ({len(text)} letters)"
         if asked:
             row = next((row for row in rows if set(asked) <= set(row)), {})
@@ -68,10 +58,9 @@ class FakeTalker:
         )
 
 
-def prints(study, **settings):
+def prints(study):
     """The fingerprints of a study's agents."""
-    talker = FakeTalker(study.domain, **settings)
-    return {agent: talker.fingerprint(agent) for agent in AGENTS}
+    return {agent: f"weights of {agent}" for agent in study.terms.agents}
 
 
 def make(study):

@@ -70,16 +70,6 @@ def test_a_server_that_is_killed_loses_nothing_acknowledged(tmp_path, kills):
 
 
 @pytest.mark.slow
-def test_a_second_server_on_one_study_is_refused_and_the_first_goes_on(tmp_path):
-    (tmp_path / "study.yaml").write_text(STUDY)
-    with Server(tmp_path / "study.yaml") as first:
-        with pytest.raises(RuntimeError, match="another server is at work"):
-            Server(tmp_path / "study.yaml").start()
-        visitor = Visitor(first)
-        assert visitor.send(visitor.form("city=philly")).status_code == 200
-
-
-@pytest.mark.slow
 def test_a_served_study_ends_when_it_is_told_to(tmp_path):
     (tmp_path / "study.yaml").write_text(STUDY)
     server = Server(tmp_path / "study.yaml").start()

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
-from unittest.mock import Mock
+from html import escape
+from urllib.parse import urlencode
 
 import pytest
-from starlette.testclient import TestClient
 
-from bbq_torchrl.study.database import StoreError
-from bbq_torchrl.study.records import SCALES
-from bbq_torchrl.study.web import application
-
-from .conftest import Site, hidden
+from .conftest import RATED
 from .fakes import script
 
 HOSTILE = (
@@ -26,14 +21,6 @@ HOSTILE = (
 )
 
 
-def play(site, link, *, end="bye"):
-    goal = site.study.domain.goals[site.session(link).goal - 1]
-    for text in [*script(site.study.domain, goal), end]:
-        page = site.say(link, text)
-        assert page.status_code == 200
-    return page
-
-
 def test_a_person_goes_from_consent_to_thanks(site):
     consent = site.client.get(site.join).text
     assert "What you write is stored." in consent
@@ -43,50 +30,30 @@ def test_a_person_goes_from_consent_to_thanks(site):
         page = site.client.get(link).text
         assert f"Conversation {number} of 2" in page
         assert "You speak first" in page
-        assert "has ended" in play(site, link).text
-        site.rate(link)
+        assert (
+            "has ended" in site.say(link, *script(site.talker.domain, site.goal(link)), "bye").text
+        )
+        site.take(link, "rate", **RATED)
     assert "Thank you" in site.client.get(link).text
     rows = site.store.rows("SELECT ended_by, success, reasons FROM session LIMIT 2")
     assert rows == [("agent", 1, "[]")] * 2
 
 
-def test_the_goal_card_shows_wishes_by_their_labels_and_questions(site):
-    link = site.enroll()
-    goal = site.study.domain.goals[site.session(link).goal - 1]
-    page = site.client.get(link).text
+def test_the_goal_card_shows_wishes_and_questions_as_the_talker_spells_and_calls_them(site):
+    link, labels = site.enroll(), site.talker.labels
+    page, goal = site.client.get(link).text, site.goal(link)
     for slot, value in goal.constraints.items():
-        assert f"<dt>{site.talker.labels.get(slot, slot)}</dt>" in page
-        assert value.replace("&", "&amp;").replace("'", "&#39;") in page
+        assert f"<dt>{labels.get(slot, slot)}</dt>" in page
+        assert f"{escape(value).replace('&#x27;', '&#39;')}</dd>" in page
     for slot in goal.requests:
-        assert site.talker.labels.get(slot, slot) in page
-
-
-def test_goal_card_and_judge_have_the_talkers_spelling(site):
-    def other(values):
-        return {slot: f"{value} otherwise" for slot, value in values.items()}
-
-    domain = site.talker.domain
-    site.talker.domain = replace(
-        domain,
-        records=tuple(map(other, domain.records)),
-        goals=tuple(replace(goal, constraints=other(goal.constraints)) for goal in domain.goals),
-    )
-    study, store, talker = site.study, site.store, site.talker
-    with TestClient(application(study, store, talker)) as client:
-        served = Site(study, client, store, talker, site.clock)
-        link = served.enroll()
-        goal = talker.domain.goals[served.session(link).goal - 1]
-        assert " otherwise</dd>" in client.get(link).text
-        for text in (*script(talker.domain, goal), "bye"):
-            served.say(link, text)
-    assert store.rows("SELECT success FROM session WHERE ended IS NOT NULL") == [(1,)]
+        assert labels.get(slot, slot) in page
 
 
 def test_no_answer_names_agent_weights_or_values(site):
     answers = [site.client.get(site.join)]
     link = site.enroll()
-    answers += [site.client.get(link), site.say(link, "city=philly"), site.say(link, "crash")]
-    answers += [site.say(link, "bye"), site.rate(link, overall="9"), site.rate(link)]
+    answers += [site.client.get(link), *(site.say(link, text) for text in ("city=philly", "crash"))]
+    answers += [site.say(link, "bye"), *(site.take(link, "rate", **form) for form in ({}, RATED))]
     for answer in answers:
         everything = answer.text + repr(answer.headers)
         for secret in ("secret", "vault", "bbqn", "dqn", "0.5625", "1.25", "inform("):
@@ -96,13 +63,11 @@ def test_no_answer_names_agent_weights_or_values(site):
 @pytest.mark.parametrize("text", HOSTILE)
 def test_hostile_text_is_stored_and_shown_as_text(site, text):
     link = site.enroll()
-    body = {**hidden(site.client.get(link).text), "text": text}
-    encoded = "&".join(
-        f"{key}={''.join(f'%{byte:02x}' for byte in value.encode('utf-8', 'surrogatepass'))}"
-        for key, value in body.items()
+    page = site.client.post(
+        f"{link}/say",
+        content=urlencode(site.form(link, text=text), errors="surrogatepass"),
+        headers={"content-type": "application/x-www-form-urlencoded"},
     )
-    kind = {"content-type": "application/x-www-form-urlencoded"}
-    page = site.client.post(f"{link}/say", content=encoded, headers=kind)
     assert page.status_code == 200
     assert "Which city?" in page.text
     assert "<script>alert" not in page.text
@@ -112,113 +77,107 @@ def test_hostile_text_is_stored_and_shown_as_text(site, text):
         assert stored.text == text
 
 
-@pytest.mark.parametrize("text", ["", "   ", "\x00", "\u202e", "x" * 1_001])
-def test_blank_and_long_texts_are_refused_and_cost_nothing(site, text):
-    page = site.say(site.enroll(), text)
-    assert page.status_code == 422
-    assert 'role="alert"' in page.text
-    assert site.talker.calls == 0
+@pytest.mark.parametrize(
+    ("said", "step", "given", "status", "sentence"),
+    [
+        *(
+            ([], "say", {"text": text}, 422, "Please write something before you send it.")
+            for text in ("", "   ", "\x00", "\u202e")
+        ),
+        ([], "say", {"text": "x" * 1_001}, 422, "may have 1,000 characters, this one has 1,001"),
+        ([], "end", {}, 409, "Please say something to the assistant before you end."),
+        (["city=philly"], "rate", RATED, 409, "Please end the conversation before you rate it."),
+        (["bye"], "say", {"text": "more"}, 409, "That conversation has ended"),
+        (["bye"], "rate", {**RATED, "verdict": ""}, 422, "got what you wanted: yes or no"),
+        *(
+            (["bye"], "rate", {**RATED, "coherence": given}, 422, f"coherence by a whole {told}")
+            for given in ("0", "6", "4.0", "٣", "")
+            if (told := f"number from 1 to 5, got {given or 'nothing'}.")
+        ),
+    ],
+)
+def test_a_step_that_cannot_be_taken_is_refused_in_a_sentence_and_changes_nothing(
+    site, said, step, given, status, sentence
+):
+    link = site.enroll()
+    for text in said:
+        site.say(link, text)
+    before = site.session(link)
+    page = site.take(link, step, **given)
+    assert (page.status_code, 'role="alert"' in page.text) == (status, True)
+    assert sentence in page.text
+    assert page.text.count(" checked") == (4 if status == 422 and said else 0)  # what was right
+    assert site.session(link) == before
+    assert site.talker.calls == len(said)
 
 
 def test_a_second_window_is_told_that_the_conversation_went_on(site):
     link = site.enroll()
-    stale = hidden(site.client.get(link).text)
+    stale = site.form(link, text="from the other window")
     site.say(link, "city=philly")
-    page = site.client.post(f"{link}/say", data={**stale, "text": "from the other window"})
+    page = site.client.post(f"{link}/say", data=stale)
     assert page.status_code == 409
     assert "gone on in another window" in page.text
     assert 'value="from the other window"' in page.text
-    assert len(site.store.exchanges(site.session(link).id)) == 1
-    again = {**hidden(page.text), "text": "from the other window"}
-    assert site.client.post(f"{link}/say", data=again).status_code == 200
-    assert len(site.store.exchanges(site.session(link).id)) == 2
+    assert site.session(link).messages == 1
+    assert site.say(link, "from the other window").status_code == 200
+    assert site.session(link).messages == 2
 
 
 def test_a_text_of_an_earlier_conversation_is_not_put_into_the_next(site):
     link = site.enroll()
-    stale = hidden(site.client.get(link).text)
+    stale = site.form(link, text="too late")
     site.say(link, "bye")
-    site.rate(link)
-    page = site.client.post(f"{link}/say", data={**stale, "text": "too late"})
+    site.take(link, "rate", **RATED)
+    page = site.client.post(f"{link}/say", data=stale)
     assert "Conversation 2 of 2" in page.text
     assert "too late" not in page.text
 
 
 @pytest.mark.parametrize(("text", "status"), [("crash", 500), ("city=philly", 503)])
-def test_an_agent_out_of_order_and_a_full_disk_lose_no_text(site, monkeypatch, text, status):
+def test_an_agent_out_of_order_and_a_full_disk_lose_no_text(site, text, status):
     link = site.enroll()
-    form = {**hidden(site.client.get(link).text), "text": text}
-    with monkeypatch.context() as patch:
-        full = StoreError(site.study.data, "the disk is full")
-        patch.setattr(site.store, "add_exchange", Mock(side_effect=full))
-        page = site.client.post(f"{link}/say", data=form)
+    form = site.form(link, text=text)
+    site.store.rows("PRAGMA query_only = ON")  # nothing can be written
+    page = site.client.post(f"{link}/say", data=form)
+    site.store.rows("PRAGMA query_only = OFF")
     assert page.status_code == status
     assert f'value="{text}"' in page.text
-    assert hidden(page.text)["nonce"] == form["nonce"]
-    assert site.say(link, "city=philly").status_code == 200
+    again = {**form, "text": "city=philly"}  # by the same nonce
+    assert f'value="{form["nonce"]}"' in page.text
+    assert site.client.post(f"{link}/say", data=again).status_code == 200
 
 
-def test_a_person_may_end_but_not_before_a_word(site):
+@pytest.mark.parametrize(
+    ("texts", "ended_by", "reasons"),
+    [
+        (["city=philly"], "person", {"no offer"}),
+        (["bye"], "agent", {"no offer"}),
+        (["hello"] * 20, "turns", {"no offer", "out of turns"}),
+    ],
+)
+def test_a_conversation_is_ended_once_by_agent_person_or_length(site, texts, ended_by, reasons):
     link = site.enroll()
-    form = hidden(site.client.get(link).text)
-    assert site.client.post(f"{link}/end", data=form).status_code == 409
-    site.say(link, "city=philly")
-    assert "has ended" in site.client.post(f"{link}/end", data=form).text
-    assert not site.session(link).success
-    assert site.session(link).ended_by == "person"
-
-
-def test_an_ended_conversation_takes_no_more_messages_and_no_other_end(site):
-    link = site.enroll()
-    late = hidden(site.client.get(link).text)
-    site.say(link, "bye")
-    page = site.client.post(f"{link}/say", data={**late, "text": "one more thing"})
-    assert page.status_code == 409
-    assert "has ended" in page.text
-    assert "has ended" in site.client.post(f"{link}/end", data=late).text
-    assert site.talker.calls == 1
-    assert site.session(link).ended_by == "agent"
-
-
-def test_a_conversation_runs_out_of_turns(site):
-    link = site.enroll()
-    for _ in range(site.study.terms.max_turns):
-        page = site.say(link, "hello")
-    assert "has ended" in page.text
-    assert site.session(link).ended_by == "turns"
-    assert "out of turns" in site.session(link).reasons
-
-
-@pytest.mark.parametrize("given", ["0", "6", "five", "", "4.0", "٣"])
-def test_a_rating_out_of_range_is_refused_and_the_others_are_kept(site, given):
-    link = site.enroll()
-    site.say(link, "bye")
-    page = site.rate(link, naturalness=given)
-    assert page.status_code == 422
-    assert "naturalness" in page.text
-    assert page.text.count(" checked") == 4
-    assert not site.session(link).is_rated
+    page = site.say(link, *texts)
+    assert ("has ended" in page.text) == (ended_by != "person")
+    assert "has ended" in site.take(link, "end").text
+    session = site.session(link)
+    assert (session.ended_by, session.success) == (ended_by, False)
+    assert reasons <= set(session.reasons)
 
 
 def test_a_rating_counts_once(site):
     link = site.enroll()
     site.say(link, "bye")
-    other = hidden(site.client.get(link).text)
-    form = {**hidden(site.client.get(link).text), **dict.fromkeys(SCALES, "4"), "verdict": "yes"}
-    changed = {**other, **dict.fromkeys(SCALES, "1"), "verdict": "no"}
-    answers = [site.client.post(f"{link}/rate", data=data) for data in (form, form, changed)]
+    one, other = (site.form(link, **RATED) for _ in range(2))
+    forms = (one, one, {**other, "overall": "1", "verdict": "no"})
+    answers = [site.client.post(f"{link}/rate", data=form) for form in forms]
     assert [answer.status_code for answer in answers] == [200, 200, 409]
     assert site.store.rows("SELECT overall, verdict FROM rating") == [(4, 1)]
 
 
-def test_a_conversation_is_not_rated_before_its_end(site):
-    link = site.enroll()
-    site.say(link, "city=philly")
-    assert site.rate(link).status_code == 409
-
-
 def test_who_consents_is_enrolled_once(site):
-    form = hidden(site.client.get(site.join).text)
+    form = site.form(site.join)
     assert site.client.post(site.join, data=form).status_code == 422
     assert site.store.progress()[0]["enrolled"] == 0
     links = {str(site.client.post(site.join, data={**form, "consent": "yes"}).url) for _ in "12"}
@@ -228,20 +187,17 @@ def test_who_consents_is_enrolled_once(site):
 
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
     link = site.enroll()
-    site.say(link, "city=philly")
     number, agent = site.session(link).id, site.session(link).agent
-
-    def begun_ended_rated():
+    steps = [("say", {"text": "city=philly"}), ("say", {"text": "bye"}), ("rate", RATED)]
+    for (step, given), begun_ended_rated in zip(steps, ("100", "110", "111"), strict=True):
+        site.take(link, step, **given)
         page = site.client.get(site.researcher).text
-        rows = re.findall(r'row">(secret-\w+)</th><td>(\d)</td><td>(\d)</td><td>(\d)</td>', page)
-        assert len(rows) == 2
-        return {name: "".join(counts) for name, *counts in rows if counts != ["0", "0", "0"]}
-
-    assert begun_ended_rated() == {agent: "100"}
-    site.say(link, "bye")
-    assert begun_ended_rated() == {agent: "110"}
-    site.rate(link)
-    assert begun_ended_rated() == {agent: "111"}
+        counts = re.findall(r'row">(secret-\w+)</th><td>(\d)</td><td>(\d)</td><td>(\d)</td>', page)
+        other = next(name for name in site.study.terms.agents if name != agent)
+        assert {name: "".join(row) for name, *row in counts} == {
+            agent: begun_ended_rated,
+            other: "000",
+        }
     turn = site.client.get(f"{site.researcher}/{number}").text
     for shown in ("inform(city=philly)", "request(city)", "0.562", "1.00 to 1.50", "0.750"):
         assert shown in turn
