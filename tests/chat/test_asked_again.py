@@ -80,23 +80,6 @@ def test_the_level_of_text_hears_what_a_chat_hears(movie, agents, mouth, spellin
     assert (choices > 0) == (below != 0)
 
 
-def test_a_partner_can_be_more_cautious_than_the_understanding(agents, mouth, decided):
-    from .conftest import Acts
-
-    class Unsure(Acts):
-        def __call__(self, text, question=None):
-            return Understood(super().__call__(text, question).frame, 0.8)
-
-    decided(agents["bbqn"], "request(city)")
-    acted = [
-        Partner(agents["bbqn"], Unsure(), mouth, ask_below=below)
-        .reply(None, "inform(moviename=barbie)", 0)
-        .acted
-        for below in (None, 0.9)
-    ]
-    assert acted == [True, False]
-
-
 def test_what_was_told_beside_a_name_is_kept_however_often_that_is_asked_about():
     unclear = Unclear("moviename", "godzilla", ("godzilla minus one", "godzilla x kong"))
     asking = Asking().again(Understood(Frame("inform", {"numberofpeople": "2"}), 0.9, (unclear,)))

@@ -7,6 +7,8 @@ import pytest
 from bbq_torchrl.chat import Partner
 from bbq_torchrl.language import Frame
 
+from .conftest import Acts
+
 
 def talk(partner, *texts):
     answers, memory = [], None
@@ -29,8 +31,6 @@ def test_an_act_is_answered_with_an_act_and_its_sentence(partner, decided):
 
 
 def test_memory_is_all_there_is(partner, decided, agents, mouth):
-    from .conftest import Acts
-
     decided(partner.agent, "request(city)", "request(date)", "request(date)")
     first, second = talk(partner, "inform(moviename=barbie)", "inform(city=reno)")
     again = Partner(agents["bbqn"], Acts(), mouth).reply(first.memory, "inform(city=reno)", 1)
@@ -42,13 +42,6 @@ def test_what_is_not_understood_is_asked_again_twice_at_most(partner, decided):
     answers = talk(partner, "?", "?", "?", "?")
     assert [answer.acted for answer in answers] == [False, False, True, False]
     assert answers[0].said == Frame("not_sure")
-
-
-def test_a_name_of_several_values_is_cleared_up_and_joined_with_the_rest(partner, decided):
-    decided(partner.agent, "request(city)")
-    first, second = talk(partner, "two for godzilla", "the first")
-    assert "godzilla minus one" in first.text
-    assert second.heard.informs == {"numberofpeople": "2", "moviename": "godzilla minus one"}
 
 
 def test_what_cannot_be_read_changes_nothing(partner, decided):

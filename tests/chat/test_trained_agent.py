@@ -36,7 +36,9 @@ def test_dropout_is_a_posterior(agents):
 def test_bands_hold_the_mean_and_chances_of_what_is_legal_add_up_to_one(
     agents, observation, name, legal
 ):
+    noise = torch.get_rng_state()
     found = agents[name].beliefs(observation, seed=3)
+    assert torch.equal(torch.get_rng_state(), noise)
     assert len(found.actions) == legal
     assert sum(item.p_best for item in found.actions) == pytest.approx(1)
     means = [item.mean for item in found.actions]
@@ -63,12 +65,6 @@ def test_reasons_add_up_to_the_difference_of_the_two_actions(agents, observation
     assert sum(part.mean for part in found.parts) == pytest.approx(found.difference.mean, abs=5e-3)
     low, high = found.difference.band90
     assert (low == high) == (name == "dqn")
-
-
-def test_global_noise_is_left_as_it_was(agents, observation):
-    before = torch.get_rng_state()
-    agents["bbqn"].beliefs(observation, seed=0)
-    assert torch.equal(torch.get_rng_state(), before)
 
 
 def test_replicas_and_weights_have_fingerprints_of_their_own(runs, agents):
