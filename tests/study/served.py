@@ -8,10 +8,7 @@ import socket
 import subprocess
 import sys
 
-import httpx2
 from forked import ROOT
-
-from .conftest import hidden
 
 
 class Server:
@@ -63,27 +60,6 @@ class Server:
 
     def __exit__(self, *error):
         self.kill()
-
-
-class Visitor:
-    """Somebody who takes part over the network."""
-
-    def __init__(self, server):
-        join = server.links["for people"]
-        form = hidden(httpx2.get(join, timeout=60).text)
-        self.link = str(self.post(join, {**form, "consent": "yes"}).url)
-
-    def page(self):
-        return httpx2.get(self.link, timeout=60).text
-
-    def post(self, link, form):
-        return httpx2.post(link, data=form, follow_redirects=True, timeout=60)
-
-    def form(self, text):
-        return {**hidden(self.page()), "text": text}
-
-    def send(self, form):
-        return self.post(f"{self.link}/say", form)
 
 
 def free_port():
