@@ -111,8 +111,3 @@ def test_a_file_that_is_no_study_is_one_sentence(tmp_path, content):
     file.write_bytes(content)
     [found] = faults(file)
     assert len(found) < 1_000
-
-
-def test_a_file_that_is_missing_is_told_by_name(tmp_path):
-    with pytest.raises(OSError, match="absent"):
-        load_study(tmp_path / "absent.yaml")

@@ -70,14 +70,6 @@ def test_everybody_takes_part_and_all_is_called_simulated(study, tmp_path):
     assert all(json.loads(line)["simulated"] for line in files["sessions.jsonl"].splitlines())
 
 
-def test_a_seed_is_a_study(study, tmp_path):
-    one, again, other = (
-        played(study, tmp_path / name, seed=seed) for name, seed in (("a", 1), ("b", 1), ("c", 2))
-    )
-    assert one == again
-    assert one["sessions.csv"] != other["sessions.csv"]
-
-
 @pytest.mark.parametrize("step", ["add_exchange", "rate"])
 def test_a_simulation_that_was_stopped_goes_on_as_if_it_had_not(study, tmp_path, monkeypatch, step):
     talker = FakeTalker(study.domain)
@@ -98,15 +90,16 @@ def test_a_simulation_that_was_stopped_goes_on_as_if_it_had_not(study, tmp_path,
     assert talker.calls == exchanges + (step == "add_exchange")
 
 
-def test_data_of_another_seed_or_of_people_are_not_gone_on_with(study, tmp_path):
-    played(study, tmp_path, seed=1)
+def test_another_seed_is_another_study_and_neither_goes_on_with_the_other_or_with_people(
+    study, tmp_path
+):
+    one = played(study, tmp_path / "one", seed=1)
+    assert played(study, tmp_path / "two", seed=2)["sessions.csv"] != one["sessions.csv"]
     with pytest.raises(StoreError, match="it was begun with another seed"):
-        played(study, tmp_path, seed=2)
-    people = tmp_path / "people"
-    people.mkdir()
-    Store(people / "study.sqlite", study.terms, prints(study)).close()
+        played(study, tmp_path / "one", seed=2)
+    Store(study.data, study.terms, prints(study)).close()
     with pytest.raises(StoreError, match="either people or simulated users, not both"):
-        played(study, people)
+        played(study, tmp_path)
 
 
 def test_ratings_are_drawn_by_the_rule_that_reports_tell():
