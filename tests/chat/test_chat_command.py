@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 
 import pytest
@@ -75,6 +76,7 @@ def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, de
         "No booking was offered.",
     ):
         assert text in shown
+    assert re.search("agent: .*godzilla minus one.*godzilla x kong", shown)
 
 
 def test_an_agent_without_a_posterior_shows_values_alone(agents, mouth, decided):
