@@ -2,44 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import pytest
 
 from bbq_torchrl.cli.resume import load_config, save_config
 from bbq_torchrl.cli.store import compose
+from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.options import explorations, registry
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.values import replica_values
 
-TABLE_1 = {  # the paper's agents: network, exploration, target, intrinsic reward
-    "dqn": ("dqn", "epsilon_greedy", None, None),
-    "dqn_boltzmann": ("dqn", "boltzmann", None, None),
-    "dqn_bootstrap": ("bootstrap", "bootstrap", None, None),
-    "dqn_vime_map": ("dqn", "epsilon_greedy", None, "map"),
-    "dqn_vime_mc": ("dqn", "epsilon_greedy", None, "mc"),
-    "bbqn_map": ("bbqn", "thompson", "map", None),
-    "bbqn_mc": ("bbqn", "thompson", "mc", None),
-    "bbqn_vime_map": ("bbqn", "thompson", "map", "map"),
-    "bbqn_vime_mc": ("bbqn", "thompson", "mc", "mc"),
+RECIPES = {  # the paper's name, network, exploration, target, intrinsic reward
+    "agents/dqn": ("DQN", "dqn", "epsilon_greedy", None, None),
+    "agents/dqn_boltzmann": ("DQN-Boltzmann", "dqn", "boltzmann", None, None),
+    "agents/dqn_bootstrap": ("DQN-Bootstrap", "bootstrap", "bootstrap", None, None),
+    "agents/dqn_vime_map": ("DQN-VIME-MAP", "dqn", "epsilon_greedy", None, "map"),
+    "agents/dqn_vime_mc": ("DQN-VIME-MC", "dqn", "epsilon_greedy", None, "mc"),
+    "agents/bbqn_map": ("BBQN-MAP", "bbqn", "thompson", "map", None),
+    "agents/bbqn_mc": ("BBQN-MC", "bbqn", "thompson", "mc", None),
+    "agents/bbqn_vime_map": ("BBQN-VIME-MAP", "bbqn", "thompson", "map", "map"),
+    "agents/bbqn_vime_mc": ("BBQN-VIME-MC", "bbqn", "thompson", "mc", "mc"),
+    "baselines/double_dqn": ("Double DQN", "dqn", "epsilon_greedy", None, None),
+    "baselines/noisy_dqn": ("Noisy DQN", "dqn", "noisy", None, None),
 }
 
 
-@pytest.mark.parametrize("agent", TABLE_1)
-def test_a_recipe_bears_the_papers_name_and_composes_its_agent(agent):
-    config = compose([f"+experiment=agents/{agent}", "env=domain_ext"])
-    vime = config.intrinsic.name == "vime"
-    found = (
-        config.agent.name,
-        config.explore.name,
-        getattr(config.agent, "target", None),
-        config.intrinsic.weights if vime else None,
-    )
-    assert found == TABLE_1[agent]
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_a_recipe_composes_the_agent_that_the_paper_gives_its_name(recipe):
+    config = compose([f"+experiment={recipe}", "env=domain_ext"])
+    agent, explore = config.agent.name, config.explore.name
+    target, gain = getattr(config.agent, "target", None), getattr(config.intrinsic, "weights", None)
+    assert (agent_name(asdict(config)), agent, explore, target, gain) == RECIPES[recipe]
     assert (config.env.name, config.protocol.rounds) == ("domain_ext", 200)
 
 
 def test_a_recipe_is_what_table_1_has():
-    agents = {name.removeprefix("agents/") for name in options("experiment") if "agents/" in name}
-    assert agents == set(TABLE_1)
+    recipes = {name for name in options("experiment") if name.startswith("agents/")}
+    assert recipes == {name for name in RECIPES if name.startswith("agents/")}
 
 
 @pytest.mark.parametrize("agent", explorations())

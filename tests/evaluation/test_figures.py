@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -16,17 +17,17 @@ from bbq_torchrl.evaluation.runs import Replica
 
 
 @pytest.fixture
-def drawn(monkeypatch):
-    """The figures that are saved during a test."""
-    figures = []
-    save = Figure.savefig
+def draw(tmp_path):
+    """Draws the curve of a run. Returns the figure that is saved."""
 
-    def recording(figure, *arguments, **options):
-        figures.append(figure)
-        save(figure, *arguments, **options)
+    def drawn(*groups, **given):
+        file = tmp_path / "curve.png"
+        with patch.object(Figure, "savefig", autospec=True, side_effect=Figure.savefig) as save:
+            draw_run(file, groups, title="a run", **given)
+        assert file.read_bytes().startswith(b"\x89PNG")
+        return save.call_args.args[0]
 
-    monkeypatch.setattr(Figure, "savefig", recording)
-    return figures
+    return drawn
 
 
 def group(seeds, rounds=30, label="DQN", **columns):
@@ -47,17 +48,15 @@ def test_a_moving_average_is_over_the_last_rounds(window):
     assert moving_average(values, window) == pytest.approx(np.array(expected))
 
 
-def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(tmp_path, drawn):
+def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(draw):
     run = group(3)
-    draw_run(
-        tmp_path / "curve.png",
-        [run],
-        title="a run",
+    figure = draw(
+        run,
         spiked="spiked with 100 rule dialogues",
         extensions={10: "price", 20: "zip", 40: "state"},
         references={"clairvoyant": 0.8},
     )
-    (axes,) = drawn[0].axes
+    (axes,) = figure.axes
     # Three replicas, their mean, three final points, their mean, the spike, two slots in time, and
     # what knows the goal.
     assert len(axes.get_lines()) == 3 + 1 + 1 + 1 + 1 + 2 + 1
@@ -65,23 +64,22 @@ def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(t
     assert thick.get_ydata() == pytest.approx(moving_average(run.success).mean(1))
     assert [text.get_text() for text in axes.texts] == [" price", " zip"]
     assert axes.get_title() == "a run"
-    assert labels(drawn[0]) == [
+    assert labels(figure) == [
         "DQN (3 seeds, mean of 10 rounds)",
         "final evaluation: 0.500",
         "spiked with 100 rule dialogues",
         "clairvoyant (privileged: it reads what no agent is shown): 0.800",
     ]
-    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path, drawn):
+def test_evaluations_are_the_main_line_with_training_success_behind_it(draw):
     seeds = 3
     evaluated = np.full((30, seeds), np.nan)
     evaluated[4::5] = np.random.default_rng(1).uniform(size=(6, seeds))
     run = group(seeds, eval_success_rate=evaluated)
-    draw_run(tmp_path / "curve.png", [run], title="a run")
+    figure = draw(run)
 
-    lines = drawn[0].axes[0].get_lines()
+    lines = figure.axes[0].get_lines()
     training, *rest = lines
     main = max(lines, key=lambda line: line.get_linewidth())
     assert training.get_ydata() == pytest.approx(moving_average(run.success).mean(1))
@@ -92,17 +90,15 @@ def test_evaluations_are_the_main_line_with_training_success_behind_it(tmp_path,
     assert main.get_ydata() == pytest.approx(evaluated[4::5].mean(1))
     # A line for each seed, their mean, the final points, their mean.
     assert len(rest) == seeds + 1 + 2
-    assert labels(drawn[0])[:2] == [
+    assert labels(figure)[:2] == [
         "training, with exploration (mean of 10 rounds)",
         "DQN (3 seeds, evaluated)",
     ]
 
 
 @pytest.mark.parametrize("count", [2, 9])
-def test_a_run_with_several_values_has_a_color_for_each(tmp_path, drawn, count):
-    groups = [group(2, label=f"std={n}") for n in range(count)]
-    draw_run(tmp_path / "curve.png", groups, title="a run")
-    (axes,) = drawn[0].axes
+def test_a_run_with_several_values_has_a_color_for_each(draw, count):
+    (axes,) = draw(*(group(2, label=f"std={n}") for n in range(count))).axes
     # Of each group: two replicas, their mean, the final points, their mean.
     lines = axes.get_lines()
     assert len(lines) == count * 5
@@ -113,15 +109,11 @@ def test_a_run_with_several_values_has_a_color_for_each(tmp_path, drawn, count):
 
 @pytest.mark.parametrize("evaluated", [{}, {"eval_success_rate": np.full((30, 1), 0.5)}])
 @pytest.mark.parametrize("count", [2, 8, 20])
-def test_the_legend_has_an_entry_for_each_group_and_place_in_the_figure(
-    tmp_path, drawn, count, evaluated
-):
+def test_the_legend_has_an_entry_for_each_group_and_place_in_the_figure(draw, count, evaluated):
     keys = "explore.temperature_init={}, explore.temperature_end={}"
     names = [f"DQN, {keys.format(n, n / 10)}, agent.dropout=0.25" for n in range(count)]
-    groups = [group(1, label=name, **evaluated) for name in names]
-    draw_run(tmp_path / "curve.png", groups, title="a run")
+    figure = draw(*(group(1, label=name, **evaluated) for name in names))
 
-    (figure,) = drawn
     (legend,), (axes,) = figure.legends, figure.axes
     figure.draw_without_rendering()  # a text's size in inches depends on the dots per inch
     for name in names:
@@ -136,12 +128,12 @@ def test_the_legend_has_an_entry_for_each_group_and_place_in_the_figure(
     assert curves.height > 3 * figure.dpi
 
 
-def test_a_run_of_one_replica_shows_its_raw_rounds(tmp_path, drawn):
+def test_a_run_of_one_replica_shows_its_raw_rounds(draw):
     run = group(1)
-    draw_run(tmp_path / "curve.png", [run], title="a run")
-    raw, *_ = drawn[0].axes[0].get_lines()
+    figure = draw(run)
+    raw, *_ = figure.axes[0].get_lines()
     assert raw.get_ydata() == pytest.approx(run.success[:, 0])
-    assert labels(drawn[0])[0] == "DQN (1 seed, mean of 10 rounds)"
+    assert labels(figure)[0] == "DQN (1 seed, mean of 10 rounds)"
 
 
 def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():

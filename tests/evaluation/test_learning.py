@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from result_folders import make_run
 from scipy import integrate, stats
 from tiny import rows
 
@@ -97,47 +96,37 @@ def test_area_is_weighed_by_the_rounds_between_evaluations():
     assert areas(curve) == pytest.approx([0.7])
 
 
-def reached(row):
-    return [cell.rounds for cell in row.values() if isinstance(cell, Reach)]
-
-
-def test_each_curve_has_a_row_with_its_area_and_when_it_reached_a_level(tmp_path):
-    runs = [
-        make_run(tmp_path / "all", [0.8, 0.9], rounds=6, eval_every=2),
-        make_run(tmp_path / "none", [0.8, 1.0, 0.9], rounds=6, agent="dqn"),
-    ]
-    table = learning_table(read_groups(runs))
-    _, evaluation, training = table.rows
+def test_each_curve_has_a_row_with_its_area_and_when_it_reached_a_level(add):
+    evaluated = add([0.8, 0.9], rounds=6, eval_every=2)
+    runs = [evaluated, add([0.8, 1.0, 0.9], rounds=6, agent="dqn")]
+    first, second, third = str(learning_table(read_groups(runs))).splitlines()[2:]
+    assert first.startswith("| BBQN-MAP | training | 0.425 [")
+    assert first.endswith(" | not reached | not reached | not reached | not reached |")
     # Evaluated after rounds 2, 4 and 6: .4, .6, .8 and .5, .7, .9.
-    assert evaluation["success in"] == "evaluation"
-    assert evaluation["area under the curve"].value == pytest.approx(0.65)
-    assert reached(evaluation) == [(4, 2), (4, 4), (6, 4), (6, 6)]
-    assert training["success in"] == "training"
-    assert training["area under the curve"].value == pytest.approx(0.45)
-    assert reached(training) == [(INF, 5, INF), *[(INF,) * 3] * 3]
-    never, evaluated, _ = str(table).splitlines()[2:]
-    assert never.startswith("| BBQN-MAP | training | 0.425 [")
-    assert never.endswith("| not reached | not reached | not reached | not reached |")
-    assert evaluated.endswith("| 2 (100) | 4 (200) | 4 (200) | 6 (300) |")
+    assert second.startswith("| BBQN-MAP | evaluation | 0.650 [")
+    assert second.endswith(" | 2 (100) | 4 (200) | 4 (200) | 6 (300) |")
+    # Of three seeds one trained at .5.
+    assert third.startswith("| DQN | training | 0.450 [")
+    assert third.endswith(" | > 6 (> 300), 1 of 3 | not reached | not reached | not reached |")
 
 
-def test_seeds_evaluated_in_different_rounds_have_those_in_common(tmp_path):
+def test_seeds_evaluated_in_different_rounds_have_those_in_common(add):
     runs = [
-        make_run(tmp_path / "0", [0.8], rounds=6, eval_every=2),
-        make_run(tmp_path / "1", [0.9], rounds=6, eval_every=3, seed=1),
+        add([0.8], rounds=6, eval_every=2),
+        add([0.9], rounds=6, eval_every=3, seed=1),
     ]
     (group,) = read_groups(runs)
     assert np.isfinite(group.evaluation).tolist() == [[False, False]] * 5 + [[True, True]]
-    (group,) = read_groups([*runs, make_run(tmp_path / "2", [0.9], rounds=6, seed=2)])
+    (group,) = read_groups([*runs, add([0.9], rounds=6, seed=2)])
     assert group.evaluation is None
 
 
-def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(tmp_path):
+def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(add):
     dqn = {"agent": "dqn", "rounds": 8}
     runs = [
-        make_run(tmp_path / "a", [0.8, 0.9], rounds=8, eval_every=2),
-        make_run(tmp_path / "b", [0.7, 0.7], eval_every=4, **dqn),
-        make_run(tmp_path / "c", [0.7, 0.7], dropout=0.0, **dqn),
+        add([0.8, 0.9], rounds=8, eval_every=2),
+        add([0.7, 0.7], eval_every=4, **dqn),
+        add([0.7, 0.7], dropout=0.0, **dqn),
     ]
     often, rarely, never = read_groups(runs)
     # Rounds 4 and 8 alone: .4 and .8, .5 and .9 against .3 and .7, twice.
@@ -145,9 +134,8 @@ def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(tmp_path):
     assert "area" not in pair(often, never).differences
 
 
-def test_the_tables_csv_leaves_empty_what_was_not_reached(tmp_path):
-    run = make_run(tmp_path / "run", [0.8, *[1.0] * 5], rounds=8, eval_every=4)
-    table = learning_table(read_groups([run]))
+def test_the_tables_csv_leaves_empty_what_was_not_reached(add, tmp_path):
+    table = learning_table(read_groups([add([0.8, *[1.0] * 5], rounds=8, eval_every=4)]))
     table.write(tmp_path)
     training, evaluation = rows(tmp_path / "learning.csv")
     assert training["to_0.5_reached"] == "5"

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from result_folders import make_run, metrics_text, run_result
+from result_folders import metrics_text, run_result
 
 from bbq_torchrl.evaluation import read_metrics, read_result
 from bbq_torchrl.evaluation.results import replica_result, training_evaluation, write_json
@@ -87,43 +87,46 @@ DAMAGES = {
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_result_is_refused_by_name(tmp_path, damage):
-    file = make_run(tmp_path / "run", [0.5]) / "result.json"
+    file = tmp_path / "result.json"
+    write_json(run_result([0.5]), file)
     file.write_text(DAMAGES[damage](file.read_text()))
     with pytest.raises(ValueError, match=r"result\.json is damaged: "):
-        read_result(tmp_path / "run")
+        read_result(tmp_path)
 
 
-def write_metrics(folder, text):
-    (folder / "metrics.csv").write_text(text)
-    return folder
+@pytest.fixture
+def read(tmp_path):
+    """Reads metrics with this text."""
+
+    def read_text(text):
+        (tmp_path / "metrics.csv").write_text(text)
+        return read_metrics(tmp_path)
+
+    return read_text
 
 
-def test_metrics_are_arrays_of_rounds_and_replicas(tmp_path):
-    metrics = read_metrics(write_metrics(tmp_path, metrics_text([0.2, 0.6], rounds=3)))
-    assert (metrics.rounds, metrics.replicas) == (3, 2)
-    assert metrics["success_rate"] == pytest.approx(np.array([[0.1, 0.3]] * 3))
-    assert metrics["round"][:, 0].tolist() == [0, 1, 2]
+def test_metrics_are_arrays_of_rounds_and_replicas_without_a_round_that_a_kill_tore(read):
+    text = metrics_text([0.2, 0.6], rounds=3)
+    for kept, rounds in (
+        (text, 3),
+        (text[:-4], 2),
+        ("".join(text.splitlines(keepends=True)[:-1]), 2),
+    ):
+        metrics = read(kept)
+        assert (metrics.rounds, metrics.replicas) == (rounds, 2)
+        assert metrics["success_rate"] == pytest.approx(np.array([[0.1, 0.3]] * rounds))
+        assert metrics["round"][:, 0].tolist() == list(range(rounds))
     with pytest.raises(KeyError, match="no column 'kl', only round, replica, dialogues"):
         metrics["kl"]
 
 
-def test_training_success_counts_dialogues(tmp_path):
-    rows = ["round,replica,dialogues,success_rate", "0,0,10,0.5", "1,0,30,0.9"]
-    metrics = read_metrics(write_metrics(tmp_path, "\n".join(rows) + "\n"))
+def test_training_success_counts_dialogues_and_what_a_round_has_not_is_nan(read):
+    head = "round,replica,dialogues,success_rate,eval_success_rate\n"
+    metrics = read(f"{head}0,0,10,.5,\n1,0,30,.9,.25\n")
     assert metrics.training_success == pytest.approx([(5 + 27) / 40])
-
-
-def test_a_round_that_a_kill_tore_is_left_out(tmp_path):
-    text = metrics_text([0.2, 0.6], rounds=3)
-    for kept in (text[:-4], "".join(text.splitlines(keepends=True)[:-1])):
-        assert read_metrics(write_metrics(tmp_path, kept)).rounds == 2
-
-
-def test_what_a_round_has_not_is_nan(tmp_path):
-    text = "round,replica,dialogues,success_rate,eval_success_rate\n0,0,50,.5,\n1,0,50,.5,.25\n"
-    found = read_metrics(write_metrics(tmp_path, text))["eval_success_rate"][:, 0]
-    assert np.isnan(found).tolist() == [True, False]
-    assert found[1] == 0.25
+    assert metrics["eval_success_rate"][:, 0].tolist() == pytest.approx(
+        [math.nan, 0.25], nan_ok=True
+    )
 
 
 HEAD = "round,replica,dialogues,success_rate\n"
@@ -145,6 +148,6 @@ HEAD = "round,replica,dialogues,success_rate\n"
         ("", "must have the column round"),
     ],
 )
-def test_damaged_metrics_are_refused_by_name(tmp_path, text, message):
+def test_damaged_metrics_are_refused_by_name(read, text, message):
     with pytest.raises(ValueError, match=message):
-        read_metrics(write_metrics(tmp_path, text))
+        read(text)

@@ -19,37 +19,15 @@ def env(movie):
     return DialogueEnv(movie, batch_size=(2, PLACES), seed=0)
 
 
-@pytest.mark.parametrize("dialogues", [1, PLACES, PLACES + 1, 3 * PLACES])
-def test_exactly_so_many_dialogues_are_played(env, dialogues):
-    played = evaluate(env, scripted_policy("random", env), dialogues)
-    for entry in played:
-        assert entry.shape == (2, dialogues)
-    assert (played.turns >= 1).all()
-
-
-def test_outcomes_follow_from_the_rules_of_reward(env):
-    played = evaluate(env, scripted_policy("rule", env), 40)
-    assert (played.turns == 8).all()
-    assert played.success.any()
-    assert not played.success.all()
-    expected = torch.where(played.success, 40.0, -10.0) - 7
-    assert torch.equal(played.reward, expected.double())
-
-
-def test_the_first_dialogues_do_not_depend_on_how_many_follow(env):
+def test_a_seed_decides_all_dialogues_whatever_was_played_before_or_follows(env):
     policy = scripted_policy("random", env)
-    few, many = evaluate(env, policy, 4, seed=3), evaluate(env, policy, 15, seed=3)
-    for short, long in zip(few, many, strict=True):
-        assert torch.equal(short, long[:, :4])
-
-
-def test_a_seed_decides_all_dialogues_whatever_was_played_before(env):
-    policy = scripted_policy("random", env)
-    first = evaluate(env, policy, 20, seed=5)
-    other = evaluate(env, policy, 20, seed=6)
-    again = evaluate(env, policy, 20, seed=5)
-    assert all(map(torch.equal, first, again))
-    assert not torch.equal(first.turns, other.turns)
+    many, other = (evaluate(env, policy, 3 * PLACES, seed=seed) for seed in (5, 6))
+    assert not torch.equal(many.turns, other.turns)
+    assert (many.turns >= 1).all()
+    for dialogues in (1, PLACES, PLACES + 1, 3 * PLACES):
+        again = evaluate(env, policy, dialogues, seed=5)
+        for few, all_ in zip(again, many, strict=True):
+            assert torch.equal(few, all_[:, :dialogues])
 
 
 def network(env):

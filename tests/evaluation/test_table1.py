@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import pytest
-from result_folders import make_run
 from scipy import stats
 from tiny import rows
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.names import agent_name
-from bbq_torchrl.evaluation.report import main
 from bbq_torchrl.evaluation.statistics import estimate
 from bbq_torchrl.evaluation.table1 import PAPER, comparisons, find_cells
 from bbq_torchrl.options.registry import options
@@ -23,32 +18,25 @@ DQN = {"agent": "dqn", "explore": "epsilon_greedy"}
 
 
 @pytest.fixture
-def runs(tmp_path):
-    """A folder with two of the eighteen cells."""
-    make_run(tmp_path / "runs" / "bbqn_map", GOOD, eval_every=1)
-    make_run(tmp_path / "runs" / "dqn", BAD, **DQN)
-    return tmp_path / "runs"
-
-
-@pytest.fixture
-def groups(runs):
-    return read_groups(sorted(runs.iterdir()))
+def runs(add):
+    """Two of the eighteen cells."""
+    return [add(GOOD, eval_every=1), add(BAD, **DQN)]
 
 
 def test_every_cell_has_a_recipe():
     recipes = {name for name in options("experiment") if name.startswith("table1/")}
     agents = {name.replace("-", "_").lower() for name in PAPER["full"]}
     assert recipes == {f"table1/{env}_{name}" for env in ("full", "extension") for name in agents}
-    found = {}
-    for recipe in ("full_dqn_vime_mc", "extension_bbqn_map"):
+    for recipe, env, rounds in (
+        ("full_dqn_vime_mc", "full", 150),
+        ("extension_bbqn_map", "domain_ext", 200),
+    ):
         config = compose([f"+experiment=table1/{recipe}"])
-        found[agent_name(asdict(config)), config.env.name] = config.protocol.rounds, config.replicas
-    assert found == {("DQN-VIME-MC", "full"): (150, 5), ("BBQN-MAP", "domain_ext"): (200, 5)}
+        assert (config.env.name, config.protocol.rounds, config.replicas) == (env, rounds, 5)
 
 
-def test_the_papers_number_stands_beside_ours_and_what_is_missing_is_named(runs, capsys):
-    assert main([str(runs), "--table1"]) == 0
-    text = capsys.readouterr().out
+def test_the_papers_number_stands_beside_ours_and_what_is_missing_is_named(runs, report):
+    text = report("--table1")
     assert text.startswith("# Table 1: 2 of 18 cells\n\nNot run: BBQN-MC with env=full; ")
     missing = text.splitlines()[2]
     assert missing.count(" with env=") == 16
@@ -63,10 +51,10 @@ def test_the_papers_number_stands_beside_ours_and_what_is_missing_is_named(runs,
     assert extension.count("| not run |") == 9 + 2 * 8
 
 
-def test_p_values_are_adjusted_for_every_comparison_that_was_declared(groups):
+def test_p_values_are_adjusted_for_every_comparison_that_was_declared(runs):
     expected = 8 * stats.ttest_rel(GOOD, BAD).pvalue
     assert 0.01 < expected < 1
-    cells = find_cells(groups, "full")
+    cells = find_cells(read_groups(runs), "full")
     found = {item.other: item for item in comparisons(cells, "full", "final")}
     assert len(found) == 8
     assert found["DQN"].p_value == pytest.approx(expected)
@@ -74,40 +62,31 @@ def test_p_values_are_adjusted_for_every_comparison_that_was_declared(groups):
     assert (found["BBQN-MC"].p_value, found["BBQN-MC"].differences) == (1, None)
 
 
-def test_agents_that_share_fewer_than_two_replicas_are_not_paired(tmp_path, capsys):
+def test_agents_that_share_fewer_than_two_replicas_are_not_paired(add, report):
     for seed, rate in enumerate(GOOD):
-        make_run(tmp_path / f"map{seed}", [rate], seed=seed)
-    make_run(tmp_path / "dqn", BAD[:1], seed=0, **DQN)
-    assert main([str(tmp_path), "--table1"]) == 0
-    full = capsys.readouterr().out.partition("## env=domain_ext")[0]
+        add([rate], seed=seed)
+    add(BAD[:1], seed=0, **DQN)
+    full = report("--table1").partition("## env=domain_ext")[0]
     assert "| BBQN-MAP minus DQN | – | – | not paired | – | – | not paired |" in full
     assert "| BBQN-MAP minus BBQN-MC | – | – | not run | – | – | not run |" in full
 
 
-def test_two_settings_of_a_cell_are_refused(runs):
-    make_run(runs / "other", GOOD, prior_std=0.2)
-    with pytest.raises(ValueError, match=r"got two of BBQN-MAP with env=full: .*other"):
-        find_cells(read_groups(sorted(runs.iterdir())), "full")
+def test_two_settings_of_a_cell_are_refused(runs, add, report):
+    add(GOOD, name="other", prior_std=0.2)
+    error = report("--table1", code=2)
+    assert "got two of BBQN-MAP with env=full: " in error
+    assert "other" in error
 
 
-def test_every_replica_is_a_row(runs, tmp_path):
-    make_run(runs / "noisy", GOOD, noisy=True, **DQN)  # no agent of the table
-    assert main([str(runs), "--table1", "--out", str(tmp_path / "report")]) == 0
+def test_every_replica_is_a_row(runs, add, report, tmp_path):
+    add(GOOD, noisy=True, **DQN)  # no agent of the table
+    report("--table1", "--out", str(tmp_path / "report"))
     replicas = rows(tmp_path / "report" / "replicas.csv")
     assert [row["agent"] for row in replicas] == ["BBQN-MAP"] * 5 + ["DQN"] * 5
     assert [row["replica"] for row in replicas] == 2 * list("01234")
     assert [float(row["success_rate"]) for row in replicas] == GOOD + BAD
-    first = {**replicas[0]}
-    assert {first.pop(name) for name in ("updates", "rounds_to_60")} == {""}
-    assert first == {
-        "corpus": "movie",
-        "env": "full",
-        "agent": "BBQN-MAP",
-        "replica": "0",
-        "seed": "0",
-        "rounds": "3",
-        "success_rate": "0.7",
-        "reward": "10.0",
-        "turns": "8.0",
-        "cumulative_success": "0.35",
+    assert replicas[0] == {
+        **{"corpus": "movie", "env": "full", "agent": "BBQN-MAP", "replica": "0", "seed": "0"},
+        **{"rounds": "3", "updates": "", "rounds_to_60": ""},
+        **{"success_rate": "0.7", "reward": "10.0", "turns": "8.0", "cumulative_success": "0.35"},
     }
