@@ -18,22 +18,25 @@ LINE = re.compile(
 )
 
 
-def test_at_the_probability_found_the_policy_succeeds_as_often_as_wanted(capsys, restaurant_folder):
+@pytest.fixture
+def calibrated(restaurant_folder, capsys):
+    """Calibrates a domain. Returns the exit code and what was written."""
+
+    def run(*given, folder=restaurant_folder):
+        code = calibrate.main(["calibrate", "domain=folder", f"domain.path={folder}", *given])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_at_the_probability_found_the_policy_succeeds_as_often_as_wanted(
+    calibrated, restaurant_folder
+):
     wanted = 0.5
-    arguments = [
-        "calibrate",
-        "domain=folder",
-        f"domain.path={restaurant_folder}",
-        "policy=careful",
-        f"success={wanted}",
-        "dialogues=2000",
-        "batch=2000",
-    ]
-    assert calibrate.main(arguments) == 0
-    out, err = capsys.readouterr()
-    match = LINE.fullmatch(out)
-    assert match, out
-    probability, uncertain, rate, error = map(float, match.groups())
+    choices = ("policy=careful", f"success={wanted}", "dialogues=2000", "batch=2000")
+    code, out, err = calibrated(*choices)
+    assert code == 0
+    probability, uncertain, rate, error = map(float, LINE.fullmatch(out).groups())
     assert 0 < probability < 1
     assert error == pytest.approx((rate * (1 - rate) / 2000) ** 0.5, abs=1e-4)
     # Other users tell the slope: how far the probability is off if the rate is one error off.
@@ -50,32 +53,24 @@ def test_at_the_probability_found_the_policy_succeeds_as_often_as_wanted(capsys,
     assert abs(rate - wanted) < 4 * (2 * 0.25 / 2000) ** 0.5 + 0.01
 
 
-def test_the_rate_at_an_end_can_be_reached(capsys, restaurant_folder):
-    where = ("domain=folder", f"domain.path={restaurant_folder}", "dialogues=200")
-    assert calibrate.main(["calibrate", "success=0.99", *where]) == 2
-    most = re.search(r"in no more than (\S+) ±", capsys.readouterr().err).group(1)
-    assert calibrate.main(["calibrate", f"success={most}", *where]) == 0
-    assert capsys.readouterr().out.startswith("reference_slot_error_prob: 0 ")
+def test_a_rate_is_reached_up_to_the_end_and_refused_beyond(calibrated):
+    code, out, err = calibrated("success=0.99", "dialogues=200")
+    assert (code, out) == (2, "")
+    said = r"error: success=0.99 cannot be reached: with .*slot_error_prob=0, rule succeeds in no "
+    most = re.match(said + r"more than (\S+) ±", err.splitlines()[-1]).group(1)
+    code, out, _ = calibrated(f"success={most}", "dialogues=200")
+    assert code == 0
+    assert out.startswith("reference_slot_error_prob: 0 ")
 
 
-@pytest.mark.parametrize(
-    ("success", "said"),
-    [(0.99, "slot_error_prob=0, rule succeeds in no more"), (0.0, "=1, rule succeeds in no less")],
-)
-def test_a_rate_that_cannot_be_reached_is_refused(
-    capsys, restaurant_folder, tmp_path, success, said
-):
+def test_a_rate_below_what_errors_can_do_is_refused(calibrated, restaurant_folder, tmp_path):
     folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
-    if success == 0:  # users without a wish, whose area alone is misheard
-        (folder / "goals.jsonl").write_text('{"constraints": {}, "requests": []}\n')
-        (folder / "values.json").write_text('{"area": ["north"]}\n')
-    where = ("domain=folder", f"domain.path={folder}", "dialogues=200")
-    assert calibrate.main(["calibrate", f"success={success}", *where]) == 2
-    out, err = capsys.readouterr()
-    assert not out
-    message = err.splitlines()[-1]
-    assert message.startswith(f"error: success={success} cannot be reached: with ")
-    assert said in message
+    # Users without a wish, whose area alone is misheard.
+    (folder / "goals.jsonl").write_text('{"constraints": {}, "requests": []}\n')
+    (folder / "values.json").write_text('{"area": ["north"]}\n')
+    code, out, err = calibrated("success=0.0", "dialogues=200", folder=folder)
+    assert (code, out) == (2, "")
+    assert "slot_error_prob=1, rule succeeds in no less" in err.splitlines()[-1]
 
 
 def test_help_says_what_there_is(capsys):

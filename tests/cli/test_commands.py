@@ -21,42 +21,27 @@ from bbq_torchrl.evaluation.rollouts import evaluate as evaluate_policy
 
 TRAIN = forked.ROOT / "train.py"
 
-SMALL = (
-    *TINY,
-    "protocol.rounds=3",
-    "protocol.eval_dialogues=30",
-    "protocol.eval_batch=30",
-)
+SMALL = (*TINY, "protocol.rounds=3", "protocol.eval_dialogues=30", "protocol.eval_batch=30")
 
 
-def train(*overrides, cwd, code=0):
-    return forked.call(train_main, *overrides, cwd=cwd, code=code)
+def train(command, *more, cwd, code=0):
+    return forked.call(train_main, *command.split(), *more, cwd=cwd, code=code)
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A run of three replicas, from the command of the README on a shrunk protocol."""
     folder = tmp_path_factory.mktemp("cli") / "run"
-    train(
-        "agent=bbqn",
-        "explore=thompson",
-        "env=domain_ext",
-        "env.start=1",
-        "env.every=1",
-        "replicas=3",
-        "seed=7",
-        "device=cpu",
-        *SMALL,
-        f"hydra.run.dir={folder}",
-        cwd=folder.parent,
-    )
+    growing = "env=domain_ext env.start=1 env.every=1"
+    command = f"agent=bbqn explore=thompson {growing} replicas=3 seed=7 device=cpu"
+    train(command, *SMALL, f"hydra.run.dir={folder}", cwd=folder.parent)
     return folder
 
 
 def test_a_run_folder_holds_configuration_metrics_result_curve_and_checkpoints(finished):
     names = {path.name for path in finished.iterdir()}
-    assert {"config.yaml", ".hydra", "metrics.csv", "result.json", "curve.png"} <= names
-    assert "checkpoint" in names
+    files = {"config.yaml", ".hydra", "metrics.csv", "result.json", "curve.png", "checkpoint"}
+    assert files <= names
     assert "scalars" not in names  # metrics.csv is the one file of a round's numbers
     assert [(row["round"], row["replica"]) for row in rows(finished / "metrics.csv")] == [
         (str(number), str(replica)) for number in range(3) for replica in range(3)
@@ -67,9 +52,8 @@ def test_a_run_folder_holds_configuration_metrics_result_curve_and_checkpoints(f
 def test_the_result_says_what_ran_and_how_well(finished):
     result = json.loads((finished / "result.json").read_text())
     expected = {"agent": "bbqn", "explore": "thompson", "env": "domain_ext", "domain": "movie"}
+    expected |= {"seed": 7, "rounds": 3, "replicas": 3, "dialogues": 90}
     assert {key: result[key] for key in expected} == expected
-    assert (result["seed"], result["rounds"], result["replicas"]) == (7, 3, 3)
-    assert result["dialogues"] == 90
     assert [item["dialogues"] for item in result["per_replica"]] == [30, 30, 30]
     mean = sum(item["success_rate"] for item in result["per_replica"]) / 3
     assert result["success_rate"] == pytest.approx(mean)
@@ -77,18 +61,12 @@ def test_the_result_says_what_ran_and_how_well(finished):
     assert result["wall_seconds"] > 0
 
 
-def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, capsys):
-    answers = {}
-    for mode in ("mean", "average", "thompson"):
-        assert (
-            evaluate.main([f"policy={finished}", "dialogues=25", "batch=10", f"mode={mode}"]) == 0
-        )
-        out = capsys.readouterr().out
-        assert len(out.strip().splitlines()) == 1
-        answers[mode] = json.loads(out)
-    assert answers["mean"]["env"] == "domain_ext"
-    assert answers["mean"]["dialogues"] == 75
-    assert [answers[mode]["mode"] for mode in answers] == ["mean", "average", "thompson"]
+@pytest.mark.parametrize("mode", ["mean", "average", "thompson"])
+def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, capsys, mode):
+    assert evaluate.main([f"policy={finished}", "dialogues=25", "batch=10", f"mode={mode}"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    answer = json.loads(line)
+    assert (answer["env"], answer["dialogues"], answer["mode"]) == ("domain_ext", 75, mode)
 
 
 def test_a_loaded_run_plays_as_it_was_reported(finished):
@@ -119,8 +97,7 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
     arguments = "policy=rule dialogues=300 batch=128 log=dialogues.txt log_dialogues=4"
     assert evaluate.main(arguments.split()) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert answer["dialogues"] == 300
-    assert answer["turns"] == 8
+    assert (answer["dialogues"], answer["turns"]) == (300, 8)
     rate = answer["success_rate"]
     assert answer["standard_error"] == pytest.approx((rate * (1 - rate) / 300) ** 0.5)
     # Reward of 8 turns: -1 for the first 7, then 40 or -10.
@@ -132,58 +109,37 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
 
 
 def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_says(tmp_path):
-    sweep = (
-        "--multirun",
-        "hydra/launcher=basic",  # the default is tested, slowly, in test_launchers.py
-        "+experiment/table1=full_bbqn_map,full_dqn",
-        *SMALL,
-        "protocol.rounds=1",
-        "replicas=1",
+    sweep = (  # the default launcher is tested, slowly, in test_launchers.py
+        "--multirun hydra/launcher=basic +experiment/table1=full_bbqn_map,full_dqn",
+        *(*SMALL, "protocol.rounds=1", "replicas=1"),
         "+hydra.callbacks.keep._target_=cli.returned.KeepReturned",
         f"hydra.sweep.dir={tmp_path / 'sweep'}",
     )
-    train(*sweep, cwd=tmp_path)
     folders = [tmp_path / "sweep" / "full" / agent / "seed0" for agent in ("bbqn_map", "dqn")]
-    results = [json.loads((folder / "result.json").read_text()) for folder in folders]
-    assert [(item["agent"], item["explore"]) for item in results] == [
-        ("bbqn", "thompson"),
-        ("dqn", "epsilon_greedy"),
-    ]
-
-    def returned():
-        return [float((folder / "returned.txt").read_text()) for folder in folders]
-
-    assert returned() == [item["success_rate"] for item in results]
-    made = [(folder / "config.yaml").stat().st_mtime_ns for folder in folders]
-    for folder in folders:
-        (folder / "returned.txt").unlink()
-    train(*sweep, cwd=tmp_path)  # what is finished is left as it is
-    assert [(folder / "config.yaml").stat().st_mtime_ns for folder in folders] == made
-    assert returned() == [item["success_rate"] for item in results]
+    made = []
+    for _ in range(2):  # what is finished is left as it is
+        train(*sweep, cwd=tmp_path)
+        results = [read_result(folder) for folder in folders]
+        assert [result.explore for result in results] == ["thompson", "epsilon_greedy"]
+        returned = [float((folder / "returned.txt").read_text()) for folder in folders]
+        assert returned == [result.success_rate for result in results]
+        made.append([(folder / "config.yaml").stat().st_mtime_ns for folder in folders])
+        for folder in folders:
+            (folder / "returned.txt").unlink()
+    assert made[0] == made[1]
 
 
 def test_jobs_find_a_domain_from_where_the_sweep_began(restaurant_folder, tmp_path):
     shutil.copytree(restaurant_folder, tmp_path / "restaurant")
-    train(
-        "--multirun",
-        "hydra/launcher=basic",
-        "hydra.job.chdir=true",
-        "domain=folder",
-        "domain.path=restaurant",
-        "agent=dqn",
-        *TINY,
-        "protocol.rounds=1",
-        "hydra.sweep.dir=sweep",
-        "hydra.sweep.subdir=job",
-        cwd=tmp_path,
-    )
+    sweep = "--multirun hydra/launcher=basic hydra.sweep.dir=sweep hydra.sweep.subdir=job"
+    domain = "hydra.job.chdir=true domain=folder domain.path=restaurant agent=dqn"
+    train(f"{sweep} {domain}", *TINY, "protocol.rounds=1", cwd=tmp_path)
     assert read_result(tmp_path / "sweep" / "job").domain == "restaurant"
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
-    _, message = train(
-        "agent.lr=1e30", *SMALL, "replicas=2", "hydra.run.dir=run", cwd=tmp_path, code=1
-    )
+    command = "agent.lr=1e30 replicas=2 hydra.run.dir=run"
+    _, message = train(command, *SMALL, cwd=tmp_path, code=1)
     assert "the loss of replicas 0, 1 is not finite in round 0; the state is saved in" in message
     assert "Traceback" not in message
     assert (tmp_path / "run" / "checkpoint" / "failed-round-000000.torchrl").is_file()

@@ -53,19 +53,10 @@ def test_a_result_says_what_of_a_corpus_was_left_out(played, tcbot, tmp_path_fac
 
 
 def test_the_public_corpus_is_evaluated_with_files_and_difficulty_of_choice(capsys, tcbot):
-    arguments = [
-        "policy=careful",
-        "dialogues=40",
-        "batch=16",
-        "domain=miulab",
-        f"domain.path={tcbot}",
-        "domain.goals=user_goals_first_turn_template.part.movie.v1.p",
-        "domain.kb=movie_kb.1k.p",
-        "env.slot_error_prob=.05",
-        "env.slot_error_mode=value",
-        "env.intent_error_prob=0",
-        "env.max_turn=40",
-    ]
+    goals = "user_goals_first_turn_template.part.movie.v1.p"
+    corpus = f"domain=miulab domain.path={tcbot} domain.kb=movie_kb.1k.p domain.goals={goals}"
+    errors = "env.slot_error_prob=.05 env.slot_error_mode=value env.intent_error_prob=0"
+    arguments = f"policy=careful dialogues=40 batch=16 env.max_turn=40 {corpus} {errors}".split()
     assert evaluate.main(arguments) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["domain"], answer["dialogues"]) == ("miulab", 40)

@@ -55,18 +55,10 @@ def test_a_key_of_the_environment_changes_the_runs_own():
 
 
 def test_the_six_agents_of_the_papers_human_evaluation_are_shipped():
-    rounds = {
-        name: (read_result(shipped.SHIPPED / name).rounds, read_result(shipped.SHIPPED / name).env)
-        for name in shipped.shipped_agents()
-    }
-    assert rounds == {
-        f"{agent}{when}": given
-        for agent in ("bbqn_map", "dqn")
-        for when, given in {
-            "": (150, "full"),
-            "_before": (40, "domain_ext"),
-            "_after": (200, "domain_ext"),
-        }.items()
+    found = {name: read_result(shipped.SHIPPED / name) for name in shipped.shipped_agents()}
+    given = {"": (150, "full"), "_before": (40, "domain_ext"), "_after": (200, "domain_ext")}
+    assert {name: (result.rounds, result.env) for name, result in found.items()} == {
+        f"{agent}{when}": given[when] for agent in ("bbqn_map", "dqn") for when in given
     }
 
 
