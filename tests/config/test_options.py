@@ -68,10 +68,17 @@ def unchanged(monkeypatch, tmp_path):
             del sys.modules[name]
 
 
-def folder_with(folder, **files):
-    folder.mkdir(exist_ok=True)
-    for name, text in files.items():
-        (folder / f"{name}.py").write_text(text)
+@pytest.fixture
+def own(tmp_path):
+    """Makes a folder with an option of one's own, and YAML files in its group."""
+
+    def folder(name="own", **files):
+        (tmp_path / name / "explore").mkdir(parents=True)
+        (tmp_path / name / "narrow_option.py").write_text(STRATEGY)
+        for file, text in files.items():
+            (tmp_path / name / "explore" / f"{file}.yaml").write_text(text)
+        return tmp_path / name
+
     return folder
 
 
@@ -132,17 +139,16 @@ def test_an_agent_must_be_able_to_explore_by_its_own_strategy():
         explorations()
 
 
-def test_an_option_of_a_folder_is_checked_and_paired_like_ours(tmp_path):
-    folder = folder_with(tmp_path / "own", narrow_explore=STRATEGY)
-    rest = load(folder, "explore=narrow", "explore.patience=5")
+def test_an_option_of_a_folder_is_checked_and_paired_like_ours(own):
+    rest = load(own(), "explore=narrow", "explore.patience=5")
 
     assert rest == ["explore=narrow", "explore.patience=5"]
     assert compose(rest).explore.patience == 5
     assert "narrow" in options("explore")
     assert "narrow" in explorations()["bbqn"]
     # Hydra shows $$ as $
-    own = "  explore.patience (explore=narrow): rounds, $$5 each; an integer from 1 to 10**9"
-    assert own in store.keys_of_others().splitlines()
+    told = "  explore.patience (explore=narrow): rounds, $$5 each; an integer from 1 to 10**9"
+    assert told in store.keys_of_others().splitlines()
     for command, said in {
         "explore=narrow explore.patience=0": "explore.patience must be an integer from 1 to",
         "explore=narrow explore.patiance=2": "did you mean explore.patience?",
@@ -154,14 +160,9 @@ def test_an_option_of_a_folder_is_checked_and_paired_like_ours(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["own", "o'b"])
-def test_a_yaml_file_of_a_folder_is_an_option_with_other_defaults(name, tmp_path):
-    folder = folder_with(tmp_path / name, narrow_other=STRATEGY)
-    (folder / "explore").mkdir()
-    (folder / "explore" / "patient.yaml").write_text("defaults: [narrow, _self_]\npatience: 9\n")
-    load(folder)
-
+def test_a_yaml_file_of_a_folder_is_an_option_with_other_defaults(name, own):
+    load(own(name, patient="defaults: [narrow, _self_]\npatience: 9\n"))
     config = compose(["explore=patient"])
-
     assert (config.explore.name, config.explore.patience) == ("narrow", 9)
     assert "patient" in options("explore")
 
@@ -175,25 +176,21 @@ def test_a_yaml_file_of_a_folder_is_an_option_with_other_defaults(name, tmp_path
         ("defaults: [narrow, _self_]\npatients: 9\n", r"patients, which explore=narrow does not "),
     ],
 )
-def test_a_yaml_file_that_is_no_option_is_named(text, said, tmp_path):
-    folder = folder_with(tmp_path / "own", narrow_faulty=STRATEGY)
-    (folder / "explore").mkdir()
-    (folder / "explore" / "bold.yaml").write_text(text)
-    load(folder)
+def test_a_yaml_file_that_is_no_option_is_named(text, said, own):
+    load(own(bold=text))
     with pytest.raises(ConfigError, match=said):
         compose(["explore=bold"])
 
 
-def test_the_folder_is_part_of_the_commands_that_are_told(tmp_path):
+def test_the_folder_is_part_of_the_commands_that_are_told(own):
     assert train_command() == ["python", "train.py"]
-    folder = folder_with(tmp_path / "own folder")
+    folder = own("own folder")
     load(folder)
     assert train_command() == ["python", "train.py", "--config-dir", str(folder)]
 
 
-def test_the_jobs_of_a_sweep_take_the_folder(tmp_path):
-    folder = folder_with(tmp_path / "own", narrow_train=STRATEGY)
-    given = ["--config-dir", str(folder), "--multirun", "seed=1,2", "explore=narrow"]
+def test_the_jobs_of_a_sweep_take_the_folder(own, tmp_path):
+    given = ["--config-dir", str(own()), "--multirun", "seed=1,2", "explore=narrow"]
     checked = []
     prepare(
         [*given, f"hydra.sweep.dir={tmp_path / 'made'}"],
@@ -226,23 +223,23 @@ def test_a_file_that_cannot_be_used_is_named(name, text, said, tmp_path):
         load(tmp_path)
 
 
-def test_a_run_whose_option_is_not_there_is_refused_with_the_way_to_it(tmp_path):
-    load(folder_with(tmp_path / "own", narrow_saved=STRATEGY))
+def test_a_run_whose_option_is_not_there_is_refused_with_the_way_to_it(own, tmp_path):
+    load(own())
     save_config(compose(["explore=narrow"]), tmp_path / "config.yaml")
     assert run_config(tmp_path).explore.name == "narrow"
 
     del registry.schemas()["explore"]["narrow"]
 
-    with pytest.raises(
-        ConfigError,
-        match=r"config\.yaml: explore must be one of .* 'narrow': optio"
-        r"ns of your own come with an installed package or with --config-dir",
-    ):
+    message = (
+        r"config\.yaml: explore must be one of .* 'narrow': options of your own come with an "
+        r"installed package or with --config-dir"
+    )
+    with pytest.raises(ConfigError, match=message):
         run_config(tmp_path)
 
 
-def test_a_run_with_an_option_of_a_folder_is_loaded_with_the_folder(tmp_path):
-    folder = folder_with(tmp_path / "own", narrow_loaded=STRATEGY)
+def test_a_run_with_an_option_of_a_folder_is_loaded_with_the_folder(own, tmp_path):
+    folder = own()
     given = ("--config-dir", str(folder), "explore=narrow", "hydra.run.dir=run", *TINY)
     forked.call(train_main, *given, cwd=tmp_path)  # this process never saw the folder
 
@@ -261,27 +258,25 @@ def test_a_package_that_cannot_be_imported_is_named(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(registry, "_loaded", set())
 
-    with pytest.raises(
-        ConfigError, match=r"options of ill \(ailing.ill\) cannot be imported: No mod"
-    ):
+    message = r"options of ill \(ailing.ill\) cannot be imported: No mod"
+    with pytest.raises(ConfigError, match=message):
         registry.schemas()
 
 
 @pytest.mark.slow
-def test_the_commands_take_a_folder_in_processes_of_their_own(tmp_path):
-    folder = folder_with(tmp_path / "own", narrow=STRATEGY)
-    train, own = forked.ROOT / "train.py", ("--config-dir", folder)
+def test_the_commands_take_a_folder_in_processes_of_their_own(own, tmp_path):
+    train, folder = forked.ROOT / "train.py", ("--config-dir", own())
 
     def refused(*arguments):
         return forked.python(*arguments, cwd=tmp_path, code=2)[1]
 
-    assert "narrow" in forked.python(train, *own, "--help", cwd=tmp_path)[0]
+    assert "narrow" in forked.python(train, *folder, "--help", cwd=tmp_path)[0]
     # Two jobs side by side: their processes find the folder too.
     sweep = ("-m", "explore=narrow", "seed=1,2", "hydra.sweep.dir=sweep", *TINY)
-    forked.python(train, *own, *sweep, cwd=tmp_path)
+    forked.python(train, *folder, *sweep, cwd=tmp_path)
     (one, _) = sorted(file.parent for file in (tmp_path / "sweep").rglob("result.json"))
     assert "with --config-dir <folder>" in refused(train, f"resume={one}")
     evaluated = ("-m", "bbq_torchrl.evaluate", f"policy={one}", "dialogues=2")
     assert "with --config-dir <folder>" in refused(*evaluated)
-    out, _ = forked.python(*evaluated[:2], *own, *evaluated[2:], cwd=tmp_path)
+    out, _ = forked.python(*evaluated[:2], *folder, *evaluated[2:], cwd=tmp_path)
     assert json.loads(out)["dialogues"] == 2

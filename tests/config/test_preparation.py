@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from unittest.mock import Mock, patch
 
 import pytest
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
@@ -14,8 +15,12 @@ from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError, registry
 
 
-def test_a_sweep_may_be_over_lists(tmp_path, monkeypatch):
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+
+
+def test_a_sweep_may_be_over_lists():
     checked = []
     prepare(["--multirun", "replicas=2", "agent.lr=[.1,.2],[.3,.4]"], checked.append)
     assert [config.agent.lr for config in checked] == [[0.1, 0.2], [0.3, 0.4]]
@@ -28,18 +33,14 @@ def test_the_jobs_of_a_sweep_that_an_experiment_asks_for_are_checked(tmp_path, m
         "# @package _global_\n"
         "hydra:\n  mode: MULTIRUN\n  sweeper:\n    params:\n      agent.lr: .1,.2,-1\n"
     )
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(
-        ConfigError, match=r"agent\.lr must be a number from 1e-30 to 1e30 .*, got -1"
-    ):
+    with pytest.raises(ConfigError, match=r"agent\.lr must be a number from .*, got -1"):
         prepare(["+experiment=sweep"])
     checked = []
     prepare(["+experiment=sweep", "agent.lr=.3,.4"], checked.append)
     assert [config.agent.lr for config in checked] == [0.3, 0.4]
 
 
-def test_jobs_that_only_another_sweeper_knows_are_left_to_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_jobs_that_only_another_sweeper_knows_are_left_to_it():
     other = ["--multirun", "hydra.sweeper._target_=some.OtherSweeper", "agent.lr=interval(.1,.2)"]
     assert prepare(other, fail).jobs == 0
     with pytest.raises(ConfigError, match="BasicSweeper does not support"):
@@ -47,35 +48,23 @@ def test_jobs_that_only_another_sweeper_knows_are_left_to_it(tmp_path, monkeypat
 
 
 def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatch):
-    composed, checked, ran = [], [], []
-    compose_once = ConfigLoaderImpl.load_configuration
-
-    def counted(self, *args, **kwargs):
-        composed.append(compose_once(self, *args, **kwargs))
-        return composed[-1]
-
-    def check(config):
-        checked.append((config, object()))  # the second stands for the domain
-        return checked[-1][1]
-
-    def task(config, folder, domain):
-        ran.append((config, domain))
-        assert folder == tmp_path / "it"
-        return 0.0
-
+    check, run = Mock(), Mock(return_value=Mock(success_rate=0.0))
     monkeypatch.setattr(checks, "check", check)
-    monkeypatch.setattr(train, "_train", task)
-    monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
+    monkeypatch.setattr("bbq_torchrl.run.run", run)
     monkeypatch.setattr(sys, "argv", ["train.py", "agent=dqn", f"hydra.run.dir={tmp_path / 'it'}"])
-    train.main()
-    assert len(composed) == len(checked) == len(ran) == 1
-    assert all(one is other for one, other in zip(ran[0], checked[0], strict=True))
+    load = ConfigLoaderImpl.load_configuration
+    with patch.object(ConfigLoaderImpl, load.__name__, autospec=True, side_effect=load) as composed:
+        train.main()
+    composed.assert_called_once()
+    check.assert_called_once()
+    (config,) = check.call_args.args
+    run.assert_called_once_with(config, tmp_path / "it", domain=check.return_value)
+    assert run.call_args.args[0] is config
     assert "agent=dqn" in (tmp_path / "it" / ".hydra" / "overrides.yaml").read_text()
 
 
 @pytest.mark.parametrize("command", [["agent=dqn"], ["--multirun", "agent=bbqn,dqn"]])
-def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, monkeypatch, command):
-    monkeypatch.chdir(tmp_path)
+def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, command):
     for _ in range(3):
         prepare(command)
     assert len(list(tmp_path.glob("runs/*/*"))) == 3
@@ -84,8 +73,7 @@ def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path, monkeypatch, 
 @pytest.mark.parametrize(
     "command", [["--help"], ["--cfg", "job", "agent=dqn"], ["--info"], ["--hydra-help"]]
 )
-def test_what_only_shows_something_is_left_to_hydra(tmp_path, monkeypatch, command):
-    monkeypatch.chdir(tmp_path)
+def test_what_only_shows_something_is_left_to_hydra(tmp_path, command):
     assert prepare(command, fail) is None
     assert not list(tmp_path.iterdir())
 
@@ -94,8 +82,7 @@ def fail(config):
     raise ValueError("nothing was to be checked")
 
 
-def test_a_run_that_fails_its_check_leaves_no_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_run_that_fails_its_check_leaves_no_folder(tmp_path):
     with pytest.raises(ValueError, match="nothing was to be checked"):
         prepare(["agent=dqn"], fail)
     assert not list(tmp_path.iterdir())

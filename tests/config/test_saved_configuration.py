@@ -20,14 +20,13 @@ SAVED_BY_0_1_0 = Path(__file__).parent.parent / "data" / "runs_of_0_1_0"
 @pytest.mark.parametrize(
     "command",
     [
-        [],
-        ["agent=dqn", "env=domain_ext", "seed=3"],
-        ["protocol=quick", "spike=none"],
-        ["agent=bootstrap", "intrinsic=vime"],
+        "",
+        "agent=dqn env=domain_ext seed=3",
+        "protocol=quick spike=none agent=bootstrap intrinsic=vime",
     ],
 )
 def test_a_saved_configuration_is_read_back_as_it_was(tmp_path, command):
-    config = compose(command)
+    config = compose(command.split())
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == config
 

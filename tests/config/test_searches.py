@@ -11,12 +11,8 @@ def test_our_searches_can_be_run_at_every_bound_and_vary_what_each_agent_has():
     spaces = {name: {*found.space} for name, found in searches.items()}
     assert all(spaces.values())
     assert all(found.folder.name == f"search_{name}" for name, found in searches.items())
-    assert spaces["bbqn"] == {
-        "agent.mean_init",
-        "agent.std_init",
-        "agent.prior_std",
-        "agent.kl_temperature",
-    }
+    bbqn = {"mean_init", "std_init", "prior_std", "kl_temperature"}
+    assert spaces["bbqn"] == {f"agent.{key}" for key in bbqn}
     assert "explore.temperature_init" in spaces["dqn_boltzmann"]
     assert "agent.prior_std" not in spaces["dqn_boltzmann"]
 
@@ -27,20 +23,12 @@ def test_a_temperature_that_is_searched_stays_the_same_over_all_rounds():
 
 
 def test_the_command_line_changes_settings_space_and_what_is_fixed():
-    search = compose_search(
-        [
-            "search=bbqn",
-            "search.trials=7",
-            "search.objective=final",
-            "search.space.agent.prior_std.high=.5",
-            "search.space.agent.mean_init=null",
-            "search.space.agent.std_init=null",
-            "search.space.agent.kl_temperature=null",
-            "search.space.agent.target={type: categorical, choices: [map, mc]}",
-            "agent.lr=2e-3",
-            "replicas=3",
-        ]
-    )
+    given = ["search=bbqn", "search.trials=7", "search.objective=final", "agent.lr=2e-3"]
+    given += [
+        f"search.space.agent.{key}=null" for key in ("mean_init", "std_init", "kl_temperature")
+    ]
+    given.append("search.space.agent.target={type: categorical, choices: [map, mc]}")
+    search = compose_search([*given, "search.space.agent.prior_std.high=.5", "replicas=3"])
     assert (search.settings.trials, search.settings.objective) == (7, "final")
     assert {name: item.probes for name, item in search.space.items()} == {
         "agent.prior_std": [0.03, 0.5],

@@ -69,31 +69,20 @@ def test_the_defaults_of_a_command_are_allowed(schema):
     assert all(item.metadata["allowed"].test(getattr(config, key)) for key, item in leaves(schema))
 
 
+NUMBER = "a number from 1e-15 to 1e15"
+LISTED = f"{NUMBER} (or a list, one for each replica)"
+
+
 @pytest.mark.parametrize(
     ("allowed", "text", "accepted", "refused"),
     [
-        (POSITIVE, "a number from 1e-15 to 1e15", [1e-9, 3], [0, -1, True, "1", math.inf, 1e-200]),
+        (POSITIVE, NUMBER, [1e-9, 3], [0, -1, True, "1", math.inf, 1e-200]),
         (SEED, "an integer from 0 to 2**63 - 1", [0, 2**63 - 1], [-1, 2**63, 2**64, 1e3]),
         (integers(2), "an integer from 2 to 10**9", [2, 40], [1, 2.0, True, 10**9 + 1]),
         (one_of("map", "mc"), "one of map, mc", ["map", "mc"], ["MAP", None]),
-        (
-            or_text(POSITIVE, "fan_in"),
-            "a number from 1e-15 to 1e15 or 'fan_in'",
-            ["fan_in", 1],
-            ["fan", 0],
-        ),
-        (
-            per_replica(POSITIVE),
-            "a number from 1e-15 to 1e15 (or a list, one for each replica)",
-            [1, [0.1], [1, 2]],
-            [0, [], [0.1, 0], ["1"], [True], [[1]], "1"],
-        ),
-        (
-            optional(POSITIVE, "never"),
-            "a number from 1e-15 to 1e15 or null (never)",
-            [None, 1],
-            [0, "null"],
-        ),
+        (or_text(POSITIVE, "fan_in"), f"{NUMBER} or 'fan_in'", ["fan_in", 1], ["fan", 0]),
+        (per_replica(POSITIVE), LISTED, [1, [0.1], [1, 2]], [0, [], [0, 1], [True], [[1]], "1"]),
+        (optional(POSITIVE, "never"), f"{NUMBER} or null (never)", [None, 1], [0, "null"]),
     ],
 )
 def test_what_is_allowed_says_so(allowed: Allowed, text, accepted, refused):
