@@ -41,12 +41,6 @@ def test_a_rate_that_hits_the_level_reaches_it_in_spite_of_rounding():
     assert rounds_to_reach(success, 0.6).tolist() == [5]
 
 
-def test_rounds_without_an_evaluation_reach_nothing():
-    nan = math.nan
-    success = np.array([[nan, nan], [0.7, 0.2], [nan, nan], [0.5, 0.6]])
-    assert rounds_to_reach(success, 0.6, window=1).tolist() == [2, 4]
-
-
 @pytest.mark.parametrize(
     ("rounds", "median", "reached"),
     [
@@ -89,13 +83,6 @@ def test_area_of_a_whole_curve_is_the_integral_over_its_length(curve):
     assert found == pytest.approx(expected.tolist())
 
 
-def test_area_is_weighed_by_the_rounds_between_evaluations():
-    nan = math.nan
-    # From 0 to .8 in one round, then .8 for three: (.4 + 3 * .8) / 4.
-    curve = np.array([[nan], [0.0], [0.8], [nan], [nan], [0.8], [nan]])
-    assert areas(curve) == pytest.approx([0.7])
-
-
 def test_each_curve_has_a_row_with_its_area_and_when_it_reached_a_level(add):
     evaluated = add([0.8, 0.9], rounds=6, eval_every=2)
     runs = [evaluated, add([0.8, 1.0, 0.9], rounds=6, agent="dqn")]
@@ -111,10 +98,7 @@ def test_each_curve_has_a_row_with_its_area_and_when_it_reached_a_level(add):
 
 
 def test_seeds_evaluated_in_different_rounds_have_those_in_common(add):
-    runs = [
-        add([0.8], rounds=6, eval_every=2),
-        add([0.9], rounds=6, eval_every=3, seed=1),
-    ]
+    runs = [add([0.8], rounds=6, eval_every=2), add([0.9], rounds=6, eval_every=3, seed=1)]
     (group,) = read_groups(runs)
     assert np.isfinite(group.evaluation).tolist() == [[False, False]] * 5 + [[True, True]]
     (group,) = read_groups([*runs, add([0.9], rounds=6, seed=2)])
