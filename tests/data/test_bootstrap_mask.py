@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import pickle
 from copy import deepcopy
 
@@ -14,14 +13,9 @@ from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDic
 from bbq_torchrl.data import BootstrapMask
 
 
-def rows(*batch, valid=None):
-    count = torch.Size(batch).numel()
-    td = TensorDict(number=torch.arange(count).reshape(batch), batch_size=batch)
-    return td if valid is None else td.set("valid", torch.as_tensor(valid))
-
-
 def masks(transform, *batch, valid=None):
-    return transform.inv(rows(*batch, valid=valid))["bootstrap_mask"]
+    td = TensorDict(batch_size=batch)
+    return transform.inv(td if valid is None else td.set("valid", valid))["bootstrap_mask"]
 
 
 @pytest.mark.parametrize("prob", [0.5, 0.1, 1.0])
@@ -29,7 +23,6 @@ def test_heads_learn_from_their_share_independently(prob):
     n, heads = 20_000, 6
     mask = masks(BootstrapMask(heads, prob), n)
     assert mask.dtype == torch.bool
-    assert mask.shape == (n, heads)
     mask = mask.double() - prob
     # means of n numbers with variance p (1 - p); of products of independent ones, its square
     error = prob * (1 - prob) / n**0.5
@@ -41,73 +34,58 @@ def test_heads_learn_from_their_share_independently(prob):
 
 
 @pytest.mark.parametrize("replicas", [(), (1,), (3,), (2, 2)])
-def test_masks_have_the_replicas_the_rows_and_the_heads(replicas):
-    transform = BootstrapMask(4, replicas=replicas)
-    assert masks(transform, *replicas, 7).shape == (*replicas, 7, 4)
-    assert masks(transform, *replicas, 7, 3).shape == (*replicas, 7, 3, 4)
-    assert masks(transform, *replicas, 0).shape == (*replicas, 0, 4)
-    assert masks(transform, *replicas).shape == (*replicas, 4)  # one transition
+@pytest.mark.parametrize("rows", [(7,), (7, 3), (0,), ()])
+def test_masks_have_the_replicas_the_rows_and_the_heads(replicas, rows):
+    mask = masks(BootstrapMask(4, replicas=replicas), *replicas, *rows)
+    assert mask.shape == (*replicas, *rows, 4)
 
 
-def test_replicas_have_streams_of_their_own_at_first_from_torchs():
-    transform = BootstrapMask(4, replicas=(3,))
-    transform.set_seeds([1, 2, 1])
-    drawn = masks(transform, 3, 40)
-    assert torch.equal(drawn[0], drawn[2])
-    assert not torch.equal(drawn[0], drawn[1])
-    single = BootstrapMask(4)
-    single.set_seeds([2])
-    assert torch.equal(masks(single, 40), drawn[1])
-    drawn = []
-    for seed in (0, 0, 1):
+def test_masks_start_from_torchs_generator():
+    def drawn(seed):
         torch.manual_seed(seed)
-        drawn.append(masks(BootstrapMask(4), 40))
-    assert torch.equal(drawn[0], drawn[1])
-    assert not torch.equal(drawn[0], drawn[2])
+        return masks(BootstrapMask(4), 40)
+
+    assert torch.equal(drawn(0), drawn(0))
+    assert not torch.equal(drawn(0), drawn(1))
 
 
-def test_masks_do_not_depend_on_padding_calls_or_the_other_elements():
-    """The n-th transition that counts gets the n-th draw of its element, whatever is around it."""
+def test_masks_do_not_depend_on_padding_calls_or_the_other_replicas():
+    """The n-th transition that counts gets the n-th draw of its seed, whatever is around it."""
+    alone = []
+    for seed in (3, 4):
+        single = BootstrapMask(5)
+        single.set_seeds([seed])
+        alone.append(masks(single, 9))
+    assert not torch.equal(*alone)
+
     transform = BootstrapMask(5, replicas=(2,))
-    transform.set_seeds([3, 4])
-    expected = masks(transform, 2, 9)
-
     transform.set_seeds([3, 4])
     valid = torch.ones(2, 12, dtype=torch.bool)
     valid[0, 4:] = False  # padded at the end
     valid[1, [0, 3, 7]] = False  # or anywhere
-    drawn = [masks(transform, 2, 12, valid=valid)]
-    assert not drawn[0][~valid].any()
-    late = torch.zeros(2, 7, dtype=torch.bool)
-    late[0, :5] = True
-    drawn.append(masks(transform, 2, 7, valid=late.unsqueeze(-1)))
-    assert torch.equal(torch.cat([drawn[0][0, :4], drawn[1][0, :5]]), expected[0])
-    assert torch.equal(drawn[0][1, valid[1]], expected[1])
+    first = masks(transform, 2, 12, valid=valid)
+    late = (torch.arange(7) < 5) & torch.tensor([[True], [False]])
+    second = masks(transform, 2, 7, valid=late.unsqueeze(-1))
+    assert not first[~valid].any()
+    assert torch.equal(torch.cat([first[0, :4], second[0, :5]]), alone[0])
+    assert torch.equal(first[1, valid[1]], alone[1])
 
 
-def test_copies_and_states_go_on_with_the_same_numbers():
+@pytest.mark.parametrize("copied", [deepcopy, lambda mask: pickle.loads(pickle.dumps(mask))])
+def test_copies_go_on_with_the_same_numbers(copied):
     transform = BootstrapMask(4, replicas=(2,))
     masks(transform, 2, 5)
-    loaded = BootstrapMask(4, replicas=(2,))
-    file = io.BytesIO()
-    torch.save(transform.state_dict(), file)
-    file.seek(0)
-    loaded.load_state_dict(torch.load(file, weights_only=True))
-    copies = [loaded, deepcopy(transform), pickle.loads(pickle.dumps(transform))]
+    copy = copied(transform)
     expected = masks(transform, 2, 40)
-    for copy in copies:
-        assert torch.equal(masks(copy, 2, 40), expected)
+    assert torch.equal(masks(copy, 2, 40), expected)
     assert not torch.equal(masks(transform, 2, 40), expected)
 
 
-def test_storing_writes_a_copy_where_there_is_no_mask_and_sampling_changes_nothing():
-    transform, td = BootstrapMask(4), rows(6)
-    assert transform(td) is td
-    transform.inv(td)
-    assert set(td.keys()) == {"number"}
+def test_a_mask_that_is_there_stays_and_takes_no_number():
+    transform = BootstrapMask(4)
     state = transform.generator_state.clone()
-    td["bootstrap_mask"] = torch.ones(6, 4, dtype=torch.bool)
-    assert transform.inv(td)["bootstrap_mask"].all()
+    given = TensorDict(bootstrap_mask=torch.ones(6, 4, dtype=torch.bool), batch_size=[6])
+    assert transform.inv(given)["bootstrap_mask"].all()
     assert torch.equal(transform.generator_state, state)
 
 
@@ -118,28 +96,32 @@ def test_torchrls_replay_buffer_keeps_each_transitions_mask_under_any_name():
         transform=BootstrapMask(4, mask_key=("my", "mask"), valid_key=("my", "rows")),
         batch_size=10,
     )
-    counts = torch.arange(30) != 3
-    buffer.extend(rows(30).set(("my", "rows"), counts))
+    rows = TensorDict(number=torch.arange(30), my={"rows": torch.arange(30) != 3}, batch_size=[30])
+    buffer.extend(rows)
+    assert ("my", "mask") not in rows.keys(include_nested=True)
     buffer.add(TensorDict(number=torch.tensor(30), my={"rows": torch.tensor(True)}))
-    masks_stored = buffer[:]["my", "mask"].clone()
-    assert masks_stored.shape == (31, 4)
-    assert masks_stored.any()
-    assert not masks_stored[3].any()
+    stored = buffer[:]["my", "mask"].clone()
+    assert stored.shape == (31, 4)
+    assert stored.any()
+    assert not stored[3].any()
     for _ in range(7):
         batch = buffer.sample()
-        assert torch.equal(batch["my", "mask"], masks_stored[batch["number"]])
+        assert torch.equal(batch["my", "mask"], stored[batch["number"]])
 
 
-def test_input_that_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match="heads must be at least 1, got 0"):
-        BootstrapMask(0)
-    for prob in (0.0, -0.5, 1.5, float("nan")):
-        with pytest.raises(ValueError, match=r"prob must be in \(0, 1\], got"):
-            BootstrapMask(4, prob)
-    transform = BootstrapMask(4, replicas=(3,))
-    with pytest.raises(ValueError, match=r"seeds must be 3, one for each replica \[3"):
-        transform.set_seeds([1])
-    with pytest.raises(
-        ValueError, match=r"transitions must have the batch size \[3, \*rows\], got \[2, 5\]"
-    ):
-        masks(transform, 2, 5)
+OF_THREE = BootstrapMask(4, replicas=(3,))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: BootstrapMask(0), "heads must be at least 1, got 0"),
+        (lambda: BootstrapMask(4, 0.0), r"prob must be in \(0, 1\], got 0"),
+        (lambda: BootstrapMask(4, 1.5), r"prob must be in \(0, 1\], got 1.5"),
+        (lambda: OF_THREE.set_seeds([1]), r"seeds must be 3, one for each replica \[3"),
+        (lambda: masks(OF_THREE, 2, 5), r"must have the batch size \[3, \*rows\], got \[2, 5\]"),
+    ],
+)
+def test_what_does_not_fit_is_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong()

@@ -26,53 +26,50 @@ def transitions() -> TensorDict:
     ).auto_batch_size_(1)
 
 
-def test_one_hot_actions_are_understood():
-    good = transitions().set("action", torch.eye(3, dtype=torch.long))
-    validate_transitions(good)
+def at(key, row, value):
+    """An entry whose value is another in one row."""
+    entry = transitions()[key]
+    entry[row] = value
+    return key, entry
 
-    bad = good.set("action", torch.eye(3, dtype=torch.long).flip(0))
-    with pytest.raises(ValueError, match="allowed by action_mask, but row 0"):
-        validate_transitions(bad)
 
-    two = transitions().set("action", torch.tensor([[1, 0, 0], [0, 1, 0], [1, 1, 0]]))
-    with pytest.raises(ValueError, match="allowed by action_mask, but row 2"):
-        validate_transitions(two)
+ONE_HOT = torch.eye(3, dtype=torch.long)
+FORBIDDEN = r"action of replica 1 must be allowed by action_mask, but row {} is not \({} of 3 rows"
 
 
 @pytest.mark.parametrize(
-    ("key", "row", "value", "message"),
+    ("key", "value", "message"),
     [
-        ("observation", 1, torch.nan, r"observation of replica 1 must be finite, but row 1 .*1 of"),
-        (("next", "reward"), 2, torch.inf, "next/reward of replica 1 must be finite, but row 2"),
-        ("action", 1, 2, "action of replica 1 must be allowed by action_mask, but row 1"),  # masked
-        ("action", 0, -1, "action of replica 1 must be allowed by action_mask, but row 0"),
-        ("action", 2, 3, "action of replica 1 must be allowed by action_mask, but row 2"),
-        (("next", "action_mask"), 0, False, "some action where the row is not terminated, but row"),
+        (*at("observation", 1, torch.nan), r"observation of replica 1 must be finite, .*row 1 .*1"),
+        (*at(("next", "reward"), 2, torch.inf), "next/reward of replica 1 must be finite, .*row 2"),
+        (*at("action", 1, 2), FORBIDDEN.format(1, 1)),
+        (*at("action", 0, -1), FORBIDDEN.format(0, 1)),
+        (*at("action", 2, 3), FORBIDDEN.format(2, 1)),
+        ("action", ONE_HOT.flip(0), FORBIDDEN.format(0, 1)),
+        ("action", ONE_HOT + ONE_HOT.roll(-1, 1), FORBIDDEN.format(0, 3)),
+        ("action_mask", torch.ones(3, 3), "action_mask of replica 1 must be bool, got"),
+        (("next", "action_mask"), torch.ones(3, 3), "next/action_mask of replica 1 must be bool"),
+        (*at(("next", "action_mask"), 0, False), "some action where the row is not terminated"),
         # Truncated, not terminated: the value of the next state counts.
-        (("next", "terminated"), 2, False, "must allow some action .*, but row 2"),
+        (*at(("next", "terminated"), 2, False), "must allow some action .*, but row 2"),
     ],
 )
-def test_bad_transitions_are_named_and_nothing_is_stored(key, row, value, message):
-    bad = transitions()
-    bad[key][row] = value
+def test_bad_transitions_are_named_and_nothing_is_stored(key, value, message):
     replay = ReplicaReplay(10, replicas=2)
-
     with pytest.raises(ValueError, match=message):
-        replay.extend([transitions(), bad])
-
+        replay.extend([transitions(), transitions().set(key, value)])
     assert replay.lengths == (0, 0)
     replay.extend([transitions(), transitions()])
 
 
-@pytest.mark.parametrize("key", ["action_mask", ("next", "action_mask")])
-def test_a_mask_of_another_dtype_is_refused(key):
-    bad = transitions()
-    bad[key] = bad[key].byte()
-    with pytest.raises(ValueError, match="action_mask of transitions must be bool, got"):
-        validate_transitions(bad)
+@pytest.mark.parametrize(
+    "rows", [transitions().set("action", ONE_HOT), transitions().select("action")]
+)
+def test_one_hot_actions_and_rows_without_masks_are_understood(rows):
+    validate_transitions(rows)
 
 
-def test_transitions_without_masks_are_checked_for_what_they_have():
-    validate_transitions(TensorDict(action=torch.zeros(2, dtype=torch.long), batch_size=[2]))
+@pytest.mark.parametrize("shape", [(2,), (2, 1)])
+def test_what_rows_without_masks_have_is_checked(shape):
     with pytest.raises(ValueError, match="2 of 2 rows"):
-        validate_transitions(TensorDict(observation=torch.full((2, 1), torch.nan), batch_size=[2]))
+        validate_transitions(TensorDict(extra=torch.full(shape, torch.nan), batch_size=[2]))
