@@ -11,7 +11,6 @@ import torch
 from scipy import integrate, stats
 from tensordict import TensorDict
 from torchrl.data import Categorical
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesLayer, BayesLinear
 from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
@@ -36,39 +35,6 @@ def away_from_the_prior(net):
         net.posterior.mu.normal_(0, 0.15)
         net.posterior.rho.uniform_(-1, 0)
     return net
-
-
-def actions(make, per, shared, x, mask):
-    """Returns the actions of DRAWS weight draws at the input x [F], int64 [DRAWS].
-
-    Args:
-        make: returns the network for a replicas.
-        per: of the policy.
-        shared: of the policy.
-        x: the input.
-        mask: the legal actions, bool [N].
-    """
-    net = make((DRAWS,) if shared else ())
-    policy = ThompsonSampling(q_actor(net, Categorical(ACTIONS)), per=per, shared=shared)
-    batch = (DRAWS, 1) if shared else (DRAWS,)
-    td = TensorDict(
-        {
-            "observation": x.expand(*batch, FEATURES),
-            "action_mask": mask.expand(*batch, ACTIONS),
-            "is_init": torch.zeros(*batch, 1, dtype=torch.bool),
-        },
-        batch,
-    )
-    with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
-        return policy(td)["action"].flatten()
-
-
-def test_evaluation_by_thompson_sampling_takes_a_layer_of_ones_own():
-    net = away_from_the_prior(OwnLayer(FEATURES, ACTIONS, replicas=2))
-    actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
-    td = TensorDict(observation=torch.ones(2, 50, FEATURES), batch_size=[2, 50])
-    values = EvaluationPolicy(actor, mode="thompson")(td)["action_value"]
-    assert (values.std(1) > 0).all()
 
 
 def without_rare(taken, expected):
@@ -112,15 +78,28 @@ def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(kind, per,
     expected = probability_of_being_best(mean[mask].double().numpy(), std[mask].double().numpy())
     assert sum(expected) == pytest.approx(1.0)
 
-    def make(replicas):
-        net = kind(FEATURES, ACTIONS, replicas=replicas)
-        with torch.no_grad():
-            for ours, theirs in zip(net.parameters(), posterior.parameters(), strict=True):
-                ours.copy_(theirs)
-        return net
-
-    taken = actions(make, per, shared, x, mask).bincount(minlength=ACTIONS)
+    net = kind(FEATURES, ACTIONS, replicas=DRAWS if shared else ())
+    with torch.no_grad():
+        for ours, theirs in zip(net.parameters(), posterior.parameters(), strict=True):
+            ours.copy_(theirs)
+    policy = ThompsonSampling(q_actor(net, Categorical(ACTIONS)), per=per, shared=shared)
+    batch = (DRAWS, 1) if shared else (DRAWS,)
+    td = TensorDict(
+        observation=x.expand(*batch, FEATURES),
+        action_mask=mask.expand(*batch, ACTIONS),
+        is_init=torch.zeros(*batch, 1, dtype=torch.bool),
+        batch_size=batch,
+    )
+    taken = policy(td)["action"].flatten().bincount(minlength=ACTIONS)
 
     assert not taken[~mask].any()
     taken, expected = without_rare(taken[mask].tolist(), [DRAWS * p for p in expected])
     assert stats.chisquare(taken, expected, sum_check=False).pvalue > LEAST_P
+
+
+def test_evaluation_by_thompson_sampling_takes_a_layer_of_ones_own():
+    net = away_from_the_prior(OwnLayer(FEATURES, ACTIONS, replicas=2))
+    actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
+    td = TensorDict(observation=torch.ones(2, 50, FEATURES), batch_size=[2, 50])
+    values = EvaluationPolicy(actor, mode="thompson")(td)["action_value"]
+    assert (values.std(1) > 0).all()

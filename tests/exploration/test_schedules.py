@@ -1,0 +1,100 @@
+"""Boltzmann and ε-greedy: what they draw, and schedules with values of their own along the batch.
+
+tests/cli/test_values.py has how these act in a training.
+"""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from q_actor import all_legal
+from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
+from torchrl.data import Categorical, OneHot
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from bbq_torchrl.exploration import BatchedEGreedy, Boltzmann
+from bbq_torchrl.networks import q_actor
+
+STARTS, ENDS = torch.tensor([[0.9], [0.5], [0.3]]), torch.tensor([[0.1], [0.5], [0.2]])
+
+
+def epsilon(start, end, steps=4):
+    return BatchedEGreedy(Categorical(5), start, end, steps, action_mask_key="action_mask")
+
+
+def value(explore):
+    return explore.temperature if isinstance(explore, Boltzmann) else explore.eps
+
+
+@pytest.mark.parametrize("make", [Boltzmann, epsilon])
+def test_each_part_of_a_batch_has_a_linear_schedule_whose_place_is_in_the_state(make):
+    start = STARTS.clone()
+    explore, loaded = make(start, ENDS, 4), make(STARTS, ENDS, 4)
+    for fraction in (0.25, 0.5, 0.75, 1.0, 1.0, 1.0):
+        explore.step()
+        torch.testing.assert_close(value(explore), STARTS + fraction * (ENDS - STARTS))
+        loaded.load_state_dict(explore.state_dict())
+        assert torch.equal(value(loaded), value(explore))
+    assert torch.equal(start, STARTS)  # what was given is not what the schedule moves
+    with_one_number = make(STARTS, 0.1, 4)
+    with_one_number.step(100)
+    torch.testing.assert_close(value(with_one_number), torch.full((3, 1), 0.1))
+
+
+def test_boltzmann_draws_from_the_softmax_over_legal_actions():
+    n, explore = 40_000, Boltzmann(2.0, 1.0, 10)
+    q = torch.tensor([1.0, 3.0, 50.0, -1.0])
+    mask = torch.tensor([True, True, False, True])
+    td = TensorDict({"action_value": q.expand(n, 4), "action_mask": mask.expand(n, 4)}, [n])
+    share = explore(td)["action"].bincount(minlength=4) / n
+    expected = torch.softmax(q[mask] / 2, 0)
+    assert share[2] == 0
+    assert (share[mask] - expected).abs().max() < 5 * (0.25 / n) ** 0.5
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-30, 1e6, 1e30])
+def test_boltzmann_survives_any_scale_of_q(scale):
+    mask = torch.tensor([True, True, False, True]).expand(500, 4)
+    td = TensorDict(action_value=scale * torch.randn(500, 4), action_mask=mask)
+    assert all_legal(Boltzmann(1e-3, 1e-3, 1)(td))
+
+
+@pytest.mark.parametrize("spec", [Categorical(3), OneHot(3)])
+def test_boltzmann_draws_an_action_in_the_form_of_the_greedy_one(spec):
+    actor = q_actor(torch.nn.Linear(2, 3), spec, action_mask_key=None)
+    policy = TensorDictSequential(actor, Boltzmann(1e6, 1e6, 1, action_mask_key=None))
+    td = TensorDict(observation=torch.ones(300, 2), batch_size=[300])
+    with set_exploration_type(ExplorationType.DETERMINISTIC):  # it is not to explore
+        assert torch.equal(policy(td.clone())["action"], actor(td.clone())["action"])
+    action = policy(td)["action"]
+    assert spec.expand(300, *spec.shape).is_in(action.to(spec.dtype))
+    # 300 draws at so high a temperature miss one of three actions with probability 1e-52
+    assert action.unique(dim=0).shape[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("make", "start", "end", "message"),
+    [
+        (epsilon, 0.1, 0.2, "eps_init must be at least eps_end and"),
+        (epsilon, 1.5, 0.1, "eps_init must be at least eps_end and"),
+        (epsilon, 0.1, -0.1, "eps_init must be at least eps_end and"),
+        (Boltzmann, 0.1, 0.2, "temperature_init must be at least temperature_end and"),
+        (Boltzmann, 0.1, 0.0, "temperature_init must be at least temperature_end and"),
+    ],
+)
+def test_what_is_no_schedule_is_refused(make, start, end, message):
+    with pytest.raises(ValueError, match=message):
+        make(torch.tensor([[0.5], [start]]), torch.tensor([[0.1], [end]]), 4)
+    with pytest.raises(ValueError, match="annealing_num_steps must be at least 1, got 0"):
+        make(0.5, 0.1, 0)
+
+
+@pytest.mark.parametrize("make", [Boltzmann, epsilon])
+@pytest.mark.parametrize("batch", [(3,), (4, 2), ()])
+def test_values_that_do_not_fit_the_batch_are_refused(make, batch):
+    td = TensorDict(action=torch.zeros(batch).long(), batch_size=batch)
+    td["action_value"] = torch.zeros(*batch, 5)
+    td["action_mask"] = torch.ones(*batch, 5).bool()
+    with pytest.raises(ValueError, match=r"shape \[3, 1\] must broadcast with the batch, got"):
+        make(STARTS, ENDS, 4)(td)
