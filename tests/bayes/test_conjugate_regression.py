@@ -8,8 +8,6 @@ smaller than the posterior's own.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import pytest
 import torch
 from scipy.linalg import hadamard
@@ -21,15 +19,8 @@ NOISE_STD, PRIOR_STD = 0.5, 1.0
 ROWS, FEATURES, DRAWS = 32, 3, 512
 
 
-class Data(NamedTuple):
-    """Inputs [N, 3] and outputs [N]."""
-
-    x: torch.Tensor
-    y: torch.Tensor
-
-
-def regression() -> Data:
-    """Correlated features away from 0, so that weights and bias are correlated, too.
+def regression() -> tuple[torch.Tensor, torch.Tensor]:
+    """Inputs [N, 3] and outputs [N]: features away from 0, so that weights and bias are correlated.
 
     The design is the same at each call: how slowly the flattest direction is learned depends on
     it. The noise is not.
@@ -38,20 +29,18 @@ def regression() -> Data:
     orthogonal = torch.from_numpy(hadamard(ROWS)[:, 1 : FEATURES + 1]).double()
     x = orthogonal @ mixing + 0.3
     y = x @ torch.tensor([1.5, -1.0, 0.8]).double() + 2.0
-    return Data(x, y + NOISE_STD * torch.randn(ROWS, dtype=torch.double))
+    return x, y + NOISE_STD * torch.randn(ROWS, dtype=torch.double)
 
 
-def optimum(data: Data) -> tuple[torch.Tensor, torch.Tensor]:
+def optimum(x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Returns mean and standard deviation of the weights and, last, of the bias."""
-    design = torch.cat([data.x, torch.ones_like(data.x[:, :1])], 1)
+    design = torch.cat([x, torch.ones_like(x[:, :1])], 1)
     precision = design.T @ design / NOISE_STD**2 + torch.eye(FEATURES + 1) / PRIOR_STD**2
-    mean = torch.linalg.solve(precision, design.T @ data.y / NOISE_STD**2)
+    mean = torch.linalg.solve(precision, design.T @ y / NOISE_STD**2)
     return mean, precision.diagonal() ** -0.5
 
 
-def learn(
-    data: Data, *, rows=None, num_data=None, mode="draw", kl="closed", steps=200, pooled=False
-):
+def learn(x, y, *, rows=None, num_data=ROWS, mode="draw", kl="closed", pooled=False, steps=200):
     """Returns mean and standard deviation of the weights that maximize the evidence bound.
 
     One network whose gradient is the average over draws (replicas of one network, each with a
@@ -60,19 +49,16 @@ def learn(
     net = BayesLinear(
         FEATURES, 1, replicas=(DRAWS,), prior_std=PRIOR_STD, std_init=0.2, dtype=torch.double
     )
-    count = data.x.shape[0]
-    num_data = count if num_data is None else num_data
     optimizer = torch.optim.Adam(net.parameters(), 0.1, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     pool = None
     for step in range(steps):
         if pooled and step % 10 == 0:
             pool = NoisePool()
-        index = torch.arange(count) if rows is None else torch.randint(count, (DRAWS, rows))
-        x, y = data.x[index].expand(DRAWS, -1, -1), data.y[index]
+        index = torch.arange(len(x)) if rows is None else torch.randint(len(x), (DRAWS, rows))
         kl_sum = KLSum(kl)
         with weight_scope(mode, noise=pool, kl=kl_sum):
-            error = net(x).squeeze(-1) - y
+            error = net(x[index].expand(DRAWS, -1, -1)).squeeze(-1) - y[index]
         # the loss of one transition, as BBQNLoss weighs it
         loss = error.square().mean(-1) / (2 * NOISE_STD**2) + kl_sum.total() / num_data
         optimizer.zero_grad()
@@ -104,11 +90,10 @@ def assert_optimal(found, expected):
 )
 def test_it_learns_the_best_factorized_gaussian(settings):
     data = regression()
-    assert_optimal(learn(data, **settings), optimum(data))
+    assert_optimal(learn(*data, **settings), optimum(*data))
 
 
 def test_num_data_and_not_the_size_of_the_batch_weighs_the_prior():
-    # 64 rows that are said to be 32 transitions have the weight of 30
-    data = regression()
-    twice = Data(data.x.repeat(2, 1), data.y.repeat(2))
-    assert_optimal(learn(twice, num_data=ROWS), optimum(data))
+    # 64 rows that are said to be 32 transitions have the weight of 32
+    x, y = regression()
+    assert_optimal(learn(x.repeat(2, 1), y.repeat(2), num_data=ROWS), optimum(x, y))

@@ -13,23 +13,18 @@ import torch
 
 from bbq_torchrl.bayes import BayesMLP, kl_divergence, weight_scope
 
-DEVICES = [
-    "meta",
-    pytest.param(
-        "cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-    ),
-]
 
-
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ["meta", "cuda"])
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
-@pytest.mark.parametrize("start", ["made there", "moved there"])
+@pytest.mark.parametrize("start", ["made there", "moved there", "by default"])
 def test_values_kl_and_gradients_stay_on_the_device(device, mode, start):
-    options = {"replicas": (2,), "prior_std": "fan_in", "mean_init": "kaiming", "std_init": 0.05}
-    if start == "made there":
-        net = BayesMLP(4, 3, (8,), device=device, **options)
-    else:
-        net = BayesMLP(4, 3, (8,), **options).to(device)
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+    settings = {"replicas": (2,), "prior_std": "fan_in", "mean_init": "kaiming", "std_init": 0.05}
+    with torch.device(device if start == "by default" else "cpu"):
+        made_on = device if start == "made there" else None
+        net = BayesMLP(4, 3, (8,), device=made_on, **settings)
+    net = net.to(device) if start == "moved there" else net
     x = torch.ones(2, 6, 4, device=device)
 
     with weight_scope(kl="closed") as scope:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-
 import pytest
 import torch
 from torch.distributions import Normal, kl_divergence
+from torch.nn.functional import softplus
 
 from bbq_torchrl.bayes import GaussianPosterior, weight_scope
 from bbq_torchrl.bayes.posterior import inverse_softplus
 
-REPLICAS = [(), (3,), (2, 2)]
 
-
-def posterior_with(replicas=(), groups=(40, 21), prior_std=(0.1, 0.7), dtype=torch.double):
+def posterior_with(replicas=(), groups=(40, 21), prior_std=(0.1, 0.7)):
     """A posterior at random means and spreads."""
-    posterior = GaussianPosterior(groups, prior_std, replicas=replicas, dtype=dtype)
+    posterior = GaussianPosterior(groups, prior_std, replicas=replicas, dtype=torch.double)
     with torch.no_grad():
         posterior.mu.normal_(0, 0.5)
         posterior.rho.uniform_(-4, 2)
@@ -25,84 +22,65 @@ def posterior_with(replicas=(), groups=(40, 21), prior_std=(0.1, 0.7), dtype=tor
 
 def naive(posterior, noise):
     """Returns draw, closed KL and sampled KL by autograd and torch.distributions."""
-    sigma = torch.nn.functional.softplus(posterior.rho)
-    q = Normal(posterior.mu, sigma)
-    std = torch.nn.functional.softplus(posterior.prior_rho)
+    q = Normal(posterior.mu, softplus(posterior.rho))
+    std = softplus(posterior.prior_rho)
     if std.shape[-1] > 1:
-        std = torch.cat([s.expand(n) for n, s in zip(posterior.group_sizes, std, strict=True)])
+        std = std.repeat_interleave(torch.tensor(posterior.group_sizes))
     p = Normal(torch.zeros_like(std), std)
-    weights = posterior.mu + sigma * noise
-    closed = kl_divergence(q, p).sum(-1)
-    return weights, closed, (q.log_prob(weights) - p.log_prob(weights)).sum(-1)
+    weights = q.loc + q.scale * noise
+    sampled = q.log_prob(weights) - p.log_prob(weights)
+    return weights, kl_divergence(q, p).sum(-1), sampled.sum(-1)
 
 
-def with_noise(posterior, noise):
-    """Makes the posterior draw the given noise; its replicas come one after the other."""
-    rows = iter(noise.reshape(-1, noise.shape[-1]))
-
-    def fill(buffer):
-        for row in buffer.reshape(-1, buffer.shape[-1]):
-            row.copy_(next(rows))
-
-    posterior.fill_noise_ = fill
+SEVERAL = torch.tensor([0.05, 0.1, 0.2, 0.4, 0.8])
 
 
-CASES = [(replicas, (40, 21), std) for replicas in REPLICAS for std in ((0.1, 0.7), (0.3,))]
-CASES += [
-    ((3,), (7, 4), torch.tensor([0.05, 0.3, 1.7])),  # a prior for each replica
-    ((2, 2), (7, 4), torch.tensor([[0.05, 0.3], [0.7, 2.0]])),
-    # More weights than are worked on at a time.
-    ((5,), (40_001,), torch.tensor([0.05, 0.1, 0.2, 0.4, 0.8])),
-]
-
-
-@pytest.mark.parametrize(("replicas", "groups", "prior_std"), CASES, ids=str)
+@pytest.mark.parametrize(
+    ("replicas", "groups", "prior_std"),
+    [
+        ((), (40, 21), (0.1, 0.7)),
+        ((3,), (40, 21), (0.1, 0.7)),
+        ((2, 2), (40, 21), (0.1, 0.7)),
+        ((), (40, 21), (0.3,)),
+        ((3,), (7, 4), SEVERAL[:3]),  # a prior for each replica
+        ((2, 2), (7, 4), SEVERAL[:4].view(2, 2)),
+        ((5,), (40_001,), SEVERAL),  # more weights than are worked on at a time
+    ],
+    ids=str,
+)
 @pytest.mark.parametrize("kind", ["closed", "sampled"])
-def test_draw_kl_and_gradients_equal_naive_autograd(replicas, groups, prior_std, kind):
+def test_draw_kl_and_gradients_equal_naive_autograd(drawn_noise, replicas, groups, prior_std, kind):
     posterior = posterior_with(replicas, groups, prior_std)
-    noise = torch.randn_like(posterior.mu)
-    with_noise(posterior, noise)
-    reference = deepcopy(posterior)
     weights, kl = posterior.sample_with_kl(kind)
-    expected_weights, closed, sampled = naive(reference, noise)
-    expected_kl = closed if kind == "closed" else sampled
-    torch.testing.assert_close(posterior.kl(), closed)
-    torch.testing.assert_close(weights, expected_weights)
-    torch.testing.assert_close(kl, expected_kl)
+    noise = torch.cat(drawn_noise).view_as(posterior.mu)
+    naive_weights, closed, sampled = naive(posterior, noise)
+    naive_kl = closed if kind == "closed" else sampled
     probe, kl_probe = torch.randn_like(weights), torch.randn_like(kl)
-    for outputs, expected, probes in [
-        ((weights, kl), (expected_weights, expected_kl), (probe, kl_probe)),
-        ((weights,), (expected_weights,), (probe,)),
-        ((kl,), (expected_kl,), (kl_probe,)),
+    for ours, theirs, probes in [
+        ((weights, kl), (naive_weights, naive_kl), (probe, kl_probe)),
+        ((weights,), (naive_weights,), (probe,)),
+        ((kl,), (naive_kl,), (kl_probe,)),
         ((posterior.kl(),), (closed,), (kl_probe,)),
     ]:
-        ours = torch.autograd.grad(
-            outputs, (posterior.mu, posterior.rho), probes, retain_graph=True
-        )
-        theirs = torch.autograd.grad(
-            expected, (reference.mu, reference.rho), probes, retain_graph=True
-        )
         torch.testing.assert_close(ours, theirs)
+        gradients, expected = (
+            torch.autograd.grad(outs, (posterior.mu, posterior.rho), probes, retain_graph=True)
+            for outs in (ours, theirs)
+        )
+        torch.testing.assert_close(gradients, expected)
 
 
-@pytest.mark.parametrize("prior_std", [1e-3, 0.3, 1.0, 30.0, torch.tensor([0.05, 1.7])], ids=str)
-@pytest.mark.parametrize("dtype", [torch.float, torch.double])
+@pytest.mark.parametrize("prior_std", [1e-3, 0.3, 30.0, SEVERAL[:2], (0.1, 0.3)], ids=str)
+@pytest.mark.parametrize("dtype", [torch.float, torch.double])  # made in the first, then cast
 # 37: full vectors and a remainder; softplus may round differently in the two
 @pytest.mark.parametrize("numel", [1, 37, 1000])
 def test_at_the_prior_the_closed_kl_has_a_gradient_of_exactly_zero(prior_std, dtype, numel):
-    posterior = GaussianPosterior([numel], prior_std, replicas=(2,), dtype=dtype)
+    posterior = GaussianPosterior([numel, 50], prior_std, replicas=(2,)).to(dtype)
     _, kl = posterior.sample_with_kl()
     for value in (kl, posterior.kl()):
-        assert value.abs().max() < 1e-5 * numel
+        assert value.abs().max() < 1e-5 * (numel + 50)
         for grad in torch.autograd.grad(value.sum(), (posterior.mu, posterior.rho)):
             assert not grad.any()
-
-
-def test_at_the_prior_the_gradient_stays_zero_when_the_dtype_changes():
-    posterior = GaussianPosterior([100, 50], (0.1, 0.3)).double()
-    posterior.kl().backward()
-    assert not posterior.mu.grad.any()
-    assert not posterior.rho.grad.any()
 
 
 def test_near_the_prior_the_kl_is_not_rounded_away():
@@ -112,9 +90,7 @@ def test_near_the_prior_the_kl_is_not_rounded_away():
     with torch.no_grad():
         posterior.rho.add_(3e-5 * torch.randn_like(posterior.rho))
         posterior.mu.normal_(0, 3e-6)
-        exact.rho.copy_(posterior.rho)
-        exact.mu.copy_(posterior.mu)
-        exact.prior_rho.copy_(posterior.prior_rho)
+    exact.load_state_dict(posterior.state_dict())
     assert abs(posterior.kl() - exact.kl()) < 2e-3
 
 
@@ -144,7 +120,7 @@ def test_draws_have_the_posterior_mean_and_spread():
 
 
 def test_a_draw_from_a_held_spread_has_a_gradient_in_the_mean_alone():
-    posterior, held = posterior_with(()), {}
+    posterior, held = posterior_with(), {}
     with weight_scope(sigma=held):
         posterior.sample().sum().backward()
     assert bool((posterior.mu.grad == 1).all())
@@ -155,25 +131,4 @@ def test_a_draw_from_a_held_spread_has_a_gradient_in_the_mean_alone():
 @pytest.mark.parametrize("std", [1e-6, 0.1, 1.0, 50.0, 500.0])
 def test_inverse_softplus_inverts_softplus(std):
     value = torch.tensor(std, dtype=torch.double)
-    torch.testing.assert_close(torch.nn.functional.softplus(inverse_softplus(value)), value)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, float("inf"), float("nan")])
-def test_a_prior_std_that_is_none_is_refused(value):
-    with pytest.raises(ValueError, match="prior_std must be positive and finite, got"):
-        GaussianPosterior([3], value)
-    with pytest.raises(ValueError, match="std_init must be positive and finite, got"):
-        GaussianPosterior([3], 1.0).reset_std_(value)
-
-
-def test_as_many_priors_as_groups_or_one():
-    with pytest.raises(ValueError, match="one for each of the 3 groups, got 2"):
-        GaussianPosterior([3, 4, 5], [0.1, 0.2])
-    of_replicas = [torch.tensor([0.1, 0.2]), torch.tensor([0.3, 0.4])]
-    with pytest.raises(ValueError, match=r"prior_std must be one number .*, got \[2\]"):
-        GaussianPosterior([2, 2], of_replicas, replicas=2)
-
-
-def test_another_kind_of_kl_is_refused():
-    with pytest.raises(ValueError, match=r"kl must be one of \['closed', 'sampled'\], got 'mc'"):
-        GaussianPosterior([3], 1.0).sample_with_kl("mc")
+    torch.testing.assert_close(softplus(inverse_softplus(value)), value)
