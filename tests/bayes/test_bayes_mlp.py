@@ -1,12 +1,14 @@
-"""Bayesian networks: modes, gradients, starts, the prior's spread of Q."""
+"""Bayesian networks: modes, gradients, starts, devices, the prior's spread of Q."""
 
 from __future__ import annotations
+
+from copy import deepcopy
 
 import pytest
 import torch
 from torch.func import functional_call
 
-from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.bayes import BayesMLP, kl_divergence, weight_scope
 
 
 def trained(net):
@@ -81,3 +83,29 @@ def test_it_starts_at_the_prior_or_where_it_is_told():
         assert bias.abs().max() <= bound
     torch.testing.assert_close(net.posterior.sigma, torch.full_like(net.posterior.mu, 0.03))
     assert not torch.equal(net.posterior.mu[0], net.posterior.mu[1])
+
+
+@pytest.mark.parametrize("device", ["meta", "cuda"])
+@pytest.mark.parametrize("mode", ["draw", "local", "mean"])
+@pytest.mark.parametrize("start", ["made there", "moved there", "by default"])
+def test_values_kl_and_gradients_stay_on_the_device(device, mode, start):
+    """The meta device has no memory: whatever is mixed in from the CPU fails, without a GPU."""
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+    settings = {"replicas": (2,), "prior_std": "fan_in", "mean_init": "kaiming", "std_init": 0.05}
+    with torch.device(device if start == "by default" else "cpu"):
+        made_on = device if start == "made there" else None
+        net = BayesMLP(4, 3, (8,), device=made_on, **settings)
+    net = net.to(device) if start == "moved there" else net
+    x = torch.ones(2, 6, 4, device=device)
+
+    with weight_scope(kl="closed") as scope:
+        out = net(x, mode)
+    (out.sum() + scope.kl.total().sum()).backward()
+
+    assert out.shape == (2, 6, 3)
+    assert kl_divergence(net).shape == (2,)
+    tensors = [out, kl_divergence(net), net.posterior.prior_rho, net.draw_weights((6,))]
+    for tensor in [*tensors, net.posterior.mu.grad, net.posterior.rho.grad]:
+        assert tensor.device.type == device
+    assert deepcopy(net)(x, mode).device.type == device

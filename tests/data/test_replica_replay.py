@@ -1,16 +1,38 @@
-"""Replay buffers of several replicas: epochs, eviction, spiking, state."""
+"""Replay buffers of several replicas: epochs, eviction, spiking, state, what is added to rows."""
 
 from __future__ import annotations
 
+from copy import deepcopy
 from itertools import pairwise
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numbered_rows import KEYS, filled, rows, stored
+from tensordict import TensorDict
+from torchrl.envs import Compose, RewardScaling, Transform
 
-from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.data import BootstrapMask, ReplicaReplay
+
+KEYS = ["observation", ("next", "reward")]
+
+
+def rows(first: int, count: int) -> TensorDict:
+    numbers = torch.arange(first, first + count, dtype=torch.float32).unsqueeze(-1)
+    return TensorDict(
+        {"observation": numbers, "extra": numbers, "next": {"reward": 100 * numbers}}, [count]
+    )
+
+
+def filled(*lengths: int, capacity: int = 2000, transform=None) -> ReplicaReplay:
+    """A replay whose replica r holds so many rows, from number 10,000 r on."""
+    replay = ReplicaReplay(capacity, replicas=len(lengths), keys=KEYS, transform=transform)
+    replay.extend([rows(10_000 * r, length) for r, length in enumerate(lengths)])
+    return replay
+
+
+def stored(replay: ReplicaReplay, replica: int) -> list[int]:
+    return replay.buffers[replica][:]["observation"][:, 0].int().tolist()
 
 
 def play_epoch(replay: ReplicaReplay, batch_size: int = 4) -> list[list[int]]:
@@ -93,6 +115,130 @@ def test_each_replica_keeps_what_is_protected_and_the_newest_of_the_rest(acts):
             numbers = stored(replay, r)
             assert numbers[: len(kept[r])] == kept[r]
             assert [numbers[index] for index in buffer.writer.oldest_first()] == newest[r]
+
+
+# -- computed entries ----------------------------------------------------------------------
+
+SQUARE = ("next", "square")
+
+
+def square(transitions):
+    return transitions["observation"] ** 2
+
+
+def read(replay):
+    return torch.cat([batch.transitions for batch in replay.epoch(32)], 1)
+
+
+@pytest.mark.parametrize("lengths", [(7,), (600,), (512, 3), (1, 1025, 513)], ids=str)
+def test_an_epoch_hands_out_each_transitions_own(lengths):
+    replay = filled(*lengths)
+    replay.compute(SQUARE, lambda td: -td["observation"])
+    replay.compute(SQUARE, square)  # in the place of what was computed before
+    replay.compute(("next", "reward"), lambda td: td["next", "reward"] + 1)  # of what is stored
+    for _ in range(2):
+        transitions = read(replay)
+        assert torch.equal(transitions[SQUARE], transitions["observation"] ** 2)
+        assert torch.equal(transitions["next", "reward"], 100 * transitions["observation"] + 1)
+        assert transitions["valid"].sum(-1).tolist() == list(lengths)
+    stored = replay.buffers[0][:]["next", "reward"]
+    assert torch.equal(stored, rows(0, lengths[0])["next", "reward"])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda replay: replay.extend([rows(45, 1)]),
+        lambda replay: replay.drop_protected(0),
+        lambda replay: replay.load_state_dict(deepcopy(replay.state_dict())),
+    ],
+    ids=["extend", "drop", "load"],
+)
+def test_it_is_gone_once_the_transitions_change(change):
+    replay = filled(40)
+    replay.protect()
+    replay.extend([rows(40, 5)])
+    replay.compute(SQUARE, square)
+    change(replay)
+    assert SQUARE not in read(replay).keys(include_nested=True)
+
+
+def test_a_replicas_values_do_not_depend_on_anothers_length():
+    """Every call has the same shape, and sees stored transitions only."""
+    weight = torch.randn(2, 64, 8)
+    shapes, values = [], []
+
+    def network(transitions):
+        observation = transitions["observation"]
+        shapes.append(tuple(transitions.shape))
+        assert ((observation % 10_000) < 1400).all()
+        return torch.bmm(observation.sin().expand(-1, -1, 64), weight)
+
+    for other in (5, 1400):
+        replay = filled(90, other)
+        replay.compute(SQUARE, network)
+        values.append(read(replay)[SQUARE][0, :90])
+
+    assert torch.equal(*values)
+    assert shapes == [(2, 512)] * (1 + 3)
+
+
+# -- transforms ----------------------------------------------------------------------------
+
+
+class Measured(Transform):
+    def pop_metrics(self):
+        return {"novelty": torch.tensor([1.0, 2.0])}
+
+
+def replay_with(*transforms):
+    """A replay of two replicas, with one transform or three in a row."""
+    doubled = RewardScaling(0.0, 2.0, in_keys=[("next", "reward")])
+    three = Compose(BootstrapMask(8, replicas=2), doubled, Measured())
+    (transform,) = transforms or (three,)
+    return ReplicaReplay(2000, replicas=2, keys=KEYS, transform=transform)
+
+
+def masks_of(seed, count):
+    mask = BootstrapMask(8)
+    mask.set_seeds([seed])
+    return mask.inv(TensorDict(batch_size=[count]))["bootstrap_mask"]
+
+
+def test_every_part_adds_what_is_stored_and_changes_what_is_read():
+    replay = replay_with()
+    replay.seed([7, 8])
+    replay.extend([rows(0, 5), rows(0, 2)])
+    replay.protect()
+    replay.extend([rows(5, 1), rows(2, 3)])
+
+    assert replay.pop_metrics()["novelty"].tolist() == [1, 2]
+    for replica, length in enumerate((6, 5)):
+        masks, stored = masks_of(7 + replica, length), replay.buffers[replica][:]
+        assert torch.equal(stored["bootstrap_mask"], masks)
+        assert torch.equal(stored["next", "reward"], 100 * stored["observation"])
+        for batch in [*replay.epoch(2), *replay.epoch(2)]:
+            read = batch.transitions[replica]
+            assert torch.equal(read["next", "reward"], 200 * read["observation"])
+            assert torch.equal(read["bootstrap_mask"], masks[read["observation"][:, 0].int()])
+
+    # both go along in a state, and what was added stays where protected rows are dropped
+    other = replay_with()
+    other.load_state_dict(replay.state_dict())
+    other.drop_protected(0)
+    other.extend([rows(6, 3), rows(5, 4)])
+    assert torch.equal(other.buffers[0][:]["bootstrap_mask"], masks_of(7, 9)[5:])
+    assert torch.equal(other.buffers[1][:]["bootstrap_mask"], masks_of(8, 9))
+
+
+@pytest.mark.parametrize("transforms", [(Measured(), None), (None, Measured())])
+def test_a_state_of_another_transform_is_refused(transforms):
+    ours, theirs = (replay_with(each) for each in transforms)
+    with pytest.raises(ValueError, match="the same transform"):
+        ours.load_state_dict(theirs.state_dict())
+
+
+# -- refusals ------------------------------------------------------------------------------
 
 
 def gone_round(capacity: int) -> dict:

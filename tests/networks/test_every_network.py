@@ -1,14 +1,16 @@
-"""What all networks have in common: precision, derivatives, and what they refuse."""
+"""What networks and their actors have in common: precision, derivatives, what they refuse."""
 
 from __future__ import annotations
 
+import pickle
 from functools import partial
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call, grad, stack_module_state, vmap
-from torchrl.data import Categorical
+from torchrl.data import Categorical, OneHot
 
 from bbq_torchrl.bayes import BayesConv2d, BayesGRU, BayesMLP
 from bbq_torchrl.bayes.functional import FlatLayout
@@ -78,6 +80,19 @@ def test_a_second_derivative_is_taken_by_torch_func_and_else_refused(make):
         torch.autograd.grad(network(x.requires_grad_()).sum(), x, create_graph=True)
     hessian = torch.func.hessian(lambda x: network(x).pow(2).sum())(x.detach())
     assert hessian.abs().max() > 0
+
+
+class Zeros(nn.Module):
+    def forward(self, x):
+        return torch.zeros(*x.shape[:-1], 4)
+
+
+def test_of_actions_of_one_value_one_legal_action_is_chosen():
+    actor = pickle.loads(pickle.dumps(q_actor(Zeros(), OneHot(4))))
+    mask = torch.tensor([[False, True, False, True], [True] * 4])
+    td = actor(TensorDict(observation=torch.ones(2, 2), action_mask=mask, batch_size=[2]))
+    assert td["action"].tolist() == [[0, 1, 0, 0], [1, 0, 0, 0]]
+    assert td["chosen_action_value"].tolist() == [[0], [0]]
 
 
 # -- refusals ------------------------------------------------------------------------------
