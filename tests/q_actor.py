@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.networks import q_actor
+from bbq_torchrl.networks import BootstrapMLP, NoisyMLP, bootstrap_actor, q_actor
 
 FEATURES, ACTIONS = 5, 6
 
 
-def bayes_actor(replicas=(), hidden=(16,)):
+SPEC = Categorical(ACTIONS)
+
+
+def bayes_actor(replicas=(), spec=SPEC):
     """An actor at the prior with a spread that makes its actions vary."""
-    net = BayesMLP(FEATURES, ACTIONS, hidden, replicas=replicas, prior_std=1.0)
-    return q_actor(net, Categorical(ACTIONS))
+    net = BayesMLP(FEATURES, ACTIONS, (16,), replicas=replicas, prior_std=1.0)
+    return q_actor(net, spec)
+
+
+def noisy_actor(replicas=(), spec=SPEC):
+    return q_actor(NoisyMLP(FEATURES, ACTIONS, (16,), replicas=replicas), spec)
+
+
+def heads_actor(replicas=(), spec=SPEC, heads=7):
+    net = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=heads, replicas=replicas)
+    return bootstrap_actor(net, spec)
 
 
 def observations(*batch, same=True):
@@ -41,4 +54,7 @@ def values(policy, td, exploration=ExplorationType.RANDOM):
 
 
 def all_legal(td):
-    return bool(td["action_mask"].gather(-1, td["action"].unsqueeze(-1)).all())
+    """Whether every action, an index or one-hot, is one that the mask allows."""
+    action, mask = td["action"], td["action_mask"]
+    taken = action if action.shape == mask.shape else F.one_hot(action, mask.shape[-1])
+    return bool((taken.sum(-1) == 1).all() and (taken.bool() & mask).any(-1).all())

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import product
 
 import pytest
 import torch
 import torch.nn.functional as F
-from q_transitions import FixedNoise
-from tensordict import TensorDict
+from q_transitions import ACTIONS, FixedNoise, transitions
 from torch import nn
 from torch.func import functional_call, stack_module_state, vmap
 from torchrl.data import Categorical
@@ -60,25 +60,21 @@ class OldGain(Gain):
         return x * self.posterior.sample()
 
 
-# name -> (layer, the features of an input)
-LAYERS = {
-    "linear": (lambda **s: BayesLinear(4, 3, **s), (4,)),
-    "mlp": (lambda **s: BayesMLP(4, 3, (5,), **s), (4,)),
-    "conv": (lambda **s: BayesConv2d(2, 3, (3, 2), stride=2, padding=1, **s), (2, 6, 5)),
-    "gru": (lambda **s: First(BayesGRU(4, 3, **s)), (7, 4)),
-    "own": (lambda **s: BayesScale(4, **s), (4,)),
-}
-
-
-class First(nn.Module):
-    """The first output of a layer."""
-
-    def __init__(self, layer):
-        super().__init__()
-        self.layer = layer
+class FirstOutput(BayesGRU):
+    """A GRU that returns its outputs alone."""
 
     def forward(self, x, mode=None, weights=None):
-        return self.layer(x, mode=mode, weights=weights)[0]
+        return super().forward(x, mode=mode, weights=weights)[0]
+
+
+# name -> (layer, the features of an input)
+LAYERS = {
+    "linear": (partial(BayesLinear, 4, 3), (4,)),
+    "mlp": (partial(BayesMLP, 4, 3, (5,)), (4,)),
+    "conv": (partial(BayesConv2d, 2, 3, (3, 2), stride=2, padding=1), (2, 6, 5)),
+    "gru": (partial(FirstOutput, 4, 3), (7, 4)),
+    "own": (partial(BayesScale, 4), (4,)),
+}
 
 
 def made(name, **settings):
@@ -97,15 +93,11 @@ def test_a_replica_is_a_layer_of_its_own(name, replicas):
     alone, _ = made(name)
     (own,) = posteriors(net)
     x = torch.randn(*replicas, 6, *features).double()
-    weights = own.sample()
-    out = net(x, weights=weights)
-    for index in product(*map(range, replicas)):
-        torch.testing.assert_close(out[index], alone(x[index], weights=weights[index]))
-    # rows with weights of their own
-    rows = own.sample((6,))
-    out = net(x, weights=rows)
-    for index in product(*map(range, (*replicas, 6))):
-        torch.testing.assert_close(out[index], alone(x[index], weights=rows[index]))
+    for rows in ((), (6,)):  # one draw for all, and rows with weights of their own
+        weights = own.sample(rows)
+        out = net(x, weights=weights)
+        for index in product(*map(range, (*replicas, *rows))):
+            torch.testing.assert_close(out[index], alone(x[index], weights=weights[index]))
 
 
 @pytest.mark.parametrize(
@@ -183,20 +175,19 @@ def test_shapes_and_local_noise_that_would_be_no_weight_draw_are_refused(
 
 def loss_on(*modules, **settings):
     net = nn.Sequential(*modules)
-    actor = q_actor(net, Categorical(4), action_mask_key=None)
-    state = {"observation": torch.randn(8, 3)}
-    end = {"reward": torch.randn(8, 1), "terminated": torch.zeros(8, 1, dtype=torch.bool)}
-    td = TensorDict({**state, "action": torch.ones(8).long(), "next": {**state, **end}}, [8])
+    td = transitions(features=3)
+    td["action"].fill_(1)
+    actor = q_actor(net, Categorical(ACTIONS))
     return BBQNLoss(actor, num_data=100, delay_value=False, **settings), td, net
 
 
 @pytest.mark.parametrize("make", [BayesScale, Gain, OldGain])
-@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("beside", [BayesMLP, nn.Linear])
 def test_every_posterior_of_a_network_counts(make, beside):
-    own = make(4)
+    own = make(ACTIONS)
     with torch.no_grad():
         own.posterior.mu.fill_(50.0)
-    loss, td, net = loss_on(*([BayesMLP(3, 4)] if beside else [nn.Linear(3, 4)]), own)
+    loss, td, net = loss_on(beside(3, ACTIONS), own)
     out = loss(td)
     torch.testing.assert_close(out["kl"], kl_divergence(net))
     assert out["kl"] > 1000
@@ -206,10 +197,10 @@ def test_every_posterior_of_a_network_counts(make, beside):
 
 
 def test_a_sampled_kl_is_not_taken_for_the_closed_one():
-    loss, td, _ = loss_on(BayesMLP(3, 4), OldGain(4), kl="sampled")
+    loss, td, _ = loss_on(BayesMLP(3, ACTIONS), OldGain(ACTIONS), kl="sampled")
     with pytest.raises(ValueError, match='kl="sampled" needs weight draws by'):
         loss(td)
-    loss, td, _ = loss_on(BayesMLP(3, 4), Gain(4), kl="sampled")
+    loss, td, _ = loss_on(BayesMLP(3, ACTIONS), Gain(ACTIONS), kl="sampled")
     assert loss(td)["kl"].isfinite()
 
 

@@ -6,10 +6,20 @@ from copy import deepcopy
 
 import pytest
 import torch
-from q_actor import ACTIONS, FEATURES, all_legal, bayes_actor, observations, values
+from q_actor import (
+    ACTIONS,
+    FEATURES,
+    SPEC,
+    all_legal,
+    bayes_actor,
+    heads_actor,
+    noisy_actor,
+    observations,
+    values,
+)
 from tensordict.nn import TensorDictSequential
 from torch import nn
-from torchrl.data import Binary, Categorical
+from torchrl.data import Binary, OneHot
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule
 
@@ -22,17 +32,15 @@ from bbq_torchrl.exploration import (
     NoisySampling,
     ThompsonSampling,
 )
-from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, bootstrap_actor, q_actor
+from bbq_torchrl.networks import FlatMLP, bootstrap_actor, q_actor
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
-SPEC = Categorical(ACTIONS)
 
 
-def policies(replicas):
-    actor = bayes_actor(replicas)
-    epsilon = EGreedyModule(SPEC, 0.5, 0.5, action_mask_key="action_mask")
-    noisy = q_actor(NoisyMLP(FEATURES, ACTIONS, (16,), replicas=replicas), SPEC)
-    heads = bootstrap_actor(BootstrapMLP(FEATURES, ACTIONS, (8,), replicas=replicas), SPEC)
+def policies(replicas, spec=SPEC):
+    makers = (bayes_actor, noisy_actor, heads_actor)
+    actor, noisy, heads = (make(replicas, spec) for make in makers)
+    epsilon = EGreedyModule(spec, 0.5, 0.5, action_mask_key="action_mask")
     made = {
         "greedy": Greedy(actor),
         "epsilon": TensorDictSequential(Greedy(actor), epsilon),
@@ -59,12 +67,13 @@ NAMES = list(policies(()))
 @pytest.mark.parametrize("replicas", [(), (3,)])
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("exploration", [RANDOM, DETERMINISTIC, None])
-def test_no_policy_takes_a_forbidden_action(replicas, name, exploration):
-    policy = policies(replicas)[name]
+@pytest.mark.parametrize("spec", [SPEC, OneHot(ACTIONS)], ids=["index", "one-hot"])
+def test_no_policy_takes_a_forbidden_action(replicas, name, exploration, spec):
+    policy = policies(replicas, spec)[name]
     with set_exploration_type(exploration):
         for rows in (200, 200, 0):
             td = policy(observations(*replicas, rows, same=False))
-            assert td["action"].shape == (*replicas, rows)
+            assert td["action"].shape == (*replicas, rows, *spec.shape)
             assert td["action"].dtype == torch.int64
             assert all_legal(td)
 

@@ -6,14 +6,13 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from q_actor import ACTIONS, FEATURES, all_legal, observations
+from q_actor import ACTIONS, FEATURES, SPEC, heads_actor, observations
 from scipy.stats import chisquare
 from tensordict import TensorDict
-from tensordict.nn import TensorDictSequential
 from torch import nn
-from torchrl.data import Categorical, OneHot
+from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.modules import EGreedyModule, QValueActor
+from torchrl.modules import QValueActor
 
 from bbq_torchrl.exploration import BootstrapSampling, EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
@@ -21,7 +20,6 @@ from bbq_torchrl.networks.vote import VoteModule
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 HEADS = 7
-SPEC = Categorical(ACTIONS)
 
 
 class FixedValues(nn.Module):
@@ -86,8 +84,7 @@ def test_the_vote_is_the_one_of_a_plain_count(data, heads, actions):
 @pytest.mark.parametrize("exploration", [RANDOM, DETERMINISTIC, None])
 @pytest.mark.parametrize("replicas", [(), (3,)])
 def test_the_vote_is_what_the_actor_greedy_and_the_evaluation_do(exploration, replicas):
-    network = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=HEADS, replicas=replicas)
-    actor = bootstrap_actor(network, SPEC)
+    actor = heads_actor(replicas)
     td = observations(*replicas, 50, same=False)
     everywhere = [actor, MajorityVote(actor), Greedy(actor), EvaluationPolicy(actor)]
     if exploration is DETERMINISTIC:
@@ -133,10 +130,10 @@ def test_when_a_row_begins_does_not_change_what_the_others_draw():
 
 
 def test_it_acts_greedily_on_its_head_among_legal_actions():
-    net = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=HEADS)
-    policy, td = BootstrapSampling(bootstrap_actor(net, SPEC)), observations(60, same=False)
+    actor, td = heads_actor(), observations(60, same=False)
+    policy = BootstrapSampling(actor)
     out = policy(td.clone())
-    values = net(td["observation"])[torch.arange(60), policy.heads]
+    values = actor(td.clone())["head_value"][torch.arange(60), policy.heads]
     values = values.masked_fill(~td["action_mask"], torch.finfo(torch.float).min)
     assert torch.equal(out["action"], values.argmax(-1))
     assert torch.equal(out["chosen_action_value"][:, 0], values.amax(-1))
@@ -170,15 +167,3 @@ def test_what_they_read_and_write():
     assert out["all"].shape == (4, 2, ACTIONS)
     assert out["act", "q"].shape == (4, ACTIONS)
     assert set(actor.out_keys) == {"all", *MajorityVote(actor).out_keys}
-
-
-def test_one_hot_actions_are_legal_ones():
-    spec = OneHot(ACTIONS)
-    actor = bootstrap_actor(BootstrapMLP(FEATURES, ACTIONS, (8,), heads=3), spec)
-    explore = EGreedyModule(spec, 0.5, 0.5, action_mask_key="action_mask")
-    vote = MajorityVote(actor)
-    for policy in (vote, BootstrapSampling(actor), TensorDictSequential(vote, explore)):
-        td = policy(observations(200, same=False))
-        assert (td["action"].sum(-1) == 1).all()
-        td["action"] = td["action"].argmax(-1)
-        assert all_legal(td)

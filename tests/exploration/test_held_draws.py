@@ -6,8 +6,7 @@ from functools import partial
 
 import pytest
 import torch
-from q_actor import ACTIONS, FEATURES, bayes_actor, observations, values
-from torchrl.data import Categorical
+from q_actor import bayes_actor, heads_actor, noisy_actor, observations, values
 from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.bayes import weight_scope
@@ -17,10 +16,8 @@ from bbq_torchrl.exploration import (
     NoisySampling,
     ThompsonSampling,
 )
-from bbq_torchrl.networks import BootstrapMLP, NoisyMLP, bootstrap_actor, q_actor
 
 REPLICAS = [(), (3,)]
-HEADS = 1000  # so many that a row hardly ever draws the same head again
 PER = ["step", "episode", "round"]
 
 
@@ -29,13 +26,12 @@ def thompson(replicas=(), shared=False, **settings):
 
 
 def heads(replicas=(), **settings):
-    network = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=HEADS, replicas=replicas)
-    return BootstrapSampling(bootstrap_actor(network, Categorical(ACTIONS)), **settings)
+    # so many that a row hardly ever draws the same head again
+    return BootstrapSampling(heads_actor(replicas, heads=1000), **settings)
 
 
 def noisy(replicas=(), shared=False, per="step"):
-    network = NoisyMLP(FEATURES, ACTIONS, (16,), replicas=replicas)
-    return NoisySampling(q_actor(network, Categorical(ACTIONS)), shared=shared)
+    return NoisySampling(noisy_actor(replicas), shared=shared)
 
 
 def evaluated(**_):
