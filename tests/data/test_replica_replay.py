@@ -90,16 +90,16 @@ def test_each_replica_keeps_what_is_protected_and_the_newest_of_the_rest(acts):
     """Against two lists for each replica, whatever is done to them in whatever order."""
     replay, capacity, written = filled(3, 1, capacity=5), 5, 100
     kept, newest = [[], []], [[0, 1, 2], [10_000]]
-    for act, given_to in acts:
+    for act, argument in acts:
         if act == "extend":
-            replay.extend([rows(written, count) for count in given_to])
-            for r, count in enumerate(given_to):
+            replay.extend([rows(written, count) for count in argument])
+            for r, count in enumerate(argument):
                 newest[r] += range(written, written + count)
                 newest[r] = newest[r][-(capacity - len(kept[r])) :]
             written += 10
         elif act == "drop":
-            replay.drop_protected(given_to)
-            kept[given_to] = []
+            replay.drop_protected(argument)
+            kept[argument] = []
         elif act == "restore":
             state = replay.state_dict()
             if max(replay.lengths) < 5:  # what is not full fits another capacity
@@ -270,8 +270,8 @@ LACKING = rows(0, 3).exclude(("next", "reward"))
             lambda replay: replay.load_state_dict(filled(9, 9).state_dict()),
             "must be of capacity 5, got one of capacity 9 or more",
         ),
-        (lambda replay: replay.load_state_dict(gone_round(4)), "got one of capacity 4['\"]?$"),
-        (lambda replay: replay.load_state_dict(gone_round(8)), "got one of capacity 8['\"]?$"),
+        (lambda replay: replay.load_state_dict(gone_round(4)), "got one of capacity 4$"),
+        (lambda replay: replay.load_state_dict(gone_round(8)), "got one of capacity 8$"),
     ],
 )
 def test_wrong_calls_are_refused_and_change_nothing(wrong, message):
