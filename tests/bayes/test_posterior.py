@@ -70,12 +70,15 @@ def test_draw_kl_and_gradients_equal_naive_autograd(drawn_noise, replicas, group
         torch.testing.assert_close(gradients, expected)
 
 
-@pytest.mark.parametrize("prior_std", [1e-3, 0.3, 30.0, SEVERAL[:2], (0.1, 0.3)], ids=str)
-@pytest.mark.parametrize("dtype", [torch.float, torch.double])  # made in the first, then cast
+@pytest.mark.parametrize("prior_std", [1e-3, 0.3, 1.0, 30.0, SEVERAL[:2], (0.1, 0.3)], ids=str)
+@pytest.mark.parametrize("made_in", [torch.float, torch.double])
+@pytest.mark.parametrize("dtype", [torch.float, torch.double])
 # 37: full vectors and a remainder; softplus may round differently in the two
 @pytest.mark.parametrize("numel", [1, 37, 1000])
-def test_at_the_prior_the_closed_kl_has_a_gradient_of_exactly_zero(prior_std, dtype, numel):
-    posterior = GaussianPosterior([numel, 50], prior_std, replicas=(2,)).to(dtype)
+def test_at_the_prior_the_closed_kl_has_a_gradient_of_exactly_zero(
+    prior_std, made_in, dtype, numel
+):
+    posterior = GaussianPosterior([numel, 50], prior_std, replicas=(2,), dtype=made_in).to(dtype)
     _, kl = posterior.sample_with_kl()
     for value in (kl, posterior.kl()):
         assert value.abs().max() < 1e-5 * (numel + 50)
