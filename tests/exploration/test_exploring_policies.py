@@ -66,8 +66,11 @@ NAMES = list(policies(()))
 
 @pytest.mark.parametrize("replicas", [(), (3,)])
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("exploration", [RANDOM, DETERMINISTIC, None])
-@pytest.mark.parametrize("spec", [SPEC, OneHot(ACTIONS)], ids=["index", "one-hot"])
+@pytest.mark.parametrize(
+    ("exploration", "spec"),
+    [(RANDOM, SPEC), (DETERMINISTIC, SPEC), (None, SPEC), (None, OneHot(ACTIONS))],
+    ids=["random", "deterministic", "none", "one-hot"],
+)
 def test_no_policy_takes_a_forbidden_action(replicas, name, exploration, spec):
     policy = policies(replicas, spec)[name]
     with set_exploration_type(exploration):
