@@ -3,98 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING, Any
 
 import torch
 
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.simulator import ErrorModel, Simulator
 
 from .agents import StrayingAgent
 from .dialogue import Dialogue, World
-from .values import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from tensordict import TensorDict
 
-    from bbq_torchrl.domains import Domain, DomainTensors
+    from bbq_torchrl.domains import Domain
 
     from .dialogue import Setting
 
 LANES = 2
-
-
-@dataclass
-class Played:
-    """What a comparison has covered."""
-
-    dialogues: int = 0
-    turns: int = 0
-    successes: int = 0
-    fired: Counter[str] = field(default_factory=Counter)
-
-
-class Codec:
-    """Writes an oracle's state as the simulator's ids."""
-
-    def __init__(self, tensors: DomainTensors) -> None:
-        self.slots = list(tensors.slot)
-        self.acts = list(tensors.act)
-        self.place = tensors.slot
-        self.value_number = {
-            slot: {plain(text): number for number, text in enumerate(texts) if number > 0}
-            for slot, texts in zip(self.slots, tensors.vocabulary, strict=True)
-        }
-
-    def values(self, held: Mapping[str, str]) -> list[int]:
-        """Returns each slot's value id, 0 where nothing is held."""
-        row = [0] * len(self.slots)
-        for slot, value in held.items():
-            row[self.place[slot]] = self.value_number[slot][value]
-        return row
-
-    def marks(self, chosen: Iterable[str]) -> list[bool]:
-        """Returns whether each slot is among the chosen."""
-        row = [False] * len(self.slots)
-        for slot in chosen:
-            row[self.place[slot]] = True
-        return row
-
-    def act(self, act: str | None) -> int:
-        """Returns the act's id, -1 for none."""
-        return -1 if act is None else self.acts.index(act)
-
-    def state(self, dialogue: Dialogue) -> dict[str, Any]:
-        """Returns everything that the simulator's state holds of a dialogue."""
-        user, tracker = dialogue.user, dialogue.tracker
-        return {
-            "goal_id": dialogue.goal_number,
-            "constraints": self.values(user.constraints),
-            "requests": self.marks(user.requests),
-            "agenda": self.marks(user.agenda),
-            "pending": self.marks(user.pending),
-            "history": self.values(user.history),
-            "constraints_met": user.constraints_met,
-            "user_act": self.act(user.act),
-            "meant_informs": self.values(dialogue.meant_informs),
-            "heard_act": self.act(tracker.heard_act),
-            "user_informs": self.values(user.informs),
-            "heard_requests": self.marks(user.pending),
-            "open_requests": self.marks(user.pending),
-            "held": self.values(tracker.held),
-            "agent_act": self.act(tracker.agent_act),
-            "agent_informs": self.values(tracker.agent_informs),
-            "agent_requests": self.marks(tracker.agent_requests),
-            "turn": dialogue.turn_count,
-            "repeats": 0,  # nobody is asked again about an act
-            "done": dialogue.done,
-            "success": dialogue.success,
-            "reward": dialogue.reward,
-        }
 
 
 class Comparison:
@@ -115,62 +43,51 @@ class Comparison:
         self.simulator = Simulator(tensors, errors=errors, max_turn=setting.max_turn).to(device)
         self.world = World(domain, setting)
         self.active = torch.tensor([s in self.world.active for s in domain.slots], device=device)
-        self.codec = Codec(tensors)
+        self.coding = Coding(tensors)
         self.shape = (LANES, dialogues // LANES)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.random = Random(seed)
         self.said: list[list[str]] = [[] for _ in range(self.shape[0] * self.shape[1])]
 
-    def play(self) -> Played:
-        """Plays all dialogues to their ends; raises an AssertionError at the first difference."""
+    def play(self) -> Counter[str]:
+        """Plays all dialogues to their ends; raises an AssertionError at the first difference.
+
+        Returns how often each rule was at work, and the numbers of dialogues and successes.
+        """
         mask = self.simulator.action_mask(self.active)
         assert mask.nonzero().flatten().tolist() == self.world.legal_actions()
         draws = self.simulator.draw_reset(self.shape, self.generator)
         state = self.simulator.reset(draws, self.active)
         going = list(range(draws.numel()))
         dialogues = [Dialogue(self.world, row) for row in rows_of(draws, going)]
-        agents = [
-            StrayingAgent(self.world, number, self.random) for number in range(len(dialogues))
-        ]
+        agents = [StrayingAgent(self.world, number, self.random) for number in going]
         self.compare(dialogues, going, state)
-        turns = 0
         while going:
-            actions = self.speak(dialogues, agents, going)
+            actions = [0] * len(dialogues)  # those that have ended get one that changes nothing
+            for number in going:
+                self.said[number].append(agents[number].act(dialogues[number]))
+                actions[number] = self.world.domain.action_index(self.said[number][-1])
+            action = torch.tensor(actions, device=self.active.device).view(self.shape)
             draws = self.simulator.draw_turn(self.shape, self.generator)
             before = state
-            state = self.simulator.turn(state, actions, draws, self.active)
-            said = actions.flatten()[going].tolist()
-            for number, action, row in zip(going, said, rows_of(draws, going), strict=True):
-                dialogues[number].turn(self.world.domain.actions[action], row)
+            state = self.simulator.turn(state, action, draws, self.active)
+            for number, row in zip(going, rows_of(draws, going), strict=True):
+                dialogues[number].turn(self.world.domain.actions[actions[number]], row)
             self.compare(dialogues, going, state)
             assert_ended_dialogues_stay(before, state)
-            turns += len(going)
             going = [number for number in going if not dialogues[number].done]
         successes = sum(dialogue.success for dialogue in dialogues)
-        return Played(len(dialogues), turns, successes, self.world.fired)
-
-    def speak(
-        self, dialogues: list[Dialogue], agents: list[StrayingAgent], going: list[int]
-    ) -> torch.Tensor:
-        """Returns everyone's action; those that have ended get one that must change nothing."""
-        actions = [0] * len(dialogues)
-        for number in going:
-            name = agents[number].act(dialogues[number])
-            self.said[number].append(name)
-            actions[number] = self.world.action_names.index(name)
-        return torch.tensor(actions, device=self.active.device).view(self.shape)
+        return self.world.fired + Counter(dialogues=len(dialogues), successes=successes)
 
     def compare(self, dialogues: list[Dialogue], going: list[int], state: TensorDict) -> None:
         """Asserts that state and features of these dialogues are those of the simulator."""
         got = {key: value.flatten(0, 1)[going].cpu() for key, value in state.items()}
         features = self.simulator.observe(state, self.active)
         got["features"] = features.flatten(0, 1)[going].cpu()
-        states = [self.codec.state(dialogues[number]) for number in going]
-        expected = {key: [one[key] for one in states] for key in states[0]}
-        expected["features"] = [dialogues[number].features() for number in going]
-        assert got.keys() == expected.keys()
-        for key, values in expected.items():
-            wanted, found = torch.tensor(values, dtype=got[key].dtype), got[key]
+        states = [self.state_of(dialogues[number]) for number in going]
+        assert got.keys() == states[0].keys()
+        for key, found in got.items():
+            wanted = torch.tensor([one[key] for one in states], dtype=found.dtype)
             assert wanted.shape == found.shape, key
             differs = (wanted != found).reshape(len(going), -1).any(1).nonzero().flatten().tolist()
             if differs:
@@ -180,6 +97,36 @@ class Comparison:
                     f"{found[row].tolist()}\nagent: {self.said[going[row]]}\n"
                     f"user: {vars(dialogue.user)}\ntracker: {vars(dialogue.tracker)}"
                 )
+
+    def state_of(self, dialogue: Dialogue) -> dict[str, Any]:
+        """Returns features and state of an oracle's dialogue, as the simulator's ids."""
+        user, tracker = dialogue.user, dialogue.tracker
+        act, values, marks = self.world.acts.index, self.coding.ids, self.coding.flags
+        return {
+            "goal_id": dialogue.goal_number,
+            "constraints": values(user.constraints),
+            "requests": marks(user.requests),
+            "agenda": marks(user.agenda),
+            "pending": marks(user.pending),
+            "history": values(user.history),
+            "constraints_met": user.constraints_met,
+            "user_act": act(user.act),
+            "meant_informs": values(dialogue.meant_informs),
+            "heard_act": act(tracker.heard_act),
+            "user_informs": values(user.informs),
+            "heard_requests": marks(user.pending),
+            "open_requests": marks(user.pending),
+            "held": values(tracker.held),
+            "agent_act": -1 if tracker.agent_act is None else act(tracker.agent_act),
+            "agent_informs": values(tracker.agent_informs),
+            "agent_requests": marks(tracker.agent_requests),
+            "turn": dialogue.turn_count,
+            "repeats": 0,  # nobody is asked again about an act
+            "done": dialogue.done,
+            "success": dialogue.success,
+            "reward": dialogue.reward,
+            "features": dialogue.features(),
+        }
 
 
 def rows_of(draws: TensorDict, numbers: list[int]) -> list[dict[str, Any]]:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from bbq_torchrl.domains import Goal
+
 from .small import SLOTS, say, start
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ def played(rule: str) -> Iterator[tuple[Dialogue, dict[str, str]]]:
     if "active" in setting:
         setting["active"] = tuple(setting["active"].split(","))
     first = options(head.get("first", ""))
-    dialogue = start(constraints, tuple(asks.split()), first=first, **setting)
+    dialogue = start(Goal(constraints, tuple(asks.split())), first=first, **setting)
     for line in lines:
         word, *rest = line.split(" ", 2)
         if word == "agent":

@@ -8,36 +8,23 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.simulator import FeatureLayout
 
 
-def test_the_layout_of_the_movies_has_the_papers_268_features(movie):
-    domain = tensorize(movie)
-    layout = FeatureLayout(domain)
-    assert layout.size == len(layout.names) == 268
-    assert len(set(layout.names)) == 268
-    widths = {name: layout[name].stop - layout[name].start for name in layout}
-    assert widths == {
-        "user_act": 11,
-        "user_informed": 29,
-        "user_requested": 29,
-        "agent_act": 11,
-        "agent_informed": 29,
-        "agent_requested": 29,
-        "filled": 29,
-        "turn": 1,
-        "turn_onehot": 40,
-        "kb_match": 30,
-        "kb_count": 30,
-    }
-    ends = [layout[name].stop for name in layout]
-    assert [layout[name].start for name in layout] == [0, *ends[:-1]]
-    for group in layout.groups:
-        for position, member in enumerate(group.members):
-            column = layout.column(group.name, member)
-            assert column == layout[group.name].start + position
-            assert layout.names[column] == f"{group.name}:{member}"
+@pytest.fixture
+def layout(movie):
+    return FeatureLayout(tensorize(movie))
 
 
-def test_an_unknown_feature_is_refused(movie):
-    layout = FeatureLayout(tensorize(movie))
+def test_the_layout_of_the_movies_has_the_papers_268_features(layout):
+    of_slots = ("user_informed", "user_requested", "agent_informed", "agent_requested", "filled")
+    widths = {"user_act": 11, "agent_act": 11, **dict.fromkeys(of_slots, 29)}
+    widths |= {"turn": 1, "turn_onehot": 40, "kb_match": 30, "kb_count": 30}
+    assert {name: layout[name].stop - layout[name].start for name in layout} == widths
+    assert layout.size == len({*layout.names}) == 268
+    members = [(group.name, member) for group in layout.groups for member in group.members]
+    assert [layout.column(*member) for member in members] == list(range(268))
+    assert layout.names == tuple(":".join(member) for member in members)
+
+
+def test_an_unknown_feature_is_refused(layout):
     with pytest.raises(KeyError, match="'user' is no group of features; there are user_act, "):
         layout["user"]
     with pytest.raises(KeyError, match="'cinema' is no feature of 'filled', which has actor, "):

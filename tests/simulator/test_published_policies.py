@@ -6,6 +6,7 @@ import pytest
 
 from bbq_torchrl.domains import load_miulab
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
+from bbq_torchrl.evaluation.rollouts import evaluate
 
 COUNT = 20_000
 STANDARD_ERRORS = 4.5
@@ -20,11 +21,7 @@ pytestmark = pytest.mark.slow
 def success_rate(tcbot, goals, policy, **settings):
     domain = load_miulab(tcbot, goals=GOALS[goals])
     env = DialogueEnv(domain, batch_size=(COUNT,), seed=0, **settings)
-    act = scripted_policy(policy, env)
-    state = env.reset()
-    while not state["done"].all():
-        state = env.step(act(state))["next"]
-    return state["success"].double().mean().item()
+    return evaluate(env, scripted_policy(policy, env), COUNT).success.double().mean().item()
 
 
 @pytest.mark.parametrize(

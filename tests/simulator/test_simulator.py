@@ -1,0 +1,114 @@
+"""What the oracle leaves open: draws, batches of any shape, compilation, settings."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.envs.measured import load_errors
+from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
+from bbq_torchrl.simulator.choices import index_below, pick_slot
+
+NAN = float("nan")
+
+
+def simulator_of(domain, errors=None):
+    tensors = tensorize(domain)
+    return Simulator(tensors, errors=errors or ErrorModel(tensors, 0.3, "mixed", 0.2))
+
+
+def play(simulator, shape, turns=12):
+    """Plays random actions. Returns the last state, and action and draws of a turn to follow."""
+    generator = torch.Generator().manual_seed(3)
+    active = torch.ones(simulator.domain.n_slots, dtype=torch.bool)
+    state = simulator.reset(simulator.draw_reset(shape, generator), active)
+    for turn in range(turns + 1):
+        action = torch.randint(simulator.domain.n_actions, shape, generator=generator)
+        draws = simulator.draw_turn(shape, generator)
+        if turn < turns:
+            state = simulator.turn(state, action, draws, active)
+    return state, action, draws, active
+
+
+@pytest.mark.parametrize("domain_name", ["movie", "restaurant"])
+@pytest.mark.parametrize("shape", [(), (1,), (2, 1, 4), (0,)])
+def test_a_batch_of_any_shape_plays_as_the_flat_one(domain_name, shape, request):
+    simulator = simulator_of(request.getfixturevalue(domain_name))
+    count = torch.Size(shape).numel()
+    for turns in (0, 12):
+        state, *_, active = play(simulator, shape, turns)
+        flat, *_ = play(simulator, (count,), turns)
+        assert state.batch_size == torch.Size(shape)
+        assert (state.reshape(count) == flat).all()
+        features = simulator.observe(state, active)
+        assert features.shape == (*shape, simulator.layout.size)
+        assert torch.equal(features.flatten(), simulator.observe(flat, active).flatten())
+
+
+def test_a_turn_leaves_state_action_and_draws_as_they_were(movie):
+    simulator = simulator_of(movie)
+    given = play(simulator, (40,), 5)
+    copies = [one.clone() for one in given]
+    simulator.turn(*given)
+    assert all((now == before).all() for now, before in zip(given, copies, strict=True))
+
+
+def test_draws_are_uniform_and_named_as_documented(movie):
+    simulator = simulator_of(movie)
+    of_slots = {"constraint", "request", "agenda", "error", "error_kind", "error_slot"}
+    of_slots |= {"error_value"}
+    reset = simulator.draw_reset((2, 2_000))
+    turn = simulator.draw_turn((2, 2_000), torch.Generator().manual_seed(0))
+    assert {*reset.keys()} == {"goal", "constraint", "request"}
+    assert {*turn.keys()} == (of_slots - reset.keys()) | {"intent", "intent_act", "offer"}
+    for key, value in [*reset.items(), *turn.items()]:
+        width = (simulator.domain.n_slots,) if key in of_slots else ()
+        assert (value.dtype, value.shape) == (torch.float32, (2, 2_000, *width))
+        assert 0 <= value.min() <= value.max() < 1
+        # The mean of n uniform numbers has the standard deviation 1 / sqrt(12 n).
+        assert abs(value.double().mean() - 0.5) < 5 / (12 * value.numel()) ** 0.5
+
+
+@pytest.mark.parametrize("channel", [None, load_errors], ids=["error model", "measured"])
+def test_a_turn_compiles_without_a_graph_break(movie, channel):
+    simulator = simulator_of(movie, channel and channel(movie))
+    # The backend "eager" traces all of it and generates no code.
+    torch._dynamo.reset()
+    compiled = torch.compile(simulator.play, fullgraph=True, backend="eager", dynamic=False)
+    given = play(simulator, (6,), 3)
+    (state, features), (own_state, own_features) = compiled(*given), simulator.play(*given)
+    assert (state == own_state).all()
+    assert torch.equal(features, own_features)
+
+
+def test_a_choice_falls_on_the_lowest_of_equals_and_on_nothing_of_none():
+    pool = torch.tensor([False, True, True, False, True])
+    for number in (0.0, 0.5):
+        assert pick_slot(pool, torch.full((5,), number)).tolist() == [False, True, *[False] * 3]
+    assert not pick_slot(pool & False, torch.rand(5)).any()
+
+
+def test_the_largest_number_never_reaches_the_count():
+    largest = torch.tensor(1 - 2**-24)
+    counts = torch.tensor([1, 3, 7, 1_000, 2**24 + 1])
+    assert (index_below(largest, counts) < counts).all()
+    assert index_below(largest, 0) == 0
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda domain: Simulator(domain, max_turn=1), "a whole number of at least 2, got 1"),
+        (lambda domain: Simulator(domain, max_turn=3.5), "a whole number of at least 2, got 3.5"),
+        (lambda domain: Simulator(domain, max_turn=NAN), "a whole number of at least 2, got nan"),
+        (lambda domain: ErrorModel(domain, 1.5), "slot_error_prob must be a probability .* 1.5"),
+        (lambda domain: ErrorModel(domain, NAN), "slot_error_prob must be a probability .* nan"),
+        (lambda domain: ErrorModel(domain, 0.1, "typo"), "mode must be one of value, slot.*'typo'"),
+        (lambda domain: ErrorModel(domain, intent_error_prob=-0.1), "intent_error_prob .* -0.1"),
+        (lambda _: Rewards(success=NAN), "the reward for success must be finite, got nan"),
+    ],
+)
+def test_settings_out_of_range_are_refused(restaurant, make, message):
+    with pytest.raises(ValueError, match=message):
+        make(tensorize(restaurant))
