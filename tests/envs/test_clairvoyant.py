@@ -1,4 +1,4 @@
-"""The privileged policy: it books whatever can be booked, and is called privileged."""
+"""The privileged policy: it books whatever can be booked."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ def test_without_errors_exactly_the_goals_that_a_record_meets_are_booked(corpus,
     domain = request.getfixturevalue(corpus)
     env = DialogueEnv(domain, batch_size=(1000,), seed=0, slot_error_prob=0.0)
     (rollout,) = evaluation_rollouts(env, ClairvoyantPolicy(env), 1000)
-    success = rollout["next", "success"].any(1).squeeze(-1)
     expected = can_be_met(domain)[rollout["goal_id"][:, 0, 0]]
-    assert int(expected.sum()) > 0
-    assert torch.equal(success, expected)
+    assert expected.any()
+    assert torch.equal(rollout["next", "success"].any(1).squeeze(-1), expected)
 
 
 def test_it_plays_one_dialogue_as_a_batch_of_one(movie):
@@ -41,18 +40,20 @@ def test_it_plays_one_dialogue_as_a_batch_of_one(movie):
     assert torch.equal(*actions)
 
 
-@pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed"])
-def test_what_was_misheard_is_asked_again(movie, mode):
+@pytest.mark.parametrize(
+    ("mode", "share"),
+    # In modes slot and mixed values get into slots that are not asked again, as they are the
+    # agent's to tell.
+    [("value", 0.9), ("slot", 0.7), ("delete", 0.9), ("mixed", 0.7)],
+)
+def test_what_was_misheard_is_asked_again(movie, mode, share):
     env = DialogueEnv(movie, batch_size=(500,), seed=0, slot_error_prob=0.2, slot_error_mode=mode)
-    ceiling = can_be_met(movie).double().mean().item()
-    rates = [
-        evaluate(env, scripted_policy(name, env), 500).success.double().mean().item()
+    own, careful = (
+        evaluate(env, scripted_policy(name, env), 500).success.double().mean()
         for name in ("clairvoyant", "careful_essential")
-    ]
-    # A fifth of all values misheard, or in modes slot and mixed put into slots that are not asked
-    # again, as they are the agent's to tell.
-    assert rates[0] > (0.9 if mode in ("value", "delete") else 0.7) * ceiling
-    assert rates[0] > rates[1] + 0.2
+    )
+    assert own > share * can_be_met(movie).double().mean()
+    assert own > careful + 0.2
 
 
 def test_it_plays_legal_actions_in_every_round_of_domain_extension(movie):
@@ -60,6 +61,5 @@ def test_it_plays_legal_actions_in_every_round_of_domain_extension(movie):
     for entered in (0, 90, 200):
         env.set_round(entered)
         (rollout,) = evaluation_rollouts(env, ClairvoyantPolicy(env), 200)
-        chosen = rollout["action_mask"].gather(-1, rollout["action"][..., None])
-        assert chosen.all()
+        assert rollout["action_mask"].gather(-1, rollout["action"][..., None]).all()
         assert rollout["next", "success"].any(2).double().mean() > 0.7
