@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import forked
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.language import ANY, MAX_CHARACTERS, Frame, TextError, Understander
+from bbq_torchrl.language import ANY, MAX_CHARACTERS, Frame, TextError, Understander, read_lines
 from bbq_torchrl.language import __main__ as command
 from bbq_torchrl.language.assemble import assemble, chosen
 from bbq_torchrl.language.frames import OPENING
@@ -16,34 +17,12 @@ from bbq_torchrl.language.model import Reading
 from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
 
-WEEKEND = "multiple_choice(date=saturday, date=sunday)"
+ANSWERS = read_lines(Path(__file__).with_name("answers.txt"), movie_domain())
 
 
-@pytest.mark.parametrize(
-    ("question", "text", "informs"),
-    [
-        ("request(starttime)", "7:30", {"starttime": "7:30 pm"}),
-        ("request(starttime)", "after 6", {"starttime": "after 6pm"}),
-        ("request(date)", "tmrw night", {"date": "tomorrow night"}),
-        ("request(date)", "3/14", {"date": "3/14"}),
-        ("request(numberofpeople)", "me and my wife", {"numberofpeople": "2"}),
-        ("request(city)", "la", {"city": "la"}),
-        ("request(state)", "la", {"state": "la"}),
-        ("request(starttime)", "tonight", {"starttime": "tonight"}),
-        ("request(date)", "tonight", {"date": "tonight"}),
-        ("request(city)", "any", {"city": ANY}),
-        ("confirm_question inform(city=reno)", "yes", {"city": "reno"}),
-        (WEEKEND, "the second one please", {"date": "sunday"}),
-        (WEEKEND, "saturday", {"date": "saturday"}),
-        (
-            "multiple_choice(starttime=7pm, starttime=9:30 pm)",
-            "the later one",
-            {"starttime": "9:30 pm"},
-        ),
-    ],
-)
-def test_a_short_answer_is_read_in_the_light_of_the_question(understand, question, text, informs):
-    assert understand(text, Frame.parse(question)).frame == Frame("inform", informs)
+@pytest.mark.parametrize("answer", ANSWERS, ids=lambda answer: answer.text)
+def test_an_answer_is_read_in_the_light_of_the_question(understand, answer):
+    assert understand(answer.text, answer.question).frame == answer.frame
 
 
 @pytest.mark.parametrize(
@@ -80,21 +59,6 @@ def test_what_may_be_two_values_is_asked_about_not_picked(understand, slot, text
     assert slot not in heard.frame.informs
     assert {v for u in heard.unclear for v in u.candidates} == candidates
     assert understand.asks(heard)
-
-
-@pytest.mark.parametrize(
-    ("question", "text", "informs"),
-    [
-        ("city", "i used to live in boston but now i'm in reno", {"city": "reno"}),
-        ("date", "thursday night, since friday is a holiday", {"date": "thursday night"}),
-        ("genre", "i hate war, i want comedy", {"genre": "comedy"}),
-        ("numberofpeople", "my husband, our daughter and me", {"numberofpeople": "3"}),
-    ],
-)
-def test_of_values_set_against_each_other_the_meant_one_is_heard(
-    understand, question, text, informs
-):
-    assert understand(text, Frame("request", {}, (question,))).frame.informs == informs
 
 
 READINGS = {
