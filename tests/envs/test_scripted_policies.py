@@ -80,6 +80,7 @@ def test_an_unknown_policy_is_refused(movie):
         ("user_requested:theater", "request(city)"),
         ("agent_act:inform", "inform(taskcomplete)"),
         ("agent_act:inform user_requested:theater", "inform(theater)"),
+        ("agent_act:inform user_requested:ticket", "inform(taskcomplete)"),  # booked, not told
         ("agent_act:inform agent_informed:taskcomplete user_requested:theater", "thanks"),
     ],
 )

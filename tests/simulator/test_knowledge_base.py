@@ -77,7 +77,8 @@ def test_many_dialogues_at_once_fill_as_one_does(movie):
     shelf, count = KnowledgeBase(domain), 5_000  # more than are filled in one block
     record = torch.randint(len(domain.records), (count,))
     held = domain.records[record] * (torch.rand(count, domain.n_slots) < 0.3)
-    slot = torch.full((count,), domain.slot["theater"])
+    slot = torch.tensor([domain.slot["theater"], domain.slot["genre"], domain.slot["date"]])
+    slot = slot[torch.randint(3, (count,))]
     value, has_match = shelf.fill(held, slot)
     assert has_match.all()
     for row in range(0, count, 499):
