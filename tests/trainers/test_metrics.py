@@ -1,36 +1,41 @@
-"""A round's metrics in memory, on disk and in loggers."""
+"""A round's numbers: in memory, on disk, in TorchRL's loggers, and in a bar or the log."""
 
 from __future__ import annotations
 
+import importlib.util
+import logging
 import math
+import multiprocessing
+import sys
+from unittest.mock import MagicMock, call
 
 import pytest
 import torch
+from trainer_parts import make_trainer
 
-from bbq_torchrl.trainers import MetricsFile, TrainingError
+from bbq_torchrl.options import ConfigError, LoggerOption, schemas
+from bbq_torchrl.trainers import MetricsFile, RoundProgress
 
-
-def columns(round_number: int) -> dict[str, object]:
-    loss = [0.1 * (round_number + r) for r in range(2)]
-    return {"buffer": torch.tensor([7, 9]), "loss": loss, "kl": math.pi}
+LOGGERS = schemas()["logger"]
 
 
 def test_loggers_get_what_the_file_gets_but_for_what_a_round_has_not(tmp_path):
-    logged = []
-
-    class Logger:
-        def log_scalar(self, name, value, step):
-            logged.append((name, value, step))
-
-    metrics = MetricsFile(tmp_path / "new" / "metrics.csv", 2, [Logger()])
+    logger = MagicMock()
+    metrics = MetricsFile(tmp_path / "new" / "metrics.csv", 2, [logger])
     metrics.append(0, {"loss": [0.5, math.nan], "buffer": [3, 4]})
-    metrics.append(1, {"loss": [0.25, 0.75], "buffer": [5, 6]})
+    metrics.append(1, {"loss": 0.25, "buffer": torch.tensor([5, 6])})
 
-    assert logged == [
-        *(("loss/replica_0", 0.5, 0), ("buffer/replica_0", 3.0, 0), ("buffer/replica_1", 4.0, 0)),
-        *(("loss/replica_0", 0.25, 1), ("buffer/replica_0", 5.0, 1)),
-        *(("loss/replica_1", 0.75, 1), ("buffer/replica_1", 6.0, 1)),
+    assert logger.log_scalar.mock_calls == [
+        call("loss/replica_0", 0.5, step=0),
+        call("buffer/replica_0", 3.0, step=0),
+        call("buffer/replica_1", 4.0, step=0),
+        call("loss/replica_0", 0.25, step=1),
+        call("buffer/replica_0", 5.0, step=1),
+        call("loss/replica_1", 0.25, step=1),
+        call("buffer/replica_1", 6.0, step=1),
     ]
+    table = "round,replica,loss,buffer\n0,0,0.5,3\n0,1,,4\n1,0,0.25,5\n1,1,0.25,6\n"
+    assert metrics.path.read_text() == table
 
 
 def test_what_a_round_has_not_is_empty_and_without_rounds_there_is_no_file(tmp_path):
@@ -47,24 +52,143 @@ def test_what_a_round_has_not_is_empty_and_without_rounds_there_is_no_file(tmp_p
     assert metrics.rows == []
 
 
-def test_other_columns_are_refused_and_nothing_is_written(tmp_path):
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"loss": 0.5}, r"must have the columns \('round', 'replica', 'loss', 'epsilon'\)"),
+        *(
+            (
+                {"loss": 0.5, "epsilon": torch.zeros(shape)},
+                r"^the metric epsilon must be one number or one for each replica, shape \[2\], "
+                rf"got shape \[{', '.join(map(str, shape))}\]$",
+            )
+            for shape in ((3,), (2, 1))
+        ),
+    ],
+)
+def test_columns_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, columns, message):
     metrics = MetricsFile(tmp_path / "metrics.csv", 2)
-    rows = metrics.append(0, columns(0))
+    rows = metrics.append(0, {"loss": 0.5, "epsilon": 1.0})
     text = metrics.path.read_text()
 
-    with pytest.raises(ValueError, match=r"must have the columns \('round', .*'kl'\)"):
-        metrics.append(1, {"loss": 0.5})
+    with pytest.raises(ValueError, match=message):
+        metrics.append(1, columns)
 
     assert metrics.path.read_text() == text
     assert metrics.rows == rows
 
 
-@pytest.mark.parametrize("shape", [(3,), (2, 1)])
-def test_a_metric_of_another_shape_is_named(shape, tmp_path):
-    metrics = MetricsFile(tmp_path / "metrics.csv", 2)
-    with pytest.raises(
-        TrainingError,
-        match=r"^the metric epsilon must be one number or one for each replica, shape \[2\], "
-        rf"got shape \[{', '.join(map(str, shape))}\]$",
-    ):
-        metrics.append(0, {"loss": 0.5, "epsilon": torch.zeros(shape)})
+def test_csv_is_metrics_csv_alone(tmp_path):
+    make_trainer(tmp_path, rounds=1, loggers=LOGGERS["csv"]().make(tmp_path)).train()
+
+    assert {path.name for path in tmp_path.iterdir()} == {"checkpoint", "metrics.csv"}
+
+
+def test_tensorboard_reads_the_metrics_back(tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    (logger,) = LOGGERS["tensorboard"]().make(tmp_path)
+    rows = make_trainer(tmp_path, rounds=3, loggers=[logger]).train()
+    logger.experiment.close()
+
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    for replica in range(3):
+        scalars = events.Scalars(f"reward/replica_{replica}")
+        assert [s.step for s in scalars] == [0, 1, 2]
+        expected = [row["reward"] for row in rows[replica::3]]
+        assert [s.value for s in scalars] == pytest.approx(expected, rel=1e-6)
+
+
+class OwnLogger(LoggerOption):
+    name = "own"
+    package = "own"
+    make = None
+
+
+@pytest.mark.parametrize(
+    ("option", "command"),
+    [
+        *((LOGGERS[name], rf"pip install .*\[{name}\]'") for name in LOGGERS if name != "csv"),
+        (OwnLogger, "pip install own$"),
+    ],
+)
+def test_a_missing_package_is_named_with_how_to_install_it(monkeypatch, option, command):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda module: None)
+
+    with pytest.raises(ConfigError, match=f"needs the package {option.package}: {command}"):
+        option().check_package()
+
+
+def test_a_resumed_run_goes_on_as_the_same_wandb_run(tmp_path, monkeypatch):
+    """With a stand-in for the package: its service is out of a test's reach."""
+    stand_in = MagicMock(__spec__=importlib.util.spec_from_loader("wandb", loader=None))
+    stand_in.init.side_effect = lambda **options: MagicMock(id=options["id"] or "a-new-id")
+    monkeypatch.setitem(sys.modules, "wandb", stand_in)
+    monkeypatch.setattr("torchrl.record.loggers.wandb._has_wandb", True)
+
+    wandb = LOGGERS["wandb"](project="ours")
+    for resume in (False, True, False):
+        wandb.make(tmp_path, resume=resume)
+
+    begun = [init.kwargs for init in stand_in.init.mock_calls]
+    assert [(run["id"], run["resume"], run["project"]) for run in begun] == [
+        (None, "allow", "ours"),
+        ("a-new-id", "must", "ours"),
+        (None, "allow", "ours"),
+    ]
+
+
+def row(replica: int, evaluated: float = math.nan, **changed: float) -> dict[str, int | float]:
+    """A round's numbers, as the progress of a training takes them."""
+    row = {"round": 0, "replica": replica, "success_rate": 0.25 + 0.5 * replica}
+    row |= {"reward": -10.0 + 4 * replica, "kl": 100.0, "seconds": 2.0}
+    return {**row, "eval_success_rate": evaluated, **changed}
+
+
+def test_the_bar_shows_means_over_the_replicas_and_the_last_evaluation(capsys):
+    bar = RoundProgress(10, done=4, visible=True)
+    for evaluated in (math.nan, 0.5, math.nan):
+        bar.update([row(0, evaluated), row(1, evaluated)])
+    bar.close()
+
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "nan" not in shown.err
+    last = shown.err.split("\r")[-1]
+    for part in ("7/10", "success=0.50", "reward=-8.0", "eval=0.50", "kl=100"):
+        assert part in last
+
+
+def test_runs_side_by_side_do_not_draw_over_one_another(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for parent, is_shown in ((None, True), (object(), False)):
+        monkeypatch.setattr(multiprocessing, "parent_process", lambda parent=parent: parent)
+        RoundProgress(2).close()
+        assert bool(capsys.readouterr().err) is is_shown
+
+
+def test_a_short_training_without_a_bar_logs_every_round(caplog):
+    caplog.set_level(logging.INFO, "bbq_torchrl")
+    progress = RoundProgress(3, visible=False, name="a_run")
+    for evaluated in (math.nan, 0.4, math.nan):
+        progress.update([row(0, evaluated), row(1, evaluated)])
+    assert caplog.messages == [
+        "a_run: round 1 of 3: success 0.50, reward -8.0, 2.0 s a round",
+        "a_run: round 2 of 3: success 0.50, evaluation 0.40, reward -8.0, 2.0 s a round",
+        "a_run: round 3 of 3: success 0.50, reward -8.0, 2.0 s a round",
+    ]
+
+
+def test_a_long_training_logs_at_most_forty_lines_with_means_of_the_rounds_between(caplog):
+    caplog.set_level(logging.INFO, "bbq_torchrl")
+    progress = RoundProgress(82, visible=False)
+    for number in range(82):
+        evaluated = {3: 0.1, 4: 0.2}.get(number, math.nan)
+        progress.update([row(0, evaluated, success_rate=(number % 3) / 2)])
+    said = caplog.messages
+    assert len(said) == 28  # after every third round, and after the last
+    # Rounds 1 to 3 have 0, .5 and 1; the last evaluation, of round 5, is in the line after round 6.
+    assert said[0].startswith("round 3 of 82: success 0.50, reward")
+    assert said[1].startswith("round 6 of 82: success 0.50, evaluation 0.20, reward")
+    assert said[-1].startswith("round 82 of 82: success 0.00")

@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import zipfile
+from itertools import count
 from typing import TYPE_CHECKING
 
 import forked
@@ -19,10 +20,7 @@ from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.trainers import MetricsFile, ReplicaAdam, RoundTrainer, Spike, checkpoint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
-
-ROUNDS = 10
 
 # Where a process dies: the function, and which of its calls. Rounds 2, 4, ... save a checkpoint of
 # five parts, the first one is saved right after the spike (one call of extend).
@@ -47,13 +45,10 @@ def die() -> None:
 
 def die_at(owner: object, name: str, call: int) -> None:
     """Makes the process die when the function is called for that time."""
-    function: Callable = getattr(owner, name)
-    calls = 0
+    function, calls = getattr(owner, name), count(1)
 
     def counted(*args: object, **kwargs: object) -> object:
-        nonlocal calls
-        calls += 1
-        if calls == call:
+        if next(calls) == call:
             die()
         return function(*args, **kwargs)
 
@@ -68,13 +63,9 @@ def die_within_a_line(trainer: RoundTrainer, _: object) -> None:
         die()
 
 
-def build(folder: Path, rounds: int = ROUNDS) -> RoundTrainer:
-    return make_trainer(
-        folder,
-        rounds=rounds,
-        replicas=2,
-        spike=Spike(random_policy, 5, drop_above=0.7, drop_window=2),
-    )
+def build(folder: Path, rounds: int = 10) -> RoundTrainer:
+    spike = Spike(random_policy, 5, drop_above=0.6, drop_window=2)
+    return make_trainer(folder, rounds=rounds, replicas=2, capacity=200, spike=spike)
 
 
 def train(folder: Path, moment: str | None = None) -> None:
@@ -91,7 +82,7 @@ def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
     """Compares a finished training, by its last checkpoint, with one that was not interrupted."""
     ours = build(folder)
     ours.train(resume=True)
-    assert ours.rounds_done == reference.rounds_done == ROUNDS
+    assert ours.rounds_done == reference.rounds_done == 10
     assert rows(folder / "metrics.csv") == rows(reference.run_folder / "metrics.csv")
     for part in ("loss", "policy", "optimizer", "replay"):
         states = (getattr(trainer, part).state_dict() for trainer in (ours, reference))

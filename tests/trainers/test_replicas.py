@@ -1,0 +1,209 @@
+"""What happens in one replica leaves the others bitwise alone: optimizer, sums, whole trainings."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from trainer_parts import make_trainer
+
+from bbq_torchrl.data import Batch
+from bbq_torchrl.trainers import BestWeights, ReplicaAdam, RoundTrainer, TrainingError
+from bbq_torchrl.trainers.learn import LossSums
+
+LR = (1e-2, 1e-2, 1e-3)
+
+
+def test_steps_are_bitwise_adams_whoever_is_active_at_whatever_share_of_the_rate():
+    weight, bias = nn.Parameter(torch.randn(3, 4, 5)), nn.Parameter(torch.randn(3, 7))
+    twins = [[p.detach()[r].clone().requires_grad_() for p in (weight, bias)] for r in range(3)]
+    ours = ReplicaAdam([weight, bias], 3, lr=LR)
+    theirs = [
+        torch.optim.Adam(twin, lr=rate, fused=True) for twin, rate in zip(twins, LR, strict=True)
+    ]
+
+    for number in range(12):
+        active = (True, number % 4 != 3, number % 3 != 2)
+        share = (1.0, 0.7, 0.1)[number // 4]
+        gradients = [torch.randn_like(weight), torch.randn_like(bias)]
+        if number % 5 == 4:
+            gradients[1] = None
+        for replica, (twin, adam) in enumerate(zip(twins, theirs, strict=True)):
+            if active[replica]:
+                adam.param_groups[0]["lr"] = LR[replica] * share
+                for own, gradient in zip(twin, gradients, strict=True):
+                    own.grad = None if gradient is None else gradient[replica].clone()
+                adam.step()
+            else:
+                gradients[0][replica] = torch.nan  # what does not concern a batch means nothing
+        weight.grad, bias.grad = gradients
+        ours.scale_lr(share)
+        ours.step(None if all(active) else active)
+        if number == 6:  # what was saved at a fallen rate goes on at whichever comes
+            saved, ours = ours.state_dict(), ReplicaAdam([weight, bias], 3, lr=LR)
+            ours.load_state_dict(saved)
+
+    for replica, twin in enumerate(twins):
+        assert torch.equal(weight.detach()[replica], twin[0].detach())
+        assert torch.equal(bias.detach()[replica], twin[1].detach())
+
+
+def test_an_optimizers_restored_state_is_a_copy():
+    parameter, frozen = nn.Parameter(torch.ones(3, 4)), nn.Parameter(torch.ones(2), False)
+    optimizer = ReplicaAdam([parameter, frozen], 3)  # what is frozen is left out
+    parameter.grad = torch.ones(3, 4)
+    optimizer.step((True, True, False))
+    saved = copy.deepcopy(optimizer.state_dict())
+    optimizer.load_state_dict(saved)
+    optimizer.step()
+
+    def steps(state):
+        return [float(entry["step"]) for entry in state["state"].values()]
+
+    assert steps(saved) == [1.0, 1.0]
+    assert steps(optimizer.state_dict()) == [2.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("shapes", "rates", "message"),
+    [
+        ([(2, 4)], 1e-3, r"must be the 3 replicas, got shape \(2, 4\)"),
+        ([], 1e-3, "got none"),
+        ([(3, 1)], [0.1, 0.2], "one for each of the 3 replicas, got 2"),
+    ],
+)
+def test_parameters_and_rates_that_are_not_of_the_replicas_are_refused(shapes, rates, message):
+    with pytest.raises(ValueError, match=message):
+        ReplicaAdam([nn.Parameter(torch.zeros(shape)) for shape in shapes], 3, lr=rates)
+
+
+def sums_of(values: Tensor, first_ends_at: int | None = None) -> LossSums:
+    """Sums of what updates reported, [updates, replicas]; the first replica's end earlier."""
+    sums = LossSums(values.shape[1])
+    for number, update in enumerate(values):
+        active = [True] * len(update)
+        active[0] = first_ends_at is None or number < first_ends_at
+        valid = torch.tensor(active).unsqueeze(-1)
+        reported = TensorDict(loss_value=update, kl=-update, loss=update.sum())
+        sums.add(reported, Batch(TensorDict(valid=valid), tuple(active)))
+    return sums
+
+
+@pytest.mark.parametrize("updates", [1, 63, 64, 65, 200])
+def test_sums_of_many_updates_are_those_of_one_after_the_other(updates):
+    values = torch.randn(updates, 3) * 10.0 ** torch.randint(-6, 6, (updates, 3))
+    expected = torch.zeros(3, dtype=torch.float64)
+    for update in values:
+        expected += update
+
+    means = [float(total) / updates for total in expected]
+    assert sums_of(values).means() == {"loss_value": means, "kl": [-mean for mean in means]}
+
+
+def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
+    values = torch.randn(150, 2)
+    alone, beside = sums_of(values[:100]), sums_of(values, first_ends_at=100)
+    for name, means in alone.means().items():
+        assert beside.means()[name][0] == means[0]
+    assert beside.updates == [100, 150]
+
+
+@pytest.mark.parametrize(
+    ("reported", "got"),
+    [({"loss": torch.zeros(())}, "none"), ({"loss_value": torch.zeros(())}, r"shape \[\]")],
+)
+def test_a_loss_without_replicas_is_refused_with_where_to_look(reported, got):
+    batch = Batch(TensorDict(valid=torch.ones(2, 1)), (True, True))
+    with pytest.raises(
+        TrainingError,
+        match=rf"^the loss must return loss_value of shape \[2\], got {got}: does the network have "
+        r"\.replicas, and is the loss one of bbq_torchrl\.objectives\?$",
+    ):
+        LossSums(2).add(TensorDict(reported), batch)
+
+
+def weights(trainer: RoundTrainer) -> Tensor:
+    (weight,) = trainer.optimizer.parameters
+    return weight.detach()
+
+
+def drop_the_spike(trainer: RoundTrainer, _: object) -> None:
+    """A callback: has replica 0 lose its spike after the second round."""
+    if trainer.rounds_done == 2:
+        trainer.replay.drop_protected(0)
+
+
+@pytest.mark.parametrize("capacity", [70, 1000])
+def test_what_one_replica_does_leaves_the_others_bitwise_alone(tmp_path, capacity):
+    """With buffers that stay ragged (1000), and that fill up and evict (70)."""
+    plain, changed = (
+        make_trainer(tmp_path / name, rounds=5, capacity=capacity) for name in ("plain", "changed")
+    )
+    for trainer in (plain, changed):  # all begin alike: only their random numbers tell them apart
+        weights(trainer).copy_(weights(trainer)[:1].clone())
+    weights(changed)[0, :, 0] -= 100.0  # never guesses: longer dialogues, and longer epochs
+    changed.callbacks = (drop_the_spike,)
+    plain.train(), changed.train()
+
+    assert torch.equal(weights(plain)[1:], weights(changed)[1:])
+    assert not torch.equal(weights(plain)[0], weights(changed)[0])
+    assert not torch.equal(weights(plain)[0], weights(plain)[1])
+    for ours, theirs in zip(plain.metrics.rows, changed.metrics.rows, strict=True):
+        for name in ("success_rate", "reward", "turns", "loss", "q_value", "buffer", "updates"):
+            assert ours["replica"] == 0 or ours[name] == theirs[name]
+    # The test means something only if replica 0's epochs differ in length.
+    of_plain, of_changed = (
+        [row["updates"] for row in t.metrics.rows[::3]] for t in (plain, changed)
+    )
+    assert of_plain != of_changed
+
+
+def test_the_others_finish_the_round_in_which_one_breaks(tmp_path):
+    plain, broken = (make_trainer(tmp_path / name, rounds=1) for name in ("plain", "broken"))
+    weights(broken)[0, 1, 1] = torch.nan
+    plain.train()
+
+    with pytest.raises(TrainingError, match="replica 0 is not finite in round 0"):
+        broken.train()
+
+    assert torch.equal(weights(plain)[1:], weights(broken)[1:])
+
+
+def new_best() -> tuple[nn.Module, BestWeights]:
+    policy = nn.Module()
+    policy.weight = nn.Parameter(torch.zeros(3, 2))
+    return policy, BestWeights(policy, replicas=3)
+
+
+def test_each_replica_keeps_the_weights_of_its_own_best_round_resumed_or_not():
+    """In a training: tests/evaluation."""
+    policy, best = new_best()
+    with pytest.raises(ValueError, match="no best weights before the first evaluation"):
+        best.put_back()
+    rates = [(0.1, 0.5, 0.0), (0.6, 0.2, 0.0), (0.6, 0.1, 0.0)]
+    rates += [(0.3, 0.5, 0.0), (0.2, 0.7, 0.0), (0.5, 0.0, 0.0)]
+    for number, rate in enumerate(rates):
+        nn.init.constant_(policy.weight, float(number))
+        best.update(number, torch.tensor(rate))
+        if number == 2:
+            state = best.state_dict()
+            policy, best = new_best()
+            best.load_state_dict(state)
+
+    # The first of equals stays; a replica that never succeeds keeps what was evaluated first.
+    assert best.round.tolist() == [1, 4, 0]
+    assert best.success_rate.tolist() == pytest.approx([0.6, 0.7, 0.0])
+    best.put_back()
+    assert policy.weight.tolist() == [[1.0, 1.0], [4.0, 4.0], [0.0, 0.0]]
+
+
+def test_a_best_from_before_a_given_round_does_not_count():
+    _, best = new_best()
+    best.update(0, torch.tensor([0.9, 0.9, 0.9]))
+    best.update(3, torch.tensor([0.1, 0.95, 0.0]), since=2)
+    best.update(4, torch.tensor([0.05, 0.5, 0.0]), since=2)
+    assert best.round.tolist() == [3, 3, 3]
+    assert best.success_rate.tolist() == pytest.approx([0.1, 0.95, 0.0])

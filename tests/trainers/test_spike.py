@@ -1,0 +1,93 @@
+"""The spike: whose dialogues fill the buffers before the first round, and how long they stay."""
+
+from __future__ import annotations
+
+import pytest
+from trainer_parts import make_trainer, random_policy
+
+from bbq_torchrl.trainers import Spike
+
+
+def states(trainer):
+    """The observations in each replica's buffer."""
+    return [set(map(tuple, b[:]["observation"].tolist())) for b in trainer.replay.buffers]
+
+
+@pytest.mark.parametrize("dialogues", [8, 13])
+def test_it_fills_every_replica_with_dialogues_of_its_own(tmp_path, dialogues):
+    trainer = make_trainer(tmp_path, spike=Spike(random_policy, dialogues))
+
+    trainer.begin()
+
+    assert trainer.replay.protected == trainer.replay.lengths
+    assert len(set.union(*states(trainer))) == sum(map(len, states(trainer)))
+    for buffer in trainer.replay.buffers:
+        assert int(buffer[:]["next", "done"].sum()) == dialogues
+
+
+def test_one_without_a_success_is_told(tmp_path, caplog):
+    def second_guesses(tensordict):
+        tensordict = random_policy(tensordict)
+        tensordict["action"][[0, 2]] = 1
+        return tensordict
+
+    for name, policy in {"guess": random_policy, "second guesses": second_guesses}.items():
+        make_trainer(tmp_path / name, capacity=400, spike=Spike(policy, 20)).begin()
+    # TorchRL tells of every storage if another test let it.
+    told = [r.getMessage() for r in caplog.records if r.name.startswith("bbq_torchrl")]
+    assert told == ["none of the 20 spiked dialogues of replica 0, 2 is a success"]
+
+
+@pytest.mark.parametrize("protect", [True, False])
+def test_it_is_protected_by_default_and_evicted_otherwise(tmp_path, protect):
+    spike = Spike(random_policy, 5) if protect else Spike(random_policy, 5, protect=False)
+    trainer = make_trainer(tmp_path, rounds=6, capacity=40, spike=spike)
+    trainer.begin()
+    spiked = states(trainer)
+    while trainer.rounds_done < 6:
+        trainer.train_round()
+
+    assert trainer.replay.lengths == (40, 40, 40)
+    for before, after in zip(spiked, states(trainer), strict=True):
+        assert before & after == (before if protect else set())
+
+
+@pytest.mark.parametrize("threshold", [0.1, 0.6])  # .1: passed as soon as there are three rounds
+def test_it_is_dropped_where_the_mean_success_passes_the_threshold(tmp_path, threshold):
+    spike = Spike(random_policy, 5, drop_above=threshold, drop_window=3)
+    trainer = make_trainer(tmp_path, rounds=12, capacity=400, spike=spike)
+    protected: list[tuple[int, ...]] = []
+    trainer.callbacks = (lambda t, rows: protected.append(t.replay.protected),)
+
+    rows = trainer.train()
+
+    for replica in range(3):
+        rates = [row["success_rate"] for row in rows[replica::3]]
+        passed = [r >= 2 and sum(rates[r - 2 : r + 1]) / 3 > threshold for r in range(12)]
+        expected = [not any(passed[: r + 1]) for r in range(12)]
+        assert [p[replica] > 0 for p in protected] == expected
+    assert 0 in protected[-1]
+
+
+def test_one_that_fills_the_capacity_is_refused(tmp_path):
+    trainer = make_trainer(tmp_path, capacity=40, spike=Spike(random_policy, 80))
+
+    with pytest.raises(
+        ValueError, match="of 80 spiked dialogues must be fewer than the capacity 40"
+    ):
+        trainer.train()
+    assert not (tmp_path / "checkpoint").exists()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"dialogues": 0}, "dialogues must be at least 1, got 0"),
+        ({"drop_above": 1.5}, r"drop_above must be in \[0, 1\) or None, got 1.5"),
+        ({"drop_above": 0.5, "protect": False}, "drop_above needs protect=True"),
+        ({"drop_window": 0}, "drop_window must be at least 1, got 0"),
+    ],
+)
+def test_one_that_makes_no_sense_is_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
+        Spike(**{"policy": random_policy, "dialogues": 5, **changed})
