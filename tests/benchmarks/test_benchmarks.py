@@ -1,0 +1,214 @@
+"""The benchmarks run, in sizes that take no time and mean nothing, and count and compare right."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+from torch.utils.flop_counter import FlopCounterMode
+
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.envs import DialogueEnv
+from bbq_torchrl.networks import FlatMLP
+from benchmarks import compare, growth
+from benchmarks.parts import processes, time_to_learn, timing, updates
+from benchmarks.parts.floor import PARAMETERS, UPDATES, Work, least_seconds, turn, valid_share
+from benchmarks.parts.processes import Used
+from benchmarks.parts.rows import Row, as_table, keep, read
+from benchmarks.parts.sizes import FULL, TINY
+from benchmarks.parts.time_to_learn import Learned
+from benchmarks.parts.yardstick import ACTIONS, FEATURES, HIDDEN, bare_update
+
+
+@pytest.fixture(autouse=True)
+def commands(monkeypatch):
+    """Commands are noted, not run: their imports alone take seconds."""
+    asked = []
+
+    def python(*arguments):
+        asked.append(arguments)
+        return Used(wall=3.0, cpu=2.0, peak_bytes=10**9)
+
+    monkeypatch.setattr(processes, "python", python)
+    return asked
+
+
+SLOW = [pytest.param(part, marks=pytest.mark.slow) for part in ("agents", "time_to_learn", "floor")]
+
+
+@pytest.mark.parametrize("part", ["simulator", "update", "round", *SLOW])
+def test_part_gives_positive_figures(part, monkeypatch):
+    monkeypatch.setattr(updates, "TARGETS", {"bbqn-map": (1.0, 1.0)})
+    rows = compare.PARTS[part](TINY)
+    assert rows
+    assert all(row.part == part for row in rows)
+    assert all(row.measured > 0 for row in rows if row.unit != "%")
+
+
+def test_the_process_part_measures_a_run_with_full_buffers_and_medians_of_starts(commands):
+    memory, start = compare.PARTS["process"](FULL)
+    assert (memory.measured, memory.target, memory.reached) == (1.0, 1.5, True)
+    assert {"agent=bbqn", "env=full", "replicas=5", "spike.dialogues=500"} <= set(commands[0])
+    assert (start.measured, start.target) == (3.0, 6)
+
+
+def test_figures_are_printed_and_kept_as_a_versions(tmp_path, capsys):
+    file = tmp_path / "speed.csv"
+    compare.main(["process", "--tiny", "--save=0.2.0", f"--file={file}"])
+    assert "| python train.py --help | s | 3 | ≤ 6 | yes |" in capsys.readouterr().out
+    assert [row.what for row in read(file)["0.2.0"]][1:] == ["python train.py --help"]
+
+
+def test_rows_take_the_place_of_the_same_version_and_part(tmp_path):
+    file = tmp_path / "speed.csv"
+    other = Row("b", "wait", "s", 3.0, 9.0, "lower", True, "1 of 5")
+    keep(file, "one", [Row("a", "time", "s", 1.0), other])
+    keep(file, "two", [Row("a", "turns", "turns/s", 123456.0, 100.0, "higher")])
+    keep(file, "one", [Row("a", "time", "s", 2.0)])
+    assert read(file) == {
+        "one": [other, Row("a", "time", "s", 2.0)],
+        "two": [Row("a", "turns", "turns/s", 123500.0, 100.0, "higher")],
+    }
+
+
+@pytest.mark.parametrize(
+    ("row", "line"),
+    [
+        (
+            Row("a", "bound", "s", 1.0, 2.0, is_bound=True, remark="1 of 5"),
+            "| bound (1 of 5) | s | > 1 | ≤ 2 | no |",
+        ),
+        (
+            Row("a", "speed", "turns/s", 99.0, 100.0, "higher"),
+            "| speed | turns/s | 99 | ≥ 100 | no |",
+        ),
+        (Row("a", "time", "s", 1.0, 1.0), "| time | s | 1 | ≤ 1 | yes |"),
+        (Row("a", "other", "ms", 3.14159), "| other | ms | 3.14 | – | – |"),
+    ],
+)
+def test_a_table_says_what_is_reached(row, line):
+    assert as_table([row]).splitlines()[2:] == [line]
+
+
+def test_the_floor_counts_what_torch_and_the_simulator_count(movie):
+    update = bare_update()
+    with FlopCounterMode(display=False) as counter:
+        update()
+    assert UPDATES["bare dqn"]["operations"] == counter.get_total_flops()
+    network = FlatMLP(FEATURES, ACTIONS, HIDDEN)
+    assert sum(p.numel() for p in network.parameters()) == PARAMETERS
+    env = DialogueEnv(movie, batch_size=(8,), seed=0)
+    draws = env.simulator.draw_turn((1,))
+    work = turn(env)
+    assert work["uniforms"] == sum(entry.numel() for entry in draws.values())
+    assert work["bytes"] > 0
+    assert 0 < valid_share(env) <= 1
+
+
+def test_least_time_adds_up_what_a_step_does():
+    work = Work(operations=20, bytes=15, normals=2, uniforms=4, functions=16)
+    rates = Work(operations=10, bytes=5, normals=2, uniforms=4, functions=8)
+    assert least_seconds(work + work, rates) == 2 * (2 + 3 + 1 + 1 + 2)
+
+
+def test_cells_of_growth_take_the_place_of_earlier_ones_in_the_order_of_the_table(
+    tmp_path, monkeypatch
+):
+    file = tmp_path / "growth.csv"
+    first, *others = growth.GROWTH["replicas"][1]
+    for what in ("new_values", "replicas", "rounds"):
+        growth.keep(file, (what, first, 7.0, 2.0))
+    monkeypatch.setattr(growth, "measure", lambda what, size: (float(size), 1.0))
+    growth.main(["replicas", f"--file={file}"])
+    assert file.read_text().splitlines() == [
+        "what,size,seconds,megabytes",
+        f"rounds,{first},7.0,2.0",
+        *(f"replicas,{size},{float(size)},1.0" for size in (first, *others)),
+        f"new_values,{first},7.0,2.0",
+    ]
+
+
+def test_records_are_mixed_from_the_domains_own(movie):
+    domain = growth.varied(movie, 150)
+    assert len(domain.records) == 150
+    values = {item for record in movie.records for item in record.items()}
+    assert {item for record in domain.records for item in record.items()} <= values
+    assert tensorize(domain).n_values.tolist() == tensorize(movie).n_values.tolist()
+
+
+@pytest.mark.parametrize(
+    ("evaluations", "learned"),
+    [
+        ([math.nan, 0.59, math.nan, 0.6, 0.7], Learned(4.0, True, 4)),
+        ([math.nan, 0.2, 0.3], Learned(3.0, False, 3)),
+    ],
+)
+def test_training_ends_with_the_first_evaluation_that_reaches_the_level(
+    monkeypatch, evaluations, learned
+):
+    """A round takes a second."""
+    clock = [10.0]
+    rates = iter(evaluations)
+
+    def train_round():
+        clock[0] += 1
+        return [{"eval_success_rate": next(rates)}]
+
+    trainer = SimpleNamespace(begin=lambda: None, train_round=train_round)
+    monkeypatch.setattr(time_to_learn, "build_trainer", lambda *_: (trainer, None))
+    monkeypatch.setattr(time_to_learn, "process_time", lambda: clock[0])
+    assert time_to_learn.train([], len(evaluations)) == learned
+
+
+@pytest.mark.parametrize(
+    ("seconds", "measured", "is_bound", "remark"),
+    [
+        ([30, 50, 40, 20, 10], 32, False, "5 of 5 reached it within 25 rounds"),
+        # Those cut off count as longer than all others, however fast their rounds were.
+        ([30, 50, 40, None, None], 52, False, "3 of 5 reached it within 25 rounds"),
+        ([30, 50, None, None, None], 47, True, "2 of 5 reached it within 25 rounds"),
+    ],
+)
+def test_the_median_time_to_learn_says_what_was_cut_off(
+    monkeypatch, seconds, measured, is_bound, remark
+):
+    asked = []
+
+    def train(overrides, rounds):
+        assert rounds == FULL.learning_rounds
+        took = seconds[len(asked) % 5]
+        asked.append(overrides)
+        return Learned(45, False, 25) if took is None else Learned(took, True, 25)
+
+    monkeypatch.setattr(time_to_learn, "train", train)
+    rows = time_to_learn.time_to_learn(FULL)
+    assert [row.what.partition(",")[0] for row in rows] == ["bbqn-map", "dqn"]
+    for row in rows:
+        assert (row.measured, row.is_bound, row.remark) == (measured, is_bound, remark)
+        assert row.reached == (measured <= 60 and not is_bound)
+    assert [overrides[-1] for overrides in asked[:5]] == [f"seed={seed}" for seed in range(5)]
+    assert all("protocol=quick" in overrides for overrides in asked)
+
+
+def test_a_slow_spell_that_hits_both_leaves_the_ratio():
+    clock = iter([1.0, 2.0, 1.0, 20.0, 10.0, 20.0, 10.0, 2.0, 1.0])
+    result = timing.interleaved(lambda: next(clock), lambda: next(clock), repeats=4)
+    # 2 / 1; 20 between 1 and 10; 20 between two of 10; 2 between 10 and 1
+    assert result.ratio == pytest.approx((2.0 + 2.0) / 2)
+    assert result.seconds == 11.0
+
+
+def test_a_stopwatch_times_every_call_and_lets_go(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(timing, "perf_counter", lambda: clock[0])
+
+    def work(ticks):
+        clock[0] += ticks
+        return "done"
+
+    owner = SimpleNamespace(work=work)
+    with timing.stopwatch(owner, "work") as seconds:
+        assert owner.work(3.0) == owner.work(20.0) == "done"
+    assert seconds == [3.0, 20.0]
+    assert owner.work is work
