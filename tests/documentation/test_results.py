@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
 
 import pytest
 import yaml
@@ -15,14 +14,11 @@ from bbq_torchrl.options import EvaluateConfig
 from scripts import keep_result, measure_policies
 from scripts.docs_blocks import BLOCKS, common, results
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 MACHINE = "/home/somebody/corpus"
 FOLDER = "miulab"
 
 
-def _run(folder: Path, agent: str, rates: list[float]) -> Path:
+def run_of(folder, agent, rates):
     """Makes a finished run folder of two rounds."""
     explore = "thompson" if agent == "bbqn" else "epsilon_greedy"
     corpus = {"domain.name": "miulab", "domain.path": MACHINE, "resume": MACHINE}
@@ -34,7 +30,7 @@ def _run(folder: Path, agent: str, rates: list[float]) -> Path:
 
 
 @pytest.fixture
-def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def kept(tmp_path, monkeypatch):
     """Results of two agents, kept in a folder of their own."""
     folder = tmp_path / "results"
     monkeypatch.setattr(common, "RESULTS", folder)
@@ -49,25 +45,25 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("bbqn_map", "bbqn", [0.7, 0.8, 0.75, 0.72, 0.78]),
         ("dqn", "dqn", [0.5, 0.4, 0.6, 0.5, 0.5]),
     ):
-        keep_result.keep(_run(tmp_path / agent, agent, rates), folder / FOLDER / name)
+        keep_result.keep(run_of(tmp_path / agent, agent, rates), folder / FOLDER / name)
     return folder
 
 
-def test_nothing_of_the_machine_is_kept(kept: Path) -> None:
+def test_nothing_of_the_machine_is_kept(kept):
     files = [file for file in kept.rglob("*") if file.is_file()]
     assert len(files) == 9
     assert not [file for file in files if MACHINE in file.read_text()]
 
 
-def test_unfinished_run_is_not_kept(tmp_path: Path) -> None:
-    run = _run(tmp_path / "run", "dqn", [0.5])
+def test_unfinished_run_is_not_kept(tmp_path):
+    run = run_of(tmp_path / "run", "dqn", [0.5])
     (run / "result.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"result\.json"):
         keep_result.keep(run, tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
 
 
-def test_an_experiment_is_shown_with_the_commands_that_made_it(kept: Path) -> None:
+def test_an_experiment_is_shown_with_the_commands_that_made_it(kept):
     text = BLOCKS["results.miulab"]()
     assert "| BBQN-MAP | thompson | 5 | 2 | 0.750 [" in text
     assert "| BBQN-MAP minus DQN | 5 | +0.250 [" in text
@@ -75,7 +71,7 @@ def test_an_experiment_is_shown_with_the_commands_that_made_it(kept: Path) -> No
     assert not any(note in text for note in comparison.NOTES)
 
 
-def test_two_agents_are_compared_by_pairs(kept: Path) -> None:
+def test_two_agents_are_compared_by_pairs(kept):
     rows = {"the corpus": [f"{FOLDER}/bbqn_map", f"{FOLDER}/dqn"], "another": ["a", "b"]}
     text = results.compared(rows, ["on", "one", "other"])
     head, _, line = text.splitlines()  # the other one was not run
@@ -84,7 +80,7 @@ def test_two_agents_are_compared_by_pairs(kept: Path) -> None:
     assert line.endswith("| +0.250 [+0.131, +0.369] | +0.125 [+0.065, +0.185] |")
 
 
-def test_claims_are_judged_by_what_is_there_and_the_rest_is_not_run(kept: Path) -> None:
+def test_claims_are_judged_by_what_is_there_and_the_rest_is_not_run(kept):
     lines = BLOCKS["results.claims"]().splitlines()[2:]
     ends, learns, *rest = lines
     where = "| Full domain, MiuLab's corpus | yes |"
@@ -95,7 +91,7 @@ def test_claims_are_judged_by_what_is_there_and_the_rest_is_not_run(kept: Path) 
     assert any(line.endswith("| +0.234 |") for line in rest)  # the paper's .5031 less .2693
 
 
-def test_table1_is_made_of_what_is_kept_of_it(kept: Path, tmp_path: Path) -> None:
+def test_table1_is_made_of_what_is_kept_of_it(kept, tmp_path):
     keep_result.keep(tmp_path / "dqn", kept / "table1" / "full" / "dqn" / "seed0")
     text = BLOCKS["results.table1"]()
     assert text.startswith("Not run: BBQN-MAP with env=full; ")
@@ -112,13 +108,13 @@ def test_table1_is_made_of_what_is_kept_of_it(kept: Path, tmp_path: Path) -> Non
     assert lines[1] == "movie,full,DQN,0,0,2,,0.5,10.0,8.0,0.25,"
 
 
-def test_every_measurement_of_a_policy_is_a_command(tmp_path: Path) -> None:
+def test_every_measurement_of_a_policy_is_a_command(tmp_path):
     for overrides in {*measure_policies.MEASUREMENTS.values()}:
         given = overrides.replace(measure_policies.PLACE, str(tmp_path)).split()
         assert compose(["policy=rule", *given], EvaluateConfig).dialogues >= 20_000
 
 
-def test_every_public_number_has_a_measurement_beside_it() -> None:
+def test_every_public_number_has_a_measurement_beside_it():
     measured = {key[1:] for key in measure_policies.MEASUREMENTS if key[0] == "miulab"}
     public = common.read_csv("public_simulator.csv")
     assert {(line["setting"], line["policy"]) for line in public} <= measured

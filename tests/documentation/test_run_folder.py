@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-from typing import TYPE_CHECKING
 
 import pytest
 from tiny import TINY
@@ -14,13 +13,10 @@ from bbq_torchrl.run import run
 
 from .pages import ROOT
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 PAGE = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
 
 
-def _first_cells(heading: str) -> set[str]:
+def first_cells(heading):
     """Returns the code in the first column of the first table under a heading."""
     section = PAGE.partition(f"\n{heading}\n")[2]
     table = section.partition("\n| ")[2].partition("\n\n")[0]
@@ -40,27 +36,23 @@ OF_A_CHOICE = {
 
 
 @pytest.fixture(scope="module", params=CHOICES, ids=" ".join)
-def run_folder(
-    request: pytest.FixtureRequest,
-    tmp_path_factory: pytest.TempPathFactory,
-    without_curves: None,
-) -> Path:
+def run_folder(request, tmp_path_factory, without_curves):
     """The folder of a tiny run; between them, the two have every column there is."""
     folder = tmp_path_factory.mktemp("run")
     run(compose([*request.param, *TINY, "protocol.rounds=1"]), folder)
     return folder
 
 
-def test_every_column_is_explained(run_folder: Path) -> None:
+def test_every_column_is_explained(run_folder):
     with (run_folder / "metrics.csv").open(encoding="utf-8") as file:
         columns = set(next(csv.reader(file)))
-    documented = _first_cells("### metrics.csv")
+    documented = first_cells("### metrics.csv")
     assert columns <= documented
     assert documented - columns <= OF_A_CHOICE
 
 
-def test_every_file_is_explained(run_folder: Path) -> None:
-    documented = {name.rstrip("/") for name in _first_cells("## The run folder")}
+def test_every_file_is_explained(run_folder):
+    documented = {name.rstrip("/") for name in first_cells("## The run folder")}
     assert {path.name for path in run_folder.iterdir()} <= documented
     # Hydra's own are there only in runs from the command line.
     assert documented - {path.name for path in run_folder.iterdir()} == {".hydra", "train.log"}

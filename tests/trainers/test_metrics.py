@@ -78,12 +78,6 @@ def test_columns_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, co
     assert metrics.rows == rows
 
 
-def test_csv_is_metrics_csv_alone(tmp_path):
-    make_trainer(tmp_path, rounds=1, loggers=LOGGERS["csv"]().make(tmp_path)).train()
-
-    assert {path.name for path in tmp_path.iterdir()} == {"checkpoint", "metrics.csv"}
-
-
 def test_tensorboard_reads_the_metrics_back(tmp_path):
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator

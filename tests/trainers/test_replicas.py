@@ -11,7 +11,13 @@ from torch import Tensor, nn
 from trainer_parts import make_trainer
 
 from bbq_torchrl.data import Batch
-from bbq_torchrl.trainers import BestWeights, ReplicaAdam, RoundTrainer, TrainingError
+from bbq_torchrl.trainers import (
+    BestWeights,
+    NonFiniteLossError,
+    ReplicaAdam,
+    RoundTrainer,
+    TrainingError,
+)
 from bbq_torchrl.trainers.learn import LossSums
 
 LR = (1e-2, 1e-2, 1e-3)
@@ -161,15 +167,26 @@ def test_what_one_replica_does_leaves_the_others_bitwise_alone(tmp_path, capacit
     assert of_plain != of_changed
 
 
-def test_the_others_finish_the_round_in_which_one_breaks(tmp_path):
-    plain, broken = (make_trainer(tmp_path / name, rounds=1) for name in ("plain", "broken"))
-    weights(broken)[0, 1, 1] = torch.nan
+def break_the_first(trainer: RoundTrainer, _: object) -> None:
+    """A callback: has the next round of replica 0 go wrong."""
+    weights(trainer)[0, 1, 1] = torch.nan
+
+
+def test_where_one_breaks_the_others_finish_the_round_and_the_state_is_saved(tmp_path):
+    plain, broken, other = (
+        make_trainer(tmp_path / name, rounds=2) for name in ("plain", "broken", "other")
+    )
+    broken.callbacks = (break_the_first,)
     plain.train()
 
-    with pytest.raises(TrainingError, match="replica 0 is not finite in round 0"):
+    with pytest.raises(NonFiniteLossError, match="replica 0 is not finite in round 1"):
         broken.train()
 
     assert torch.equal(weights(plain)[1:], weights(broken)[1:])
+    assert len(broken.metrics.rows) == 3
+    other.checkpoints.load(tmp_path / "broken" / "checkpoint" / "failed-round-000001.torchrl")
+    states = (trainer.loss.state_dict() for trainer in (other, broken))
+    torch.testing.assert_close(*states, rtol=0, atol=0, equal_nan=True)
 
 
 def new_best() -> tuple[nn.Module, BestWeights]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from itertools import count
 
 import pytest
 import torch
@@ -12,7 +11,7 @@ from torchrl.envs import ExcludeTransform, TransformedEnv
 from trainer_parts import GuessEnv, make_trainer
 
 from bbq_torchrl.options import ProtocolOption
-from bbq_torchrl.trainers import NonFiniteLossError, TrainingError, derive_seed
+from bbq_torchrl.trainers import TrainingError, derive_seed
 
 
 def test_it_learns(tmp_path):
@@ -122,28 +121,6 @@ def test_the_learning_rate_falls_after_its_share_of_the_rounds_resumed_or_not(tm
     assert torch.equal(falls[1], through)
     assert torch.equal(falls[2], falls[1])  # at 0: nothing moves in the last round
     assert not torch.equal(constant[1], falls[2])
-
-
-def test_a_loss_that_is_not_finite_stops_with_the_state_saved(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=6)
-    forward, calls = trainer.loss.forward, count(1)
-
-    def broken(batch):
-        out = forward(batch)
-        if next(calls) > 40:
-            out["loss_value"][1] = torch.nan
-        return out
-
-    trainer.loss.forward = broken
-
-    with pytest.raises(NonFiniteLossError, match="replica 1 is not finite in round"):
-        trainer.train()
-
-    saved = tmp_path / "checkpoint" / f"failed-round-{trainer.rounds_done:06d}.torchrl"
-    assert len(trainer.metrics.rows) == 3 * trainer.rounds_done
-    other = make_trainer(tmp_path / "other")
-    other.checkpoints.load(saved)
-    torch.testing.assert_close(other.loss.state_dict(), trainer.loss.state_dict(), rtol=0, atol=0)
 
 
 def of_the_policy(name):

@@ -1,0 +1,148 @@
+"""The Python of the pages runs, their commands are accepted, and files that they print work."""
+
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+
+import forked
+import pytest
+
+from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli.train import main as train
+from bbq_torchrl.domains import load_domain
+from bbq_torchrl.envs import DialogueEnv, scripted_policy
+from bbq_torchrl.options import EvaluateConfig, registry
+from bbq_torchrl.options.registry import conf_folder
+from bbq_torchrl.search.definition import compose_search
+
+from .pages import PAGES, ROOT, commands, snippets
+
+WITH_PYTHON = [page for page in PAGES if snippets(page, "python")]
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
+def test_python_of_a_page_runs_from_top_to_bottom(page, monkeypatch):
+    known = {group: dict(found) for group, found in registry.schemas().items()}
+    monkeypatch.setattr(registry, "_OPTIONS", known)  # a page's options are its own
+    module = ModuleType(page.stem)
+    monkeypatch.setitem(sys.modules, page.stem, module)
+    for text in snippets(page, "python"):
+        exec(compile(text, str(page), "exec"), vars(module))
+
+
+def is_composed(arguments):
+    """Whether a training stands for a configuration by itself: no help, no resumed run."""
+    shows_help = bool({"--help", "--cfg"} & set(arguments))
+    return not shows_help and not any(item.startswith("resume=") for item in arguments)
+
+
+def telling(kind, found, *alike):
+    """The commands with a word that none before has; any value will do for some keys."""
+    known = set()
+    for page, arguments in found:
+        words = {item for item in arguments if item.partition("=")[0] not in alike}
+        if words - known:
+            yield pytest.param(kind, arguments, id=f"{kind} {page} {arguments}")
+            known |= words
+
+
+TRAININGS = [item for item in commands("train.py") if is_composed(item[1])]
+EVALUATIONS = commands("-m bbq_torchrl.evaluate")
+SEARCHES = commands("-m bbq_torchrl.search")
+
+
+def test_the_documentation_shows_python_trainings_and_evaluations():
+    assert {"README.md", "parts.md"} <= {page.name for page in WITH_PYTHON}
+    assert len(TRAININGS) >= 10
+    assert len(EVALUATIONS) >= 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [
+        *telling("train", TRAININGS, "seed", "replicas", "threads", "hydra.run.dir"),
+        *telling("evaluate", EVALUATIONS, "policy", "dialogues", "batch", "log"),
+        *telling("search", SEARCHES),
+    ],
+)
+def test_a_documented_command_is_accepted(kind, arguments, tmp_path):
+    given = [argument.replace("<folder>", str(tmp_path)) for argument in arguments]
+    given = [argument for argument in given if not argument.startswith("--")]
+    if kind == "evaluate":
+        compose(given, EvaluateConfig)
+    elif kind == "search":
+        compose_search([argument for argument in given if argument != "&"])
+    else:
+        if "--multirun" in arguments:
+            # Of every list of a sweep the first element stands for all.
+            given = [first(argument) for argument in given]
+        compose([argument for argument in given if not argument.startswith("hydra")])
+
+
+def first(argument):
+    key, _, value = argument.partition("=")
+    if value.startswith("range("):
+        return f"{key}=0"
+    if value == "glob(*)":
+        files = (conf_folder() / key.removeprefix("+")).glob("*.yaml")
+        return f"{key}={min(file.stem for file in files)}"
+    return f"{key}={value.split(',')[0]}"
+
+
+OPTIONS, ENVIRONMENT = (ROOT / "docs" / f"{name}.md" for name in ("options", "environment"))
+
+
+def printed(page, language, start):
+    """The code of a page that starts so."""
+    (found,) = (text for text in snippets(page, language) if text.startswith(start))
+    return found
+
+
+@pytest.fixture
+def train_with(tmp_path):
+    """Trains for a round with options of a folder, given as file name and text."""
+    shrunken = ("rounds=1", "dialogues=2", "batch_size=8", "capacity=100", "eval_dialogues=2")
+
+    def trained(files, *arguments):
+        folder = tmp_path / "my_options"
+        folder.mkdir()
+        for name, text in files.items():
+            (folder / name).write_text(text)
+        protocol = [f"protocol.{item}" for item in (*shrunken, "eval_every=0")]
+        given = ("--config-dir", "my_options", "agent=bbqn", "agent.hidden=[8]", *arguments)
+        forked.call(train, *given, *protocol, "hydra.run.dir=run", cwd=tmp_path)
+        assert (tmp_path / "run" / "result.json").is_file()
+
+    return trained
+
+
+def test_the_strategy_of_two_files_is_an_option_of_a_folder(train_with):
+    changed = "from ucb_policy import UpperConfidence"
+    assert f"with `{changed}`" in OPTIONS.read_text(encoding="utf-8")
+    option = printed(OPTIONS, "python", '"""``explore=ucb``')
+    own = "from bbq_extending.ucb_policy import UpperConfidence"
+    assert own in option
+    policy = printed(OPTIONS, "python", '"""An upper confidence bound')
+    files = {"ucb.py": option.replace(own, changed), "ucb_policy.py": policy}
+    train_with(files, "explore=ucb", "spike.dialogues=2", "env.max_turn=8")
+
+
+def test_the_gymnasium_environment_is_an_option_of_a_folder(train_with):
+    pytest.importorskip("gymnasium")
+    option = printed(OPTIONS, "python", '"""``env=cartpole``')
+    train_with({"cartpole.py": option}, "env=cartpole", "env.length=10", "spike=none")
+
+
+def test_the_whole_domain_is_loaded_and_played(tmp_path):
+    for name, language, start in (
+        ("domain.yaml", "yaml", "name: lunch"),
+        ("knowledge_base.csv", "csv", "food,"),
+        ("goals.jsonl", "json", '{"constraints"'),
+        ("values.json", "json", '{"food"'),
+    ):
+        (tmp_path / name).write_text(printed(ENVIRONMENT, language, start))
+    env = DialogueEnv(load_domain(tmp_path), batch_size=(50,), seed=0)
+    for policy in ("rule", "careful"):
+        rollout = env.rollout(20, scripted_policy(policy, env), break_when_any_done=False)
+        assert rollout["next", "success"].any()
