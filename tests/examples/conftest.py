@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import runpy
 import sys
@@ -15,10 +16,10 @@ from bbq_torchrl.options import registry
 sys.path.append(str(EXAMPLES / "deep_sea"))
 
 
-@pytest.fixture(scope="module")
-def example(request):
-    """The names of the script that a test module calls its ``SCRIPT``."""
-    return runpy.run_path(str(request.module.SCRIPT))
+@pytest.fixture(scope="session")
+def names_of():
+    """Runs an example, given without its ending, as a module: the names in it."""
+    return functools.cache(lambda name: runpy.run_path(str(EXAMPLES / f"{name}.py")))
 
 
 @pytest.fixture(scope="module")

@@ -53,104 +53,64 @@ def test_its_options_are_in_the_tables_of_help():
     assert "visits" in store.options("intrinsic")
 
 
-def test_its_keys_are_checked_before_anything_runs():
+def test_its_keys_are_checked_and_it_is_not_spiked_without_scripted_policies():
     with pytest.raises(ConfigError, match=r"explore\.draws must be an integer from 2 to .*, got 1"):
         compose(["explore=ucb", "explore.draws=1"])
-
-
-def test_an_environment_without_scripted_policies_is_not_spiked():
     with pytest.raises(ConfigError, match="spike must be none with env=chain"):
         check(compose(["env=chain", "protocol=quick"]))
 
 
-def _with_observation(*features):
-    def change(env):
-        shape = (*env.batch_size, *features)
-        specs = {**env.observation_spec, "observation": Unbounded(shape)}
-        env.observation_spec = Composite(specs, shape=env.batch_size)
+def makes_chains(batch_size=(2, 3), features=None, action=None):
+    """Makes the environment in another batch size, or with another observation or action."""
 
-    return change
+    def make(*_, **__):
+        from bbq_extending.chain_env import ChainEnv
 
-
-def _with_continuous_actions(env):
-    env.action_spec = Unbounded((*env.batch_size, 2))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            _with_observation(4, 5),
-            r"observation, floats \[2, 3, features\], got .* \[2, 3, 4, 5\]$",
-        ),
-        (_with_observation(), r"observation, floats \[2, 3, features\], got .* \[2, 3\]$"),
-        (
-            _with_continuous_actions,
-            r"action, Categorical \[2, 3\] or OneHot \[2, 3, actions\], got .* \[2, 3, 2\]$",
-        ),
-    ],
-)
-def test_an_environment_that_no_agent_can_be_trained_in_is_refused(
-    change, message, monkeypatch, tmp_path
-):
-    config = compose(["agent=dqn", *SHRUNKEN])
-    make = type(config.env).make
-
-    def changed(*arguments, **kwargs):
-        env = make(*arguments, **kwargs)
-        change(env)
+        env = ChainEnv(5, batch_size)
+        if features is not None:
+            specs = {**env.observation_spec, "observation": Unbounded((*batch_size, *features))}
+            env.observation_spec = Composite(specs, shape=batch_size)
+        if action is not None:
+            env.action_spec = action
         return env
 
-    monkeypatch.setattr(type(config.env), "make", changed)
-    with pytest.raises(
-        ConfigError, match=f"^env=chain must make an environment whose specs have {message}"
-    ):
-        build_trainer(config, tmp_path)
+    return make
 
 
-@pytest.mark.parametrize(("made", "got"), [((), r"\[\]"), ((3,), r"\[3\]"), (None, "NoneType")])
-def test_an_environment_of_another_batch_size_is_refused(made, got, monkeypatch, tmp_path):
-    from bbq_extending.chain_env import ChainEnv
-
-    config = compose(["agent=dqn", *SHRUNKEN])
-    env = made if made is None else ChainEnv(5, made)
-    monkeypatch.setattr(type(config.env), "make", lambda *_, **__: env)
-    with pytest.raises(
-        ConfigError,
-        match=rf"^env=chain must make an environment of batch size \[2, 3\], got {got}$",
-    ):
-        build_trainer(config, tmp_path)
+OBSERVATION = r"whose specs have observation, floats \[2, 3, features\], got .*"
+ACTION = r"whose specs have action, Categorical \[2, 3\] or OneHot \[2, 3, actions\], got .*"
+THOMPSON = "make of explore=thompson must return a policy and a dict of metrics, got Greedy"
 
 
 @pytest.mark.parametrize(
-    ("group", "makes", "message"),
+    ("group", "make", "message"),
     [
-        (
-            "explore",
-            lambda self, actor, greedy, task: greedy,
-            "explore=thompson must return a policy and a dict of metrics, got Greedy",
-        ),
-        (
-            "explore",
-            lambda self, actor, greedy, task: (greedy, None),
-            "explore=thompson must return a policy and a dict of metrics, got Greedy, NoneType",
-        ),
+        ("env", makes_chains(features=(4, 5)), rf"{OBSERVATION} \[2, 3, 4, 5\]"),
+        ("env", makes_chains(features=()), rf"{OBSERVATION} \[2, 3\]"),
+        ("env", makes_chains(action=Unbounded((2, 3, 2))), rf"{ACTION} \[2, 3, 2\]"),
+        ("env", makes_chains(()), r"of batch size \[2, 3\], got \[\]"),
+        ("env", makes_chains((3,)), r"of batch size \[2, 3\], got \[3\]"),
+        ("env", lambda *_, **__: None, r"of batch size \[2, 3\], got NoneType"),
+        ("explore", lambda self, actor, greedy, task: greedy, THOMPSON),
+        ("explore", lambda self, actor, greedy, task: (greedy, None), f"{THOMPSON}, NoneType"),
         (
             "intrinsic",
             lambda self, loss, task: loss,
-            "intrinsic=none must return a loss and a list of transforms, got BBQNLoss",
+            "make of intrinsic=none must return a loss and a list of transforms, got BBQNLoss",
         ),
         (
             "logger",
             lambda self, run_folder, *, resume: nn.Identity(),
-            "logger=csv must return a list of loggers, got Identity",
+            "make of logger=csv must return a list of loggers, got Identity",
         ),
     ],
 )
-def test_what_an_option_makes_is_checked(group, makes, message, monkeypatch, tmp_path):
+def test_what_an_option_makes_is_checked(group, make, message, monkeypatch, tmp_path):
     config = compose(["agent=bbqn", *SHRUNKEN])
-    monkeypatch.setattr(type(getattr(config, group)), "make", makes)
-    with pytest.raises(ConfigError, match=f"^make of {message}$"):
+    monkeypatch.setattr(type(getattr(config, group)), "make", make)
+    if group == "env":
+        message = f"env=chain must make an environment {message}"
+    with pytest.raises(ConfigError, match=f"^{message}$"):
         build_trainer(config, tmp_path)
 
 
@@ -192,7 +152,7 @@ def test_its_runs_are_evaluated_and_reported(finished, capsys):
 
 def test_its_search_space_is_found_in_a_folder_of_options(monkeypatch):
     monkeypatch.setenv(registry.FOLDER_VARIABLE, str(PACKAGE))
-    search = compose_search(["search=langevin", *(item for item in SHRUNKEN if "=" in item)])
+    search = compose_search(["search=langevin", *SHRUNKEN])
     assert list(search.space) == ["agent.lr", "agent.inverse_temperature"]
     config = search.config({"agent.lr": 0.01, "agent.inverse_temperature": 1e5})
     assert (config.agent.name, config.agent.lr) == ("langevin", 0.01)

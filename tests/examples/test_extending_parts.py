@@ -8,6 +8,7 @@ import importlib
 import pytest
 import torch
 from extended import SHRUNKEN
+from q_transitions import ACTIONS, FEATURES, transitions
 from tensordict import TensorDict
 from torch import nn
 from torchrl.data import Categorical
@@ -117,41 +118,49 @@ def test_langevin_noise_is_for_the_agent_and_not_for_the_model_of_an_intrinsic_r
     assert len(optimizer.parameters) > len(noisy)
 
 
-def _index_actor(network):
+@pytest.fixture
+def epinet(installed):
+    """A network of two replicas that reads an index of four numbers."""
+    from bbq_extending.epinet_mlp import EpinetMLP
+
+    return EpinetMLP(FEATURES, ACTIONS, (8,), index_size=4, prior_scale=2.0, replicas=(2,))
+
+
+@pytest.fixture
+def index_actor(epinet):
     from bbq_extending.index_sampling import INDEX
 
-    return q_actor(network, Categorical(2), in_keys=("observation", INDEX), action_mask_key=None)
+    return q_actor(
+        epinet, Categorical(ACTIONS), in_keys=("observation", INDEX), action_mask_key=None
+    )
 
 
-def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone():
-    from bbq_extending.epinet_mlp import EpinetMLP
-
-    network = EpinetMLP(3, 2, (8,), index_size=4, prior_scale=2.0, replicas=(2,))
-    x, index = torch.randn(2, 5, 3), torch.randn(2, 5, 4)
-    base = network(x, torch.zeros(2, 5, 4))
-    (network(x, index) - base).square().sum().backward()
-    assert network.epinet.weight.grad.any()
-    assert not network.trunk.weight.grad.any()
-    assert not network.head.weight.grad.any()
+def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone(epinet):
+    x, index = torch.randn(2, 5, FEATURES), torch.randn(2, 5, 4)
+    base = epinet(x, torch.zeros(2, 5, 4))
+    (epinet(x, index) - base).square().sum().backward()
+    assert epinet.epinet.weight.grad.any()
+    assert not epinet.trunk.weight.grad.any()
+    assert not epinet.head.weight.grad.any()
     with torch.no_grad():  # what is left without the part that learns: the priors, linear in z
-        _, (weight, bias) = network.epinet.layout.unflatten(network.epinet.weight)
+        _, (weight, bias) = epinet.epinet.layout.unflatten(epinet.epinet.weight)
         weight.zero_(), bias.zero_()
-        once, twice = (network(x, factor * index) - base for factor in (1, 2))
-    assert torch.allclose(twice, 2 * once, atol=1e-5)
+        once, twice = (epinet(x, factor * index) - base for factor in (1, 2))
+    torch.testing.assert_close(twice, 2 * once)
     assert once.abs().max() > 0.1
-    reset_inactive_(network, inputs=torch.tensor([False, True, False]))
-    more = x + torch.tensor([0.0, 7.0, 0.0])
-    assert torch.equal(network(more, index), network(x, index))
+    second = torch.eye(FEATURES)[1]
+    reset_inactive_(epinet, inputs=second.bool())
+    torch.testing.assert_close(epinet(x + 7 * second, index), epinet(x, index), rtol=0, atol=0)
 
 
-def test_an_index_is_kept_until_the_episode_ends_and_is_none_without_exploration():
-    from bbq_extending.epinet_mlp import EpinetMLP
+def test_an_index_is_kept_until_the_episode_ends_and_is_none_without_exploration(
+    epinet, index_actor
+):
     from bbq_extending.index_sampling import IndexSampling
 
-    network = EpinetMLP(3, 2, (8,), index_size=4, replicas=(2,))
-    policy = IndexSampling(_index_actor(network), 4)
+    policy = IndexSampling(index_actor, 4)
     rows = TensorDict(
-        observation=torch.ones(2, 3, 3),
+        observation=torch.ones(2, 3, FEATURES),
         is_init=torch.zeros(2, 3, 1, dtype=torch.bool),
         batch_size=[2, 3],
     )
@@ -163,36 +172,23 @@ def test_an_index_is_kept_until_the_episode_ends_and_is_none_without_exploration
     assert "index" not in second
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         greedy = policy(rows.clone())["action_value"]
-    assert torch.equal(greedy, network(torch.ones(2, 3, 3), torch.zeros(2, 3, 4)))
+    assert torch.equal(greedy, epinet(rows["observation"], torch.zeros(2, 3, 4)))
 
 
-def test_an_index_is_the_same_in_a_value_and_its_target():
-    from bbq_extending.epinet_mlp import EpinetMLP
+def test_an_index_is_the_same_in_a_value_and_its_target(epinet, index_actor):
     from bbq_extending.index_sampling import IndexLoss
 
-    network = EpinetMLP(3, 2, (8,), index_size=4, replicas=(2,))
-    loss = IndexLoss(_index_actor(network), 4, gamma=0.5)
+    loss = IndexLoss(index_actor, 4, gamma=0.5)
     HardUpdate(loss, value_network_update_interval=0)
-    batch = TensorDict(
-        {
-            "observation": torch.randn(2, 6, 3),
-            "action": torch.randint(2, (2, 6)),
-            "next": {
-                "observation": torch.randn(2, 6, 3),
-                "reward": torch.randn(2, 6, 1),
-                "terminated": torch.rand(2, 6, 1) < 0.5,
-            },
-        },
-        [2, 6],
-    )
+    batch = transitions((2,), (6,))
     assert not loss.has_fixed_targets
     found = loss(batch)["loss_value"]
     index = batch["index"]
     assert index.flatten(0, 1).unique(dim=0).shape[0] == 12
-    value = network(batch["observation"], index).gather(-1, batch["action"].unsqueeze(-1))
-    following = network(batch["next", "observation"], index).amax(-1, keepdim=True)
+    value = epinet(batch["observation"], index).gather(-1, batch["action"].unsqueeze(-1))
+    following = epinet(batch["next", "observation"], index).amax(-1, keepdim=True)
     target = batch["next", "reward"] + 0.5 * following * ~batch["next", "terminated"]
-    assert torch.allclose(found, (value - target).square().mean((1, 2)))
+    torch.testing.assert_close(found, (value - target).square().mean((1, 2)))
 
 
 def test_a_state_is_worth_less_each_time_that_it_is_stored():

@@ -5,15 +5,14 @@ from __future__ import annotations
 import copy
 import sys
 
+import pytest
 import torch
-from extended import EXAMPLES
 from tiny import rows
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import read_metrics
 
-SCRIPT = EXAMPLES / "tandem.py"
 TINY = (
     "replicas=2",
     "agent.hidden=[16]",
@@ -25,6 +24,11 @@ TINY = (
     "protocol.batch_size=256",
     "spike.dialogues=20",
 )
+
+
+@pytest.fixture
+def example(names_of):
+    return names_of("tandem")
 
 
 def same_weights(trainer, weights):

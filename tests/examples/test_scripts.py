@@ -1,0 +1,129 @@
+"""The smaller examples run in their short form, and say and measure what they are there for."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import forked
+import pytest
+import torch
+from extended import EXAMPLES, ROOT
+from tiny import rows
+
+NOTEBOOK = EXAMPLES / "tutorial.ipynb"
+
+
+@pytest.mark.parametrize(
+    ("name", "frames", "said", "rooms"),
+    [
+        (
+            "cartpole_bbqn",
+            "64",
+            r"mean network, 20 episodes: return (\d+\.\d) of at most 500",
+            {"bayes", "exploration", "networks", "objectives"},
+        ),
+        (
+            "cartpole_vime",
+            "300",
+            r"mean return of the last 10 episodes: ([\d.]+)",
+            {"exploration", "networks", "objectives", "vime"},
+        ),
+    ],
+)
+def test_cartpole_is_played_without_anything_of_dialogue(tmp_path, name, frames, said, rooms):
+    script = EXAMPLES / f"{name}.py"
+    assert set(re.findall(r"(?:from|import) bbq_torchrl\.(\w+)", script.read_text())) == rooms
+    pytest.importorskip("gymnasium")
+    out, err = forked.run_script(script, "--frames", frames, cwd=tmp_path)
+    # The child ends at once, so that Python's own tracker may tell of what it leaves behind.
+    warned = [line for line in err.splitlines() if "Warning" in line]
+    assert all("resource_tracker" in line for line in warned), err
+    line = re.fullmatch(said, out.splitlines()[-1])
+    assert line is not None, out
+    assert 1 <= float(line[1]) <= 500
+
+
+def test_cartpoles_dqn_explores_less_and_less(names_of):
+    pytest.importorskip("gymnasium")
+    example = names_of("cartpole_bbqn")
+    _, explore, _ = example["make_agent"]("dqn", example["make_env"](0), 400)
+    assert float(explore[-1].eps) == 1
+    explore[-1].step(50)
+    assert float(explore[-1].eps) == pytest.approx((1 + 0.05) / 2, rel=1e-4)  # summed up in float32
+    explore[-1].step(100)
+    assert float(explore[-1].eps) == pytest.approx(0.05)
+
+
+def test_regression_saves_a_figure(tmp_path):
+    out = tmp_path / "new" / "figure.png"
+    script = EXAMPLES / "regression.py"
+    text, _ = forked.run_script(script, "--steps", "20", "--out", str(out), cwd=tmp_path)
+    assert re.search(r"spread of the draws off the data / on the data: \d+\.\d\n", text)
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_regressions_uncertainty_grows_where_there_are_no_data(names_of):
+    example = names_of("regression")
+    net = example["train_bayesian"](*example["curve"](200), 300)
+    assert example["spread_ratio"](net) > 1.5
+
+
+def test_plateau_measures_the_values_of_the_last_actions_of_successes(names_of, tmp_path):
+    example = names_of("plateau")
+    trainer = example["spiked_trainer"]("kaiming", 0.1, 1, tmp_path)
+    transitions = trainer.replay.buffers[0].storage[:]
+    last = transitions["next", "reward"].squeeze(-1) == 40
+    assert 0 < int(last.sum()) < 100
+    network = trainer.policy.actor[0].module
+    with torch.no_grad():
+        values = network(transitions["observation"].unsqueeze(0), "mean")[0]
+    expected = values[last].gather(-1, transitions["action"][last].unsqueeze(-1)).mean()
+    assert example["values_of_successes"](trainer) == [pytest.approx(float(expected), abs=1e-4)]
+
+
+def test_plateau_writes_a_line_for_every_start_freeze_and_seed(names_of, tmp_path, monkeypatch):
+    example, file = names_of("plateau"), tmp_path / "plateau.csv"
+    monkeypatch.setattr(sys, "argv", ["plateau.py", "--epochs=1", "--seeds=2", f"--file={file}"])
+    example["main"]()
+    lines = rows(file)
+    assert [(line["start"], line["seed"]) for line in lines] == [
+        (start, seed) for start in example["STARTS"] for seed in ("0", "1")
+    ]
+    assert all(int(line["updates"]) > 50 for line in lines)
+
+
+@pytest.mark.slow
+def test_maskable_ppo_of_another_library_plays_dialogues(tmp_path):
+    pytest.importorskip("sb3_contrib")
+    short = ("--steps", "128", "--batch", "64", "--dialogues", "5")
+    said, _ = forked.run_script(EXAMPLES / "maskable_ppo.py", *short, cwd=tmp_path)
+    line = re.fullmatch(r"MaskablePPO, 128 turns: success rate (\d\.\d{3})\n", said)
+    assert line is not None, said
+    assert 0 <= float(line[1]) <= 1
+
+
+@pytest.fixture
+def notebook():
+    return pytest.importorskip("nbformat").read(NOTEBOOK, as_version=4)
+
+
+def test_the_notebook_is_kept_without_outputs(notebook):
+    pytest.importorskip("nbformat").validate(notebook)
+    assert NOTEBOOK.stat().st_size < 20_000
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell for cell in cells if cell.outputs or cell.execution_count is not None] == []
+
+
+def test_the_notebook_runs_from_top_to_bottom(notebook, monkeypatch, tmp_path):
+    nbclient = pytest.importorskip("nbclient")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "TMPDIR"):
+        monkeypatch.setenv(name, str(tmp_path))
+    resources = {"metadata": {"path": tmp_path}}
+    nbclient.NotebookClient(notebook, timeout=600, resources=resources).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    said = "".join(output.text for output in outputs if output.get("name") == "stdout")
+    assert "round 1: " in said
+    assert "policy: mean - rollout of batch size [1, 5, 20]" in said
