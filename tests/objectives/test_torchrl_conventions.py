@@ -1,329 +1,139 @@
-"""What TorchRL expects of a loss: keys, dispatch, functional parameters, target updates."""
+"""What TorchRL expects of a loss: keys, dispatch, functional parameters, copies."""
 
 from __future__ import annotations
 
-import pickle
-from copy import deepcopy
-from typing import TYPE_CHECKING, NamedTuple
-
 import pytest
 import torch
-from q_transitions import (
-    FEATURES,
-    bayes_loss,
-    flat,
-    heads_loss,
-    noisy_loss,
-    plain_loss,
-    transitions,
-)
+from dynamics_losses import COPIES, gradients, result
+from q_transitions import FEATURES, transitions
 from torchrl.data import MultiStep
 from torchrl.objectives.utils import ValueEstimators
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
-OUT_KEYS = ["loss", "loss_value", "td_error", "q_value"]
-
-
-class Case(NamedTuple):
-    """What makes a loss and its update, and the names of its parameters."""
-
-    make: Callable
-    names: tuple[str, ...]
-    out_keys: list[str] = OUT_KEYS
-
-
-LOSSES = {
-    "bbqn": Case(bayes_loss, ("mu", "rho"), [*OUT_KEYS, "kl"]),
-    "dqn": Case(plain_loss, ("weight",)),
-    "bootstrap": Case(heads_loss, ("trunk", "heads")),
-    "noisy": Case(noisy_loss, ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma")),
-}
-
-
-@pytest.fixture(params=list(LOSSES))
-def case(request):
-    return LOSSES[request.param]
-
-
-def result(loss, td):
-    torch.manual_seed(0)
-    return loss(td)["loss"]
-
-
-def test_parameters_are_the_online_networks_and_targets_are_buffers(case):
-    loss, _ = case.make((2,))
-    trainable = {name.rsplit(".", 1)[-1] for name, _ in loss.named_parameters()}
-    assert trainable == set(case.names)
+def test_parameters_are_the_networks_once_and_targets_are_none(make):
+    loss = make((2,))
+    networks = [loss.value_network]
+    if hasattr(loss, "dynamics_loss"):
+        networks.append(loss.dynamics_loss.dynamics)
+    expected = [id(p) for network in networks for p in network.parameters()]
+    assert sorted(map(id, loss.parameters())) == sorted(expected)
     assert all(p.requires_grad for p in loss.parameters())
-    network = {id(p) for p in loss.value_network.parameters()}
-    assert {id(p) for p in loss.parameters()} == network
-    for name in case.names:
-        assert not flat(loss, name, target=True).requires_grad
+    assert not any(p.requires_grad for p in loss.target_value_network_params.values(True, True))
 
 
-def test_in_and_out_keys(case):
-    loss, _ = case.make()
+@pytest.mark.parametrize("replicas", [(), (3,)], ids=str)
+def test_it_reads_and_returns_what_its_keys_say(make, replicas):
+    loss, td = make(replicas), transitions(replicas)
     assert set(loss.in_keys) == {
         "observation",
         "action_mask",
         "action",
         *(("next", k) for k in ("observation", "action_mask", "reward", "done", "terminated")),
     }
-    assert loss.out_keys == case.out_keys
-    assert set(loss(transitions()).keys()) == set(case.out_keys)
+    out = loss(td)
+    assert out.batch_size == ()
+    for key, value in out.items():
+        assert value.shape == (() if key == "loss" else replicas)
+        assert value.requires_grad == (key == "loss")
+    added = [["kl"], ["dynamics_loss", "dynamics_kl"], []]
+    assert loss.out_keys in [["loss", "loss_value", "td_error", "q_value", *a] for a in added]
+    assert set(out.keys()) == set(loss.out_keys)
+    assert td["td_error"].shape == (*replicas, 32, 1)
+
+
+def test_keys_can_be_selected(make):
+    loss = make()
+    loss = getattr(loss, "q_loss", loss)  # VIMELoss says that it does not support it
     assert list(loss.select_out_keys("loss")(transitions()).keys()) == ["loss"]
 
 
-@pytest.mark.parametrize("replicas", [(), (3,)])
-def test_only_the_scalar_loss_has_a_graph(case, replicas):
-    loss, _ = case.make(replicas)
-    out = loss(transitions(replicas))
-    assert out.batch_size == ()
-    for key in case.out_keys:
-        assert out[key].shape == (() if key == "loss" else replicas)
-        assert out[key].requires_grad == (key == "loss")
-
-
-def test_it_can_be_called_with_tensors(case):
-    loss, _ = case.make()
-    td = transitions()
-    flat_td = td.flatten_keys("_")
+def test_it_can_be_called_with_tensors(make):
+    loss, td = make(), transitions()
+    expected = result(loss, td.clone())
     torch.manual_seed(0)
-    out = loss(**dict(flat_td.items()))
-    torch.testing.assert_close(out[case.out_keys.index("loss")], result(loss, td))
+    found = loss(**dict(td.flatten_keys("_").items()))
+    torch.testing.assert_close(list(found), [expected[key] for key in loss.out_keys])
 
 
-def test_keys_can_be_set(case):
-    loss, _ = case.make()
-    td = transitions()
-    expected = result(loss, td)
-    moved = td.exclude("td_error")
-    moved["deep", "act"] = moved.pop("action")
-    moved["next", "pay"] = moved["next"].pop("reward")
-    moved["next", "over"] = moved["next"].pop("terminated")
+def test_keys_can_be_set(make):
+    loss, td = make(), transitions()
+    expected = result(loss, td.clone())["loss"]
+    td["deep", "act"] = td.pop("action")
+    td["next", "pay"] = td["next"].pop("reward")
+    td["next", "over"] = td["next"].pop("terminated")
     loss.set_keys(action=("deep", "act"), reward="pay", terminated="over", priority="how_wrong")
     assert {("deep", "act"), ("next", "pay"), ("next", "over")} <= set(loss.in_keys)
-    assert torch.equal(result(loss, moved), expected)
-    assert moved.get("how_wrong") is not None
+    assert torch.equal(result(loss, td)["loss"], expected)
+    assert td.get("how_wrong") is not None
 
 
-def test_gamma_is_the_value_estimators(case):
-    loss, _ = case.make(gamma=0.9)
-    td = transitions()
-    other, _ = case.make(gamma=0.3)
+def test_gamma_is_the_value_estimators(make):
+    loss, other, td = make(gamma=0.9), make(gamma=0.3), transitions()
     state = {k: v for k, v in loss.state_dict().items() if "gamma" not in k}
     other.load_state_dict(state, strict=False)
-    expected = result(other, td)
     assert loss.value_estimator.gamma == pytest.approx(0.9)
     loss.make_value_estimator(ValueEstimators.TD0, gamma=0.3)
-    torch.testing.assert_close(result(loss, td), expected)
-    for other in (ValueEstimators.TD1, ValueEstimators.TDLambda):
+    torch.testing.assert_close(result(loss, td), result(other, td))
+    for kind in (ValueEstimators.TD1, ValueEstimators.TDLambda):
         with pytest.raises(NotImplementedError, match="Supported value types"):
-            loss.make_value_estimator(other)
+            loss.make_value_estimator(kind)
+    loss.make_value_estimator(ValueEstimators.TD0, average_rewards=True)
+    with pytest.raises(ValueError, match="average_rewards of the value estimator must be False"):
+        loss(td)
 
 
-def test_targets_of_n_step_data_are_torchrls(case):
-    loss, _ = case.make(gamma=0.5)
+@pytest.mark.parametrize("gamma", [0.5, torch.tensor([0.1, 0.5, 0.9, 1.0])], ids=["one", "each"])
+def test_the_discount_of_n_step_data_is_that_of_n_steps(make, gamma):
+    loss = make((4,), gamma=gamma)
     td = MultiStep(gamma=0.5, n_steps=3)(transitions((4,), (8,)))
     assert td["steps_to_next_obs"].unique().numel() > 1
     value = torch.randn(4, 8, 1)
-    td["next", "next_state_value"] = loss._beside_values(value)
-    expected = loss.value_estimator.value_estimate(td, next_value=value)
-    target = loss._td_target(td, *loss._tensors()).reshape(expected.shape)
-    torch.testing.assert_close(target, expected)
+    discount = torch.as_tensor(gamma).reshape(-1, 1, 1) ** td["steps_to_next_obs"].unsqueeze(-1)
+    # the target of this data is the reward of that
+    target = td.exclude("steps_to_next_obs")
+    target["next", "reward"] = td["next", "reward"] + discount * value * ~td["next", "terminated"]
+    target["next", "terminated"] = torch.ones(4, 8, 1).bool()
+    has_heads = "bootstrap_mask" in vars(loss.tensor_keys)
+    td["next", "next_state_value"] = value.unsqueeze(-2).expand(4, 8, 3, 1) if has_heads else value
+    loss = getattr(loss, "q_loss", loss)  # the dynamics have no target
+    torch.testing.assert_close(result(loss, td), result(loss, target))
 
 
-def test_the_discount_of_n_step_data_may_differ_between_replicas(case):
-    loss, _ = case.make((2,), gamma=torch.tensor([0.5, 0.9]))
-    td = transitions((2,))
-    td["steps_to_next_obs"] = torch.full((2, 32), 2)
-    found = result(loss, td)
-    loss.make_value_estimator(ValueEstimators.TD0, gamma=[0.25, 0.81])
-    torch.testing.assert_close(found, result(loss, td.exclude("steps_to_next_obs")))
+@pytest.mark.parametrize("way", COPIES)
+def test_a_copy_is_the_same_loss_with_parameters_of_its_own(make, way):
+    loss, other, td = make((2,)), make((2,)), transitions((2,))
+    expected = result(loss, td)["loss"]
+    result(other, td)  # what it may have kept of its own parameters is not used any more
+    copy = COPIES[way](loss, other)
+    assert torch.equal(result(copy, td)["loss"], expected)
+    with torch.no_grad():
+        for parameter in copy.parameters():
+            parameter.add_(1.0)
+    assert not torch.equal(result(copy, td)["loss"], expected)
+    assert way == "assigned" or torch.equal(result(loss, td)["loss"], expected)
 
 
-def test_average_rewards_are_refused(case):
-    loss, _ = case.make()
-    loss.make_value_estimator(ValueEstimators.TD0, average_rewards=True)
-    with pytest.raises(ValueError, match="average_rewards of the value estimator must be False"):
-        loss(transitions())
-
-
-@pytest.mark.parametrize("assign", [False, True])
-def test_states_round_trip(case, assign):
-    loss, other = case.make((2,))[0], case.make((2,))[0]
-    td = transitions((2,))
-    result(other, td)
-    other.load_state_dict(loss.state_dict(), assign=assign)
-    assert torch.equal(result(other, td), result(loss, td))
-
-
-def test_copies_are_independent(case):
-    loss, _ = case.make()
-    td = transitions()
-    expected = result(loss, td)
-    for copy in (deepcopy(loss), pickle.loads(pickle.dumps(loss))):
-        assert torch.equal(result(copy, td), expected)
-        with torch.no_grad():
-            for parameter in copy.parameters():
-                parameter.add_(1.0)
-        assert not torch.equal(result(copy, td), expected)
-        assert torch.equal(result(loss, td), expected)
-
-
-def test_the_dtype_can_change(case):
-    loss, _ = case.make((2,))
-    td = transitions((2,))
-    loss(td)
+def test_the_dtype_can_change(make):
+    loss, td = make((2,)), transitions((2,))
+    loss(td.clone())
     loss.double()
-    double = td.exclude("td_error").apply(lambda t: t.double() if t.is_floating_point() else t)
-    out = loss(double)
+    out = loss(td.apply(lambda t: t.double() if t.is_floating_point() else t))
     out["loss"].backward()
     assert out["loss"].dtype == torch.double
-    for name in case.names:
-        assert flat(loss, name).grad.dtype == torch.double
+    assert all(p.grad.dtype == torch.double for p in loss.parameters())
 
 
-def test_parameters_can_be_reset(case):
-    loss, _ = case.make((2,))
-    before = {n: flat(loss, n).detach().clone() for n in case.names}
+def test_parameters_can_be_reset(make):
+    loss = make((2,))
+    before = [p.detach().clone() for p in loss.parameters()]
     loss.reset_parameters_recursive()
-    for n in case.names:
-        assert not torch.equal(flat(loss, n), before[n])
+    assert not any(map(torch.equal, loss.parameters(), before))
 
 
-def test_a_failing_network_leaves_its_parameters_in_place(case):
-    loss, _ = case.make()
-    td = transitions()
-    td["next", "observation"] = torch.randn(32, FEATURES + 1)
+def test_a_failing_network_leaves_its_parameters_in_place(make):
+    loss, td = make(), transitions()
     own = list(loss.value_network.parameters())
     with pytest.raises(ValueError, match="input must have shape"):
-        loss(td)
+        loss(td.clone().set(("next", "observation"), torch.randn(32, FEATURES + 1)))
     assert all(a is b for a, b in zip(loss.value_network.parameters(), own, strict=True))
-    result(loss, transitions())
-
-
-def test_a_missing_mask_is_an_error_and_not_that_all_is_legal(case):
-    loss, _ = case.make()
-    td = transitions()
-    del td["next"]["action_mask"]
-    with pytest.raises(KeyError, match=r"'next', 'action_mask'.* is missing.*action_mask_key=None"):
-        loss(td)
-
-
-@pytest.mark.parametrize("key", ["action", "observation", ("next", "terminated")])
-def test_a_missing_entry_is_named(case, key):
-    loss, _ = case.make()
-    name = key if isinstance(key, str) else key[-1]
-    with pytest.raises(KeyError, match=f'key "{name}" not found'):
-        loss(transitions().exclude(key))
-
-
-@pytest.mark.parametrize("key", ["reward", "terminated"])
-def test_a_reward_or_end_without_its_last_dimension_is_refused(case, key):
-    loss, _ = case.make((2,))
-    td = transitions((2,))
-    td["valid"] = torch.ones(2, 32).bool()
-    td["next", key] = td["next", key].squeeze(-1)
-    with pytest.raises(
-        ValueError, match=r"'reward' and 'terminated' must have shape \[\*batch, 1\], got .*32\]"
-    ):
-        loss(td)
-
-
-def test_actions_of_the_other_action_space_are_refused(case):
-    loss, _ = case.make()
-    td = transitions()
-    one_hot = td.clone().set("action", torch.nn.functional.one_hot(td["action"], 4))
-    with pytest.raises(ValueError, match=r"'action' must be categorical with batch \[32\]"):
-        loss(one_hot)
-    expected = result(loss, td)
-    loss.action_space = "one_hot"
-    with pytest.raises(ValueError, match=r"'action' must be one_hot with batch \[32\], .* \[32\]"):
-        loss(td)
-    assert torch.equal(result(loss, one_hot), expected)
-
-
-@pytest.mark.parametrize(("mask", "shape"), [("valid", (32,)), ("bootstrap_mask", (32, 3))])
-def test_rewards_may_be_whole_numbers(case, mask, shape):
-    loss, _ = case.make()
-    td = transitions()
-    td[mask] = torch.rand(shape) < 0.6
-    td["next", "reward"] = td["next", "reward"].round()
-    expected = result(loss, td)
-    td["next", "reward"] = td["next", "reward"].long()
-    assert torch.equal(result(loss, td), expected)
-
-
-def test_ends_may_be_numbers(case):
-    loss, _ = case.make()
-    td = transitions()
-    expected = result(loss, td)
-    td["next", "terminated"] = td["next", "terminated"].to(torch.uint8)
-    assert torch.equal(result(loss, td), expected)
-
-
-def everything(loss, td):
-    """What a loss returns and writes, and its gradients."""
-    torch.manual_seed(1)
-    out = loss(td)
-    gradients = torch.autograd.grad(out["loss"], list(loss.parameters()))
-    return [*out.detach().exclude("loss").values(), td["td_error"], *gradients]
-
-
-@pytest.mark.parametrize("entry", ["observation", ("next", "observation"), ("next", "reward")])
-def test_rows_that_do_not_count_change_nothing_whatever_they_hold(case, entry):
-    loss, _ = case.make((2,), dtype=torch.double)
-    td = transitions((2,), (6,), dtype=torch.double)
-    td["valid"] = torch.arange(6).expand(2, 6) < 4
-    spoilt = td.clone()
-    spoilt[entry][:, 4:] = torch.nan
-    *outputs, errors = found = everything(loss, td)[: len(loss.out_keys)]
-    torch.testing.assert_close(everything(loss, spoilt), everything(loss, td), rtol=0, atol=0)
-    assert not errors[:, 4:].any()
-    short = everything(loss, td[:, :4].exclude("valid", "td_error"))
-    torch.testing.assert_close(outputs, short[: len(found) - 1])
-
-
-def test_a_replica_without_rows_has_no_loss_and_no_gradient(case):
-    loss, _ = case.make((2,), **({"kl_temperature": 0.0} if case.make is bayes_loss else {}))
-    td = transitions((2,))
-    td["valid"] = torch.tensor([[False] * 32, [True] * 32])
-    out = loss(td)
-    out["loss"].backward()
-    for key in ("loss_value", "td_error", "q_value"):
-        assert out[key][0] == 0
-        assert out[key][1] != 0
-    for name in case.names:
-        assert not flat(loss, name).grad[0].any()
-        assert flat(loss, name).grad[1].any()
-
-
-@pytest.mark.parametrize("replicas", [(), (2,)])
-def test_a_batch_without_rows_has_no_loss_and_no_gradient(case, replicas):
-    loss, _ = case.make(replicas, **({"kl_temperature": 0.0} if case.make is bayes_loss else {}))
-    td = transitions(replicas, (0,))
-    out = loss(td)
-    out["loss"].backward()
-    for key in ("loss", "loss_value", "td_error", "q_value"):
-        assert not out[key].any()
-    assert not any(flat(loss, name).grad.any() for name in case.names)
-    assert td["td_error"].shape == (*replicas, 0, 1)
-
-
-@pytest.mark.parametrize("where", ["next", "root"])
-def test_what_one_replica_sees_leaves_the_others_bits_alone(case, where):
-    def seen(spoil):
-        torch.manual_seed(0)
-        loss, _ = case.make((3,), hidden=(33, 17))
-        td = transitions((3,))
-        if spoil:
-            (td if where == "root" else td["next"])["observation"][1] = torch.nan
-        return everything(loss, td)
-
-    plain, spoilt = seen(False), seen(True)
-    for ours, theirs in zip(plain, spoilt, strict=True):
-        assert torch.equal(ours[[0, 2]], theirs[[0, 2]])
-    assert spoilt[-1][1].isnan().any()
+    assert all(gradient.isfinite().all() for gradient in gradients(loss, td))

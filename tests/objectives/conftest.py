@@ -1,0 +1,27 @@
+"""The losses that every convention is tested on."""
+
+from __future__ import annotations
+
+import pytest
+from dynamics_losses import vime_loss
+from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss
+
+LOSSES = {
+    "dqn": plain_loss,
+    "bbqn": bayes_loss,
+    "bootstrap": heads_loss,
+    "noisy": noisy_loss,
+    "dqn with vime": vime_loss,
+}
+
+
+@pytest.fixture(params=LOSSES)
+def make(request):
+    """Makes a loss of each kind; without its KL, where it has one, by ``data_only``."""
+
+    def loss(*args, data_only=False, **settings):
+        if data_only and request.param in ("bbqn", "dqn with vime"):
+            settings["kl_temperature"] = 0.0
+        return LOSSES[request.param](*args, **settings)[0]
+
+    return loss
