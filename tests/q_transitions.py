@@ -118,3 +118,11 @@ def flat(loss, name, *, target=False):
 def elements(td, replicas):
     """The batch of each replica, one after the other."""
     return td.reshape(-1, *td.shape[len(replicas) :]) if replicas else td.unsqueeze(0)
+
+
+def one_step_target(td, values, gamma, *, choice=None):
+    """r + γ Q(s', a'), r at an end, for the legal action a' that the choice (or Q) says is best."""
+    choice = values if choice is None else choice
+    best = choice.masked_fill(~td["next", "action_mask"], -torch.inf).argmax(-1, keepdim=True)
+    going_on = ~td["next", "terminated"]
+    return td["next", "reward"] + gamma * going_on * values.gather(-1, best)

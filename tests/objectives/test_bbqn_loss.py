@@ -10,16 +10,18 @@ from q_transitions import (
     REPLICAS,
     bayes_loss,
     flat,
+    one_step_target,
     transitions,
 )
+from torch import nn
 from torch.distributions import Normal, kl_divergence
 from torch.nn.functional import softplus
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.networks import FlatMLP, q_actor
+from bbq_torchrl.bayes import BayesLinear, BayesMLP
+from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
 
 TARGETS = [("map", "mean"), ("mc", "independent"), ("mc", "shared")]
@@ -36,9 +38,7 @@ def definition(loss, td, noises, *, target_noise, kl, noise_std, temperature, ga
     if target_noise != "mean":
         epsilon = online_noise if target_noise == "shared" else others[0]
         frozen = frozen + softplus(flat(loss, "rho", target=True)) * epsilon
-    values = net(td["next", "observation"], weights=frozen)
-    best = values.masked_fill(~td["next", "action_mask"], -torch.inf).amax(-1, keepdim=True)
-    y = td["next", "reward"] + gamma * ~td["next", "terminated"] * best
+    y = one_step_target(td, net(td["next", "observation"], weights=frozen), gamma)
     chosen = net(td["observation"], weights=weights).gather(-1, td["action"].unsqueeze(-1))
     likelihood, greatest = Normal(chosen, noise_std), Normal(0.0, noise_std)
     # the constant of the density is left out
@@ -77,13 +77,37 @@ def test_value_and_gradient_are_those_of_the_definition(
     )
 
 
-@pytest.mark.parametrize("name", ["noise_std", "kl_temperature", "gamma"])
-def test_values_of_replicas_are_where_the_network_is(name):
-    net = BayesMLP(FEATURES, ACTIONS, (8,), replicas=3, device="meta")  # fails beside a CPU tensor
-    settings = {name: torch.tensor([0.1, 0.2, 0.3]), "delay_value": False}
-    loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), num_data=10, **settings)
-    loss(transitions((3,)).to("meta"))["loss"].backward()
-    assert net.posterior.mu.grad.device.type == "meta"
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [({}, "mean"), ({"target": "map"}, "mean"), ({"target": "mc"}, "independent")],
+)
+def test_the_target_decides_where_its_noise_comes_from_unless_that_is_said(settings, expected):
+    assert bayes_loss(**settings)[0].target_noise == expected
+    assert bayes_loss(target_noise=expected, **settings)[0].target_noise == expected
+
+
+@pytest.mark.parametrize("replicas", REPLICAS)
+@pytest.mark.parametrize("kl", ["closed", "sampled"])
+def test_a_shared_target_has_the_online_draw_in_all_layers(replicas, kl):
+    layers = [
+        BayesLinear(*sizes, replicas=replicas, prior_std=0.5)
+        for sizes in ((FEATURES, 8), (8, 8), (8, ACTIONS))
+    ]
+    net = nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.ReLU(), layers[2])
+    actor = q_actor(net, Categorical(ACTIONS))
+    # the value of the action taken, on both sides of the equation
+    td = transitions(replicas, ends=0.0)
+    td["next"].update(td.select("observation", "action_mask"))
+    td["next", "action_mask"] = nn.functional.one_hot(td["action"], ACTIONS).bool()
+    td["next", "reward"].zero_()
+    for noise in ("shared", "independent"):
+        settings = {"target": "mc", "target_noise": noise, "kl": kl, "gamma": 1.0}
+        loss = BBQNLoss(actor, num_data=100, **settings)
+        HardUpdate(loss, value_network_update_interval=0)
+        first, second = loss(td), loss(td)
+        assert (first["q_value"] != second["q_value"]).all()  # a draw for each batch
+        for out in (first, second):
+            assert ((out["td_error"] == 0) == (noise == "shared")).all()
 
 
 @pytest.mark.parametrize("exploration", [None, *ExplorationType])
@@ -95,54 +119,13 @@ def test_sigma_gets_a_gradient_under_every_exploration_type(exploration):
     assert flat(loss, "rho").grad.abs().sum() > 0
 
 
-def test_num_data_must_be_known_and_fit():
-    loss, _ = bayes_loss((3,), num_data=None)
-    with pytest.raises(RuntimeError, match=r"num_data is not known: .*set_num_data\(n\)"):
-        loss(transitions((3,)))
-    with pytest.raises(ValueError, match="num_data must be positive, got 0"):
-        loss.set_num_data(0)
-    with pytest.raises(ValueError, match=r"num_data must be a number or have shape \[3\], got"):
-        loss.set_num_data(torch.ones(2))
-    loss.set_num_data(torch.tensor([10, 20, 40]))
-    out = loss(transitions((3,)))
-    assert out["kl"].shape == (3,)
-    assert torch.equal(loss.num_data, torch.tensor([10.0, 20.0, 40.0]))
-    loss.set_num_data(7)
-    assert torch.equal(loss.num_data, torch.full((3,), 7.0))
-    other, _ = bayes_loss((3,), num_data=None)
-    other.load_state_dict(loss.state_dict())
-    other(transitions((3,)))
-
-
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ({"target": "mean"}, r"target must be one of \['map', 'mc'\], got 'mean'"),
-        (
-            {"target": "map", "target_noise": "shared"},
-            r"target_noise must be one of \['mean'\] or None for target='map', got 'shared'",
-        ),
-        (
-            {"target": "map", "target_noise": "independent"},
-            r"target_noise must be one of \['mean'\] or None for target='map', got 'independent'",
-        ),
-        (
-            {"target": "mc", "target_noise": "mean"},
-            r"target_noise must be one of \['independent', 'shared'\] or None for target='mc', got",
-        ),
-        ({"kl": "none"}, r"kl must be one of \['closed', 'sampled'\], got 'none'"),
-        ({"noise_std": 0.0}, "noise_std must be positive and finite, got 0.0"),
-        ({"kl_temperature": -1.0}, "kl_temperature must be at least 0 and finite, got -1.0"),
-        ({"gamma": 1.5}, "gamma must be at least 0 and at most 1, got 1.5"),
-        (
-            {"gamma": torch.ones(2)},
-            r"gamma must be one number or have the replicas' shape \[3\], got \[2\]",
-        ),
-    ],
-)
-def test_settings_outside_of_what_is_listed_are_refused(setting, message):
-    with pytest.raises(ValueError, match=message):
-        bayes_loss((3,), **setting)
+@pytest.mark.parametrize("name", ["noise_std", "kl_temperature", "gamma"])
+def test_values_of_replicas_are_where_the_network_is(name):
+    net = BayesMLP(FEATURES, ACTIONS, (8,), replicas=3, device="meta")  # fails beside a CPU tensor
+    settings = {name: torch.tensor([0.1, 0.2, 0.3]), "delay_value": False}
+    loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), num_data=10, **settings)
+    loss(transitions((3,)).to("meta"))["loss"].backward()
+    assert net.posterior.mu.grad.device.type == "meta"
 
 
 def test_the_values_of_replicas_are_no_part_of_the_state_and_follow_the_loss():
@@ -153,9 +136,13 @@ def test_the_values_of_replicas_are_no_part_of_the_state_and_follow_the_loss():
     assert {"noise_std", "kl_temperature"} <= dict(loss.named_buffers()).keys()
 
 
-def test_a_network_without_posterior_is_refused():
-    with pytest.raises(ValueError, match="network with Bayesian layers"):
-        BBQNLoss(q_actor(FlatMLP(5, ACTIONS), Categorical(ACTIONS)))
+def test_num_data_is_set_for_all_or_for_each_replica_and_part_of_the_state():
+    loss, other = (bayes_loss((3,), num_data=None)[0] for _ in range(2))
+    for given, expected in [(torch.tensor([10, 20, 40]), [10, 20, 40]), (7, [7, 7, 7])]:
+        loss.set_num_data(given)
+        assert loss.num_data.tolist() == expected
+    other.load_state_dict(loss.state_dict())
+    assert other(transitions((3,)))["loss"].isfinite()
 
 
 def test_the_sampled_kl_moves_weights_that_no_data_reach():
@@ -164,10 +151,9 @@ def test_the_sampled_kl_moves_weights_that_no_data_reach():
     loss = BBQNLoss(q_actor(net, Categorical(2), action_mask_key=None), kl="sampled", num_data=50)
     HardUpdate(loss, value_network_update_interval=0)
     optimizer = torch.optim.Adam(loss.parameters(), 1e-3)
-    td = transitions()
-    zeros = torch.zeros(32, 3)
-    td["observation"], td["next", "observation"] = zeros, zeros
-    td["action"] = torch.zeros(32, dtype=torch.int64)
+    td = transitions(features=3)
+    for entry in ("observation", ("next", "observation"), "action"):
+        td[entry].zero_()
     for _ in range(20):
         optimizer.zero_grad()
         loss(td)["loss"].backward()
