@@ -25,66 +25,41 @@ UPDATES = 3  # an episode, on all transitions so far
 STATES = torch.eye(2)
 
 
-class Chain:
-    """A replica's chains side by side; an episode is at most two steps."""
-
-    def __init__(self) -> None:
-        self.move_on = torch.randint(ACTIONS, (REPLICAS,))
-        self.best = torch.randint(ACTIONS, (REPLICAS,))
-
-    def play(self, policy) -> TensorDict:
-        """Returns the transitions of an episode in each replica, [R, 2]; not all are valid."""
-        first, second = self._act(policy)
-        moved = first == self.move_on
-        reward = torch.stack(
-            [
-                torch.where(moved, 0.0, SAFE),
-                torch.where(second == self.best, RICH, POOR),
-            ],
-            1,
-        )
-        terminated = torch.stack([~moved, torch.ones_like(moved)], 1)
-        return TensorDict(
-            {
-                "observation": STATES.expand(REPLICAS, 2, 2),
-                "action": torch.stack([first, second], 1),
-                "valid": torch.stack([torch.ones_like(moved), moved], 1),
-                "next": {
-                    "observation": STATES[1].expand(REPLICAS, 2, 2),
-                    "reward": reward.unsqueeze(-1),
-                    "terminated": terminated.unsqueeze(-1),
-                },
-            },
-            [REPLICAS, 2],
-        )
-
-    def _act(self, policy):
-        """Returns the action in each of the two states, [R] each."""
-        actions = []
-        for number, state in enumerate(STATES):
-            begins = torch.full((REPLICAS, 1, 1), number == 0)
-            entries = {"observation": state.expand(REPLICAS, 1, 2), "is_init": begins}
-            with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
-                out = policy(TensorDict(entries, [REPLICAS, 1]))
-            actions.append(out["action"].squeeze(-1))
-        return actions
-
-    def solved(self, policy):
-        """Returns in which replicas the policy takes the way to the large reward, bool [R]."""
-        first, second = self._act(policy)
-        return (first == self.move_on) & (second == self.best)
+def actions(policy):
+    """Returns the action in each of the two states, [R, 2]."""
+    taken = []
+    for number, state in enumerate(STATES):
+        begins = torch.full((REPLICAS, 1, 1), number == 0)
+        entries = {"observation": state.expand(REPLICAS, 1, 2), "is_init": begins}
+        with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
+            taken.append(policy(TensorDict(entries, [REPLICAS, 1]))["action"])
+    return torch.cat(taken, 1)
 
 
-def share_solved(explore) -> float:
+def episode(taken, right):
+    """Returns the transitions of an episode, [R, 2]; a second one only where the first moved on."""
+    moved, found = (taken == right).unbind(1)
+    always = torch.ones_like(moved)
+    reward = [torch.where(moved, 0.0, SAFE), torch.where(found, RICH, POOR)]
+    following = {
+        "observation": STATES[1].expand(REPLICAS, 2, 2),
+        "reward": torch.stack(reward, 1).unsqueeze(-1),
+        "terminated": torch.stack([~moved, always], 1).unsqueeze(-1),
+    }
+    state = {"observation": STATES.expand(REPLICAS, 2, 2), "valid": torch.stack([always, moved], 1)}
+    return TensorDict({**state, "action": taken, "next": following}, [REPLICAS, 2])
+
+
+def share_solved(explore):
     """Returns the share of replicas whose mean network solves the chain after learning."""
     net = BayesLinear(2, ACTIONS, replicas=(REPLICAS,), prior_std=2.0)
     actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
     loss = BBQNLoss(actor, noise_std=0.5, gamma=0.9)
     freeze = HardUpdate(loss, value_network_update_interval=0)
     optimizer = torch.optim.Adam(loss.parameters(), 0.05, fused=True)
-    chain, policy, episodes = Chain(), explore(actor), []
+    right, policy, episodes = torch.randint(ACTIONS, (REPLICAS, 2)), explore(actor), []
     for _ in range(EPISODES):
-        episodes.append(chain.play(policy))
+        episodes.append(episode(actions(policy), right))
         data = torch.cat(episodes, 1)
         loss.set_num_data(data["valid"].sum(1).float())
         freeze.step()
@@ -92,7 +67,7 @@ def share_solved(explore) -> float:
             optimizer.zero_grad()
             loss(data)["loss"].backward()
             optimizer.step()
-    return float(chain.solved(Greedy(actor)).float().mean())
+    return (actions(Greedy(actor)) == right).all(1).float().mean()
 
 
 def test_thompson_sampling_solves_the_chain():
