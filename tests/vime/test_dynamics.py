@@ -19,26 +19,20 @@ S, A = FEATURES, ACTIONS
 @pytest.mark.parametrize("dtype", [torch.float, torch.double])
 def test_statistics_are_those_of_all_rows_that_counted(replicas, dtype):
     dynamics = DynamicsModel(S, A, replicas=replicas, dtype=dtype)
-    stored, counted = [], []
-    for rows in (1, 7, 30):
-        x = 5 + 2 * torch.randn(*replicas, rows, S, dtype=dtype)
-        valid = torch.rand(*replicas, rows) < 0.6
-        dynamics.update_statistics(torch.where(valid.unsqueeze(-1), x, torch.nan), valid)
-        stored.append(x)
-        counted.append(valid)
-    x, valid = (elements(torch.cat(t, len(replicas)), replicas) for t in (stored, counted))
-    for k in range(len(x)):
-        rows = x[k][valid[k]].double()
-        if not len(rows):
-            continue
-        assert elements(dynamics.count, replicas).reshape(-1)[k] == len(rows)
-        mean, var = rows.mean(0), rows.var(0, unbiased=False)
-        torch.testing.assert_close(
-            elements(dynamics.mean, replicas)[k].double(), mean, rtol=1e-5, atol=1e-6
-        )
-        torch.testing.assert_close(
-            elements(dynamics.var, replicas)[k].double(), var, rtol=1e-4, atol=1e-5
-        )
+    x = 5 + 2 * torch.randn(*replicas, 38, S, dtype=dtype)
+    valid = torch.rand(*replicas, 38) < 0.6
+    x[~valid] = torch.nan
+    for rows in (slice(0, 1), slice(1, 8), slice(8, 38)):
+        dynamics.update_statistics(x[..., rows, :], valid[..., rows])
+    found = (elements(t, replicas) for t in (dynamics.mean, dynamics.var, dynamics.count))
+    for mean, var, count, own, counts in zip(
+        *found, elements(x, replicas), elements(valid, replicas), strict=True
+    ):
+        rows = own[counts].double()
+        assert count == len(rows)
+        torch.testing.assert_close(mean.double(), rows.mean(0), rtol=1e-5, atol=1e-6)
+        expected = rows.var(0, unbiased=False)
+        torch.testing.assert_close(var.double(), expected, rtol=1e-4, atol=1e-5)
 
 
 def test_statistics_do_not_drift_far_from_the_origin():
@@ -51,17 +45,16 @@ def test_statistics_do_not_drift_far_from_the_origin():
     assert dynamics.std.item() == pytest.approx(x.double().std().item(), rel=1e-2)
 
 
-def test_an_element_without_rows_keeps_its_statistics_bitwise():
+def test_a_replica_without_rows_keeps_its_statistics_bitwise():
     dynamics = model((2,))
-    before = {name: b.clone() for name, b in dynamics.named_buffers()}
-    valid = torch.tensor([[True] * 5, [False] * 5])
+    statistics = (dynamics.mean, dynamics.var, dynamics.count)
+    before = [each.clone() for each in statistics]
     x = torch.randn(2, 5, S)
     x[1] = torch.nan
-    dynamics.update_statistics(x, valid)
-    for name in ("mean", "var", "count"):
-        now = getattr(dynamics, name)
-        assert torch.equal(now[1], before[name][1])
-        assert not torch.equal(now[0], before[name][0])
+    dynamics.update_statistics(x, torch.tensor([[True] * 5, [False] * 5]))
+    for now, then in zip(statistics, before, strict=True):
+        assert torch.equal(now[1], then[1])
+        assert not torch.equal(now[0], then[0])
 
 
 def test_the_floor_bounds_a_feature_that_appears_for_the_first_time():
@@ -81,41 +74,29 @@ def test_the_floor_bounds_a_feature_that_appears_for_the_first_time():
 
 @pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize("rows", [(6,), (2, 3)])
-def test_it_predicts_from_standardized_state_and_one_hot_action(replicas, rows):
-    dynamics = model(replicas, dtype=torch.double)
-    x = torch.randn(*replicas, *rows, S, dtype=torch.double)
-    action = torch.randint(A, (*replicas, *rows))
-    out = dynamics(x, action, "mean")
-    assert out.shape == (*replicas, *rows, S)
+def test_it_predicts_from_standardized_state_and_action_in_every_form(replicas, rows):
+    dynamics = model(replicas)
+    x = torch.randn(*replicas, *rows, S)
+    index = torch.randint(A, (*replicas, *rows))
     shape = (*replicas, *(1 for _ in rows), S)
     mean, std = dynamics.mean.reshape(shape), dynamics.var.sqrt().reshape(shape)
-    one_hot = torch.nn.functional.one_hot(action, A).double()
-    expected = dynamics.network(torch.cat([(x - mean) / std, one_hot], -1), "mean")
-    torch.testing.assert_close(out, expected)
-
-
-@pytest.mark.parametrize("replicas", [(), (3,)])
-def test_every_form_of_an_action_is_understood(replicas):
-    dynamics = model(replicas)
-    x, index = torch.randn(*replicas, 6, S), torch.randint(A, (*replicas, 6))
-    expected = dynamics(x, index)
     one_hot = torch.nn.functional.one_hot(index, A)
-    for action in (index.unsqueeze(-1), index.int(), one_hot, one_hot.bool(), one_hot.float()):
-        assert torch.equal(dynamics(x, action), expected)
+    expected = dynamics.network(torch.cat([(x - mean) / std, one_hot.float()], -1), "mean")
+    forms = (index, index.unsqueeze(-1), index.int(), one_hot, one_hot.bool(), one_hot.float())
+    for action in forms:
+        torch.testing.assert_close(dynamics(x, action, "mean"), expected)
 
 
 def test_a_single_action_and_a_continuous_one():
-    x = torch.randn(6, S)
+    x, force = torch.randn(6, S), torch.randn(6, 1)
     single = DynamicsModel(S, 1)
-    assert torch.equal(single.encode_action(torch.zeros(6, 1).long(), (6,)), torch.ones(6, 1))
-    force = torch.randn(6, 1)
+    assert torch.equal(single.inputs(x, torch.zeros(6, 1).long())[:, -1:], torch.ones(6, 1))
     assert torch.equal(single.inputs(x, force)[:, -1:], force)
 
 
 def test_observations_may_be_of_any_dtype():
-    dynamics = DynamicsModel(S, A)
+    dynamics, action = DynamicsModel(S, A), torch.zeros(6).long()
     bits = torch.rand(6, S) < 0.5
-    action = torch.zeros(6).long()
     assert torch.equal(dynamics(bits, action), dynamics(bits.float(), action))
 
 
@@ -128,7 +109,7 @@ def test_observations_may_be_of_any_dtype():
         ({"noise_std": float("nan")}, "noise_std must be positive and finite, got nan"),
         ({"std_floor": -1.0}, "std_floor must be positive and finite, got -1.0"),
         ({"observation_size": 0}, "observation_size must be at least 1, got 0"),
-        ({"action_size": -1}, "action_size must be at least 1, got -1"),
+        ({"action_size": 0}, "action_size must be at least 1, got 0"),
     ],
 )
 def test_bad_settings_are_named(settings, message):
@@ -136,13 +117,15 @@ def test_bad_settings_are_named(settings, message):
         DynamicsModel(**{"observation_size": S, "action_size": A, **settings})
 
 
-def test_shapes_that_do_not_fit_are_named():
-    dynamics = DynamicsModel(S, A, replicas=(2,))
-    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*batch, 5\]"):
-        dynamics.standardize(torch.zeros(3, 5, S))
-    with pytest.raises(ValueError, match=r"observation must have shape \[2, \*batch, 5\]"):
-        dynamics.update_statistics(torch.zeros(2, 5, S + 1))
-    with pytest.raises(ValueError, match=r"action must be an index of shape \[2, 5\] or .*2, 5, 4"):
-        dynamics(torch.zeros(2, 5, S), torch.zeros(2, 4).long())
-    with pytest.raises(ValueError, match="action must be an index"):
-        dynamics(torch.zeros(2, 5, S), torch.zeros(2, 5))  # an index must not be floating
+@pytest.mark.parametrize(
+    ("observation", "action", "message"),
+    [
+        ((3, 5, S), torch.zeros(3, 5).long(), r"observation must have shape \[2, \*batch, 5\]"),
+        ((2, 5, S + 1), torch.zeros(2, 5).long(), r"observation must have shape \[2, \*batch, 5\]"),
+        ((2, 5, S), torch.zeros(2, 4).long(), r"an index of shape \[2, 5\] or .*2, 5, 4"),
+        ((2, 5, S), torch.zeros(2, 5), "action must be an index .* got torch.float32"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_named(observation, action, message):
+    with pytest.raises(ValueError, match=message):
+        DynamicsModel(S, A, replicas=(2,))(torch.zeros(observation), action)

@@ -1,0 +1,110 @@
+"""VIMEReward in replay buffers: what is read, what is left as it is, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from rewarded import BONUS, REWARD, buffer, transform, transitions
+from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs.custom import PendulumEnv
+
+
+def test_the_bonus_is_added_to_the_reward_that_is_read_and_to_no_stored_one():
+    memory, other, td = buffer(transform(eta=0.3)), buffer(transform(eta=0.3)), transitions(100)
+    memory.extend(td)
+    stored = memory.storage[:].clone()
+    assert torch.equal(stored[REWARD], td[REWARD])
+    expected = stored[REWARD] + 0.3 * stored[BONUS]
+    for _ in range(2):
+        batch = memory.sample()
+        torch.testing.assert_close(batch[REWARD], expected[batch["index"]])
+        torch.testing.assert_close(memory[:][REWARD], expected)
+    assert (memory.storage[:] == stored).all()
+    other.extend(memory.storage[:])  # how a buffer is copied
+    assert torch.equal(other[:][REWARD], memory[:][REWARD])
+
+
+def test_what_is_read_is_not_changed_and_may_be_a_view():
+    vime = transform(eta=1.0)
+    rows = vime.inv(transitions(3, 8))
+    before = rows.clone()
+    assert torch.equal(vime(rows)[REWARD][:, :4], vime(rows[:, :4])[REWARD])
+    assert (rows == before).all()
+
+
+def test_a_reward_may_lack_the_last_dimension():
+    vime = transform(eta=0.3)
+    rows = vime.inv(transitions(8))
+    expected = vime(rows)[REWARD]
+    rows[REWARD] = rows[REWARD].squeeze(-1)
+    assert torch.equal(vime(rows)[REWARD], expected.squeeze(-1))
+
+
+def test_replicas_may_have_an_eta_each_which_follows_the_rows_to_their_device():
+    eta, td = torch.tensor([0.1, 0.2, 0.3]), transitions(3, 6)
+    vime = transform((3,), eta=eta)
+    assert "eta" not in vime.state_dict()
+    td[BONUS] = torch.ones(3, 6, 1)
+    torch.testing.assert_close(vime(td)[REWARD], td[REWARD] + eta.reshape(3, 1, 1))
+    assert vime(td.to("meta"))[REWARD].device.type == "meta"
+
+
+def test_keys_can_have_other_names():
+    plain, td = transform(), transitions(20)
+    stored = plain.inv(td)
+    td["agent", "state"] = td.pop("observation")
+    td["next", "agent", "state"] = td["next"].pop("observation")
+    td["act"] = td.pop("action")
+    td["next", "pay"] = td["next"].pop("reward")
+    td["next", "over"] = td["next"].pop("terminated")
+    vime = transform(
+        observation_key=("agent", "state"),
+        action_key="act",
+        reward_key="pay",
+        terminated_key="over",
+        intrinsic_reward_key=("agent", "bonus"),
+    )
+    out = vime.inv(td)
+    assert torch.equal(out["next", "agent", "bonus"], stored[BONUS])
+    assert torch.equal(vime(out)["next", "pay"], plain(stored)[REWARD])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"weights": "mean"}, r"weights must be one of \['map', 'mc'\], got 'mean'"),
+        ({"eta": -1.0}, "eta must be at least 0 and finite, got -1.0"),
+        ({"eta": torch.ones(2)}, r"eta must .* have the replicas' shape \[\], got \[2\]"),
+        ({"step_size": 0.0}, "step_size must be positive, got 0.0"),
+        ({"clip": 0.0}, "clip must be positive, got 0.0"),
+        ({"median_window": 0}, "median_window must be at least 1, got 0"),
+    ],
+)
+def test_bad_settings_are_named(settings, message):
+    with pytest.raises(ValueError, match=message):
+        transform(**settings)
+
+
+@pytest.mark.parametrize("inside", [lambda vime: vime, Compose])
+def test_it_is_no_transform_of_environments(inside):
+    with pytest.raises(ValueError, match="transform of replay buffers"):
+        TransformedEnv(PendulumEnv(), inside(transform()))
+
+
+def test_rows_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match=r"must begin with the replicas \[2\], got \[3, 8\]"):
+        transform((2,)).inv(transitions(3, 8))
+    with pytest.raises(KeyError, match="stored without this transform"):
+        transform()(transitions(5))
+    with pytest.raises(ValueError, match=r"seeds must be 2, one for each replica, got 1"):
+        transform((2,)).set_seeds([3])
+
+
+def test_rows_that_are_not_finite_are_refused_and_leave_the_model_alone():
+    vime, bad = transform(), transitions(3)
+    bad["observation"][1] = torch.nan
+    with pytest.raises(ValueError, match="must be finite in the rows that count, but 1 of 3 rows"):
+        vime.inv(bad)
+    assert vime.dynamics.count == 0
+    bad["valid"] = torch.tensor([True, False, True])
+    assert vime.inv(bad)[BONUS].isfinite().all()

@@ -1,0 +1,123 @@
+"""The bonus that VIMEReward gives to what is stored, and what it depends on."""
+
+from __future__ import annotations
+
+from statistics import median_low
+
+import pytest
+import torch
+from rewarded import BONUS, REWARD, going_on, transform, transitions
+
+from bbq_torchrl.vime import information_gain
+
+
+def gain_of(vime, td, **settings):
+    states = (td["observation"], td["action"], td["next", "observation"])
+    return information_gain(vime.dynamics, *states, **settings)
+
+
+def test_the_bonus_is_the_gain_over_the_median_clipped_and_0_at_an_end():
+    vime = transform(clip=2.0, median_window=3)
+    medians = []
+    for rows, ends in ((40, 0.2), (30, 0.2), (5, 1.1), (20, 0.2), (10, 0.2), (11, 0.2)):
+        td = transitions(rows, ends=ends)
+        td["next", "observation"][0] = 9.0  # surprises
+        td["next", "terminated"][:2] = torch.tensor([[ends > 1], [True]])
+        td["next", "observation"][~going_on(td)] = torch.nan
+        stored = vime.inv(td)
+        gain = gain_of(vime, td)
+        if ends < 1:  # a store of ends alone has no median
+            medians.append(median_low(gain[going_on(td)].tolist()))
+            assert stored[BONUS][0] == 2.0
+        expected = (gain / median_low(medians[-3:])).clamp(max=2.0).where(going_on(td), 0.0)
+        torch.testing.assert_close(stored[BONUS].squeeze(-1), expected)
+        assert torch.equal(stored[REWARD], td[REWARD])
+        assert BONUS not in td.keys(True)  # what is stored is a copy
+
+
+def test_what_is_stored_is_counted_once_in_statistics_and_report():
+    vime = transform()
+    td = torch.cat([vime.inv(transitions(rows)) for rows in (300, 50)])  # more than one piece
+    again = vime.inv(td)  # they come with a bonus: kept, and not counted
+    assert torch.equal(again[BONUS], td[BONUS])
+    vime(td)
+    states = torch.cat([td["observation"], td["next", "observation"][going_on(td)]])
+    assert vime.dynamics.count == len(states)
+    torch.testing.assert_close(vime.dynamics.mean, states.mean(0), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(vime.dynamics.var, states.var(0, False), rtol=1e-4, atol=1e-5)
+    expected = {"intrinsic_reward": td[BONUS].mean()}
+    torch.testing.assert_close(vime.pop_metrics(), expected, check_dtype=False)
+    assert vime.pop_metrics()["intrinsic_reward"].isnan()
+
+
+@pytest.mark.parametrize("weights", ["map", "mc"])
+def test_mc_is_one_draw_a_store_and_map_none(weights):
+    td = transitions(30, ends=0.0)
+    vime = transform(weights=weights, normalize=False, clip=1e9, step_size=0.5)
+    torch.manual_seed(5)
+    bonus = vime.inv(td)[BONUS].squeeze(-1)
+    torch.manual_seed(5)
+    noise = torch.randn_like(vime.dynamics.network.posterior.mu) if weights == "mc" else None
+    torch.testing.assert_close(bonus, gain_of(vime, td, noise=noise, step_size=0.5))
+
+
+def test_single_rows_batches_of_any_shape_and_ends_of_any_dtype():
+    td = transitions(12)
+    expected = transform().inv(td)[BONUS]
+    assert torch.equal(transform().inv(td.reshape(3, 4))[BONUS], expected.reshape(3, 4, 1))
+    assert transform().inv(td[0])[BONUS].shape == (1,)
+    assert transform().inv(td[:0])[BONUS].shape == (0, 1)
+    td["next", "terminated"] = td["next", "terminated"].to(torch.uint8)
+    assert torch.equal(transform().inv(td)[BONUS], expected)
+
+
+@pytest.mark.parametrize("weights", ["map", "mc"])
+@pytest.mark.parametrize(
+    ("lengths", "others"), [((90, 70, 10), (270, 70, 530)), ((1, 1, 0), (300, 1, 530))]
+)
+def test_replicas_do_not_depend_on_one_another_nor_on_padding(weights, lengths, others):
+    # replica 1 is the same in both; the others' rows, and so the padding, are not
+    own = lengths[1]
+    first, second = (transitions(3, max(n), size=268) for n in (lengths, others))
+    second[1, :own] = first[1, :own]
+    bonuses, states, reports = [], [], []
+    for td, counts, seeds in ((first, lengths, [7, 8, 9]), (second, others, [1, 8, 2])):
+        td["valid"] = torch.arange(td.shape[1]) < torch.tensor(counts).unsqueeze(-1)
+        for key in ("observation", ("next", "observation")):
+            td[key][~td["valid"]] = torch.nan
+        td["action"][~td["valid"]] = -1
+        vime = transform((3,), 268, weights=weights)
+        vime.set_seeds(seeds)
+        stored = [vime.inv(td)[BONUS], vime.inv(td)[BONUS]]
+        assert not any(bonus[~td["valid"]].any() for bonus in stored)
+        bonuses.append(torch.stack([bonus[1, :own] for bonus in stored]))
+        states.append({k: v for k, v in vime.state_dict().items() if "prior" not in k})
+        reports.append(vime.pop_metrics()["intrinsic_reward"])
+    assert torch.equal(*bonuses)
+    assert not torch.equal(*(state["dynamics.mean"][0] for state in states))
+    for name, value in states[0].items():
+        assert torch.equal(value[1], states[1][name][1])
+    assert reports[0][1] == reports[1][1]
+    assert reports[0][2].isnan() == (lengths[2] == 0)
+
+
+def test_replicas_are_transforms_side_by_side():
+    td, model = transitions(2, 2, 50), transform((2, 2)).dynamics
+    bonus = transform((2, 2)).inv(td)[BONUS]
+    for place in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        alone = transform()
+        state = model.state_dict().items()
+        own = {k: v if k.endswith("prior_rho") else v[place] for k, v in state}
+        alone.dynamics.load_state_dict(own)
+        torch.testing.assert_close(alone.inv(td[place])[BONUS], bonus[place])
+
+
+def test_seeds_restart_the_noise_of_each_replica():
+    td, gains = transitions(2, 20, ends=0.0), []
+    for seeds in ((3, 4), (3, 5), (3, 4)):
+        vime = transform((2,), weights="mc", normalize=False)
+        vime.set_seeds(seeds)
+        gains.append(vime.inv(td)[BONUS])
+    assert torch.equal(gains[0], gains[2])
+    assert torch.equal(gains[0][0], gains[1][0])
+    assert not torch.equal(gains[0][1], gains[1][1])
