@@ -126,3 +126,13 @@ def one_step_target(td, values, gamma, *, choice=None):
     best = choice.masked_fill(~td["next", "action_mask"], -torch.inf).argmax(-1, keepdim=True)
     going_on = ~td["next", "terminated"]
     return td["next", "reward"] + gamma * going_on * values.gather(-1, best)
+
+
+def assert_learns(loss, out, expected):
+    """A loss returned the sum of each replica's expected one, and has its gradient."""
+    torch.testing.assert_close(out["loss"], expected.sum())
+    parameters = list(loss.parameters())
+    torch.testing.assert_close(
+        torch.autograd.grad(out["loss"], parameters),
+        torch.autograd.grad(expected.sum(), parameters),
+    )

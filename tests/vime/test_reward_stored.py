@@ -112,7 +112,7 @@ def test_replicas_are_transforms_side_by_side():
         torch.testing.assert_close(alone.inv(td[place])[BONUS], bonus[place])
 
 
-def test_seeds_restart_the_noise_of_each_replica():
+def test_seeds_decide_the_noise_of_each_replica():
     td, gains = transitions(2, 20, ends=0.0), []
     for seeds in ((3, 4), (3, 5), (3, 4)):
         vime = transform((2,), weights="mc", normalize=False)
