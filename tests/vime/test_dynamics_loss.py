@@ -17,11 +17,15 @@ from bbq_torchrl.vime import DynamicsLoss
 
 @pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize(
-    ("batch", "share"), [((32,), 1.0), ((4, 8), 0.7), ((0,), 1.0)], ids=["all", "some", "none"]
+    ("batch", "share", "settings"),
+    [((32,), 1.0, {}), ((4, 8), 0.7, {"kl_temperature": 0.4}), ((0,), 1.0, {})],
+    ids=["all rows", "some rows", "no rows"],
 )
-def test_value_and_gradient_are_those_of_the_definition(drawn_noise, replicas, batch, share):
+def test_value_and_gradient_are_those_of_the_definition(
+    drawn_noise, replicas, batch, share, settings
+):
     dynamics = model(replicas, torch.double, noise_std=0.7, prior_std=0.3)
-    loss = DynamicsLoss(dynamics, kl_temperature=0.4)
+    loss = DynamicsLoss(dynamics, **settings)
     count = torch.Size(replicas).numel()
     num_data = torch.arange(10.0, 10.0 + count).double().reshape(replicas)
     loss.set_num_data(num_data)
@@ -48,9 +52,10 @@ def test_value_and_gradient_are_those_of_the_definition(drawn_noise, replicas, b
     # the constant of the density is left out
     greatest = Normal(0.0, 0.7).log_prob(torch.zeros(1).double())
     rows = (greatest - Normal(found, 0.7).log_prob(following)).sum(-1) * predicted
+    temperature = settings.get("kl_temperature", 1.0)
     number = counts.reshape(*replicas, -1).sum(-1).clamp_min(1)
     kl = kl_divergence(q, Normal(0.0, 0.3)).sum(-1)
-    expected = rows.reshape(*replicas, -1).sum(-1) / number + 0.4 * kl / num_data
+    expected = rows.reshape(*replicas, -1).sum(-1) / number + temperature * kl / num_data
     torch.testing.assert_close(out["dynamics_loss"], expected.detach())
     torch.testing.assert_close(out["dynamics_kl"], kl.detach())
     assert_learns(loss, out, expected)
