@@ -61,13 +61,12 @@ def test_it_is_a_loop_over_heads(replicas, batch, share, trunk_layers, double_dq
         del td["bootstrap_mask"]
     out = loss(td)
 
-    losses, sizes, q_values = (
-        torch.stack(each).reshape(-1, HEADS)
-        for each in zip(
-            *((e.square().mean(), e.detach().abs().mean(), q.mean()) for e, q, _ in apart),
-            strict=True,
-        )
-    )
+    def by_head(values):
+        return torch.stack([*values]).reshape(-1, HEADS)
+
+    losses = by_head(error.square().mean() for error, *_ in apart)
+    sizes = by_head(error.abs().mean() for error, *_ in apart)
+    q_values = by_head(chosen.mean() for _, chosen, _ in apart)
     assert_learns(loss, out, losses)
     means = {"loss_value": losses, "td_error": sizes, "q_value": q_values}
     for key, value in means.items():
