@@ -105,7 +105,9 @@ def _handle(number: int, frame: FrameType | None) -> None:
 
 def _end() -> NoReturn:
     for worker in multiprocessing.active_children():
-        worker.kill()
+        if worker.pid is not None:  # joblib's processes have no kill()
+            with suppress(ProcessLookupError):
+                os.kill(worker.pid, signal.SIGKILL)
     start = "\n" if _on_terminal() else ""  # a progress bar may stand in the line
     _say(f"{start}{line()}\n")
     os._exit(exit_code())
