@@ -1,9 +1,9 @@
 """BBQN on CartPole: the parts in a TorchRL loop of one's own, without any dialogue.
 
-    pip install bbq-torchrl gymnasium
+    pip install -e '.[examples]'
     python examples/cartpole_bbqn.py                  # 20,000 frames, a minute
     python examples/cartpole_bbqn.py --agent dqn      # the same loop with DQN, epsilon-greedy
-    python examples/cartpole_bbqn.py --frames 500     # only to see it run
+    python examples/cartpole_bbqn.py --frames 480     # only to see it run
 
 With the default settings the mean network's return over 20 episodes was 271, 153 and 161 with
 seeds 0, 1 and 2, and DQN's 159, 112 and 152 (random actions: about 22; the most is 500). Both learn

@@ -4,7 +4,7 @@ Nothing here knows of dialogues. A dynamics model gives every transition that go
 buffer a bonus for what it taught; the Q-network learns from task reward + bonus, and the
 dynamics from the same batches. What is printed is the task's return, which the bonus is not in.
 
-    pip install bbq-torchrl gymnasium
+    pip install -e '.[examples]'
     python examples/cartpole_vime.py                  # 20,000 frames
     python examples/cartpole_vime.py --frames 600     # only to see it run
 """
