@@ -9,6 +9,7 @@ from dataclasses import make_dataclass
 
 import forked
 import pytest
+from own_options import own_options
 from prepared import prepare
 from tiny import TINY
 
@@ -56,13 +57,10 @@ class Narrow(ExploreOption):
 @pytest.fixture(autouse=True)
 def unchanged(monkeypatch, tmp_path):
     """What a test registers or loads is gone after it."""
-    known = {group: dict(found) for group, found in registry.schemas().items()}
-    monkeypatch.setattr(registry, "_OPTIONS", known)
-    monkeypatch.setattr(store, "_registered", set(store._registered))
-    monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setenv(registry.FOLDER_VARIABLE, "")  # so that it is put back
     monkeypatch.delenv(registry.FOLDER_VARIABLE)
-    yield
+    with own_options():
+        yield
     for name, module in list(sys.modules.items()):
         if (getattr(module, "__file__", None) or "").startswith(str(tmp_path)):
             del sys.modules[name]
@@ -250,17 +248,16 @@ def test_a_run_with_an_option_of_a_folder_is_loaded_with_the_folder(own, tmp_pat
     assert load_run(tmp_path / "run", options=folder).config.explore.patience == 3
 
 
-def test_a_package_that_cannot_be_imported_is_named(tmp_path, monkeypatch):
+def test_a_package_that_cannot_be_imported_is_named(tmp_path):
     metadata = tmp_path / "ailing-1.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: ailing\nVersion: 1\n")
     (metadata / "entry_points.txt").write_text("[bbq_torchrl.options]\nill = ailing.ill\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(registry, "_loaded", set())
-
     message = r"options of ill \(ailing.ill\) cannot be imported: No mod"
-    with pytest.raises(ConfigError, match=message):
-        registry.schemas()
+    with own_options(packages=True) as patch:
+        patch.syspath_prepend(tmp_path)
+        with pytest.raises(ConfigError, match=message):
+            registry.schemas()
 
 
 @pytest.mark.slow

@@ -7,12 +7,13 @@ from types import ModuleType
 
 import forked
 import pytest
+from own_options import own_options
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.train import main as train
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.options import EvaluateConfig, registry
+from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.search.definition import compose_search
 
@@ -23,12 +24,11 @@ WITH_PYTHON = [page for page in PAGES if snippets(page, "python")]
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
 def test_python_of_a_page_runs_from_top_to_bottom(page, monkeypatch):
-    known = {group: dict(found) for group, found in registry.schemas().items()}
-    monkeypatch.setattr(registry, "_OPTIONS", known)  # a page's options are its own
     module = ModuleType(page.stem)
     monkeypatch.setitem(sys.modules, page.stem, module)
-    for text in snippets(page, "python"):
-        exec(compile(text, str(page), "exec"), vars(module))
+    with own_options():  # a page's options are its own
+        for text in snippets(page, "python"):
+            exec(compile(text, str(page), "exec"), vars(module))
 
 
 def is_composed(arguments):

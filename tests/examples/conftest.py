@@ -9,9 +9,7 @@ import sys
 
 import pytest
 from extended import EXAMPLES, PACKAGE
-
-from bbq_torchrl.cli import store
-from bbq_torchrl.options import registry
+from own_options import own_options
 
 sys.path.append(str(EXAMPLES / "deep_sea"))
 
@@ -36,11 +34,7 @@ def installed(tmp_path_factory):
     )
     lines = ["[bbq_torchrl.options]", *(point.replace('"', "") for point in points)]
     (metadata / "entry_points.txt").write_text("\n".join(lines) + "\n")
-    known = {group: dict(options) for group, options in registry.schemas().items()}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(registry, "_OPTIONS", known)
-        patch.setattr(registry, "_loaded", set())
-        patch.setattr(store, "_registered", set(store._registered))
+    with own_options(packages=True) as patch:
         for folder in (site, PACKAGE):
             patch.syspath_prepend(folder)
         yield

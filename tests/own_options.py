@@ -1,0 +1,29 @@
+"""Options that a test registers, and that are gone after it."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+
+import pytest
+
+from bbq_torchrl.cli import store
+from bbq_torchrl.options import registry
+
+
+@contextmanager
+def own_options(*, packages=False):
+    """What is registered within is gone afterwards, and so are folders of the module path.
+
+    Args:
+        packages: whether the options of installed packages are found once more.
+    """
+    known = {group: dict(options) for group, options in registry.schemas().items()}
+    with pytest.MonkeyPatch.context() as patch:
+        # The registry forgets nothing: outside of tests a process keeps what it has imported.
+        patch.setattr(registry, "_OPTIONS", known)
+        patch.setattr(store, "_registered", set(store._registered))
+        patch.setattr(sys, "path", list(sys.path))
+        if packages:
+            patch.setattr(registry, "_loaded", set())
+        yield patch
