@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 TESTS = Path(__file__).parent
 DEFAULT_TCBOT = TESTS.parent.parent / "shared" / "data" / "tcbot"
 
+# They hold no doctests, and several of one name cannot be collected as modules.
+collect_ignore_glob = ["*conftest.py"]
+
 # More threads than tests at a time only get in each other's way on a small machine.
 torch.set_num_threads(1)
 
