@@ -30,9 +30,7 @@ class _TDLoss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: Tensor | None, *_: Any) -> tuple[Tensor | None, ...]:
-        if grad is None:
-            return None, None, None, None, None, None
+    def backward(ctx: Any, grad: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
         index, slope = ctx.saved_tensors
         slope = slope * grad[..., None, None]
         out = slope.new_zeros(ctx.shape).scatter_(-1, index, slope)
