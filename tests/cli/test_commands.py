@@ -90,6 +90,11 @@ def test_other_weights_than_there_are_are_refused(finished):
         load_run(finished, weights="first")
 
 
+def test_a_policy_that_reads_the_hidden_goal_is_called_privileged(capsys):
+    assert evaluate.main(["policy=clairvoyant", "dialogues=20"]) == 0
+    assert json.loads(capsys.readouterr().out)["privileged"] is True
+
+
 def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
     tmp_path, monkeypatch, capsys
 ):
@@ -98,6 +103,7 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
     assert evaluate.main(arguments.split()) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["dialogues"], answer["turns"]) == (300, 8)
+    assert "privileged" not in answer
     rate = answer["success_rate"]
     assert answer["standard_error"] == pytest.approx((rate * (1 - rate) / 300) ** 0.5)
     # Reward of 8 turns: -1 for the first 7, then 40 or -10.
