@@ -73,9 +73,8 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
 
     def oldest_first(self) -> torch.Tensor:
         """Returns the indices of the unprotected rows from oldest to newest, shape [rows]."""
+        # As long as the storage is not full, the cursor is at its end, and nothing moves.
         index = torch.arange(self.protected, len(self._storage))
-        if len(self._storage) < self._storage.max_size:
-            return index
         return index.roll(self.protected - self._cursor)
 
     def add(self, data: TensorDictBase) -> torch.Tensor:
