@@ -199,8 +199,6 @@ def as_rows(x: Tensor, lead: Sequence[int], *features: int | str, name: str = "i
     if end < n or x.shape[:n] != torch.Size(lead) or x.shape[end] != features[0]:
         wanted = ", ".join(str(size) for size in (*lead, "*batch", *features))
         raise ValueError(f"{name} must have shape [{wanted}], got {list(x.shape)}")
-    if n == 1 and end == 2:
-        return x
     return x.reshape(prod(lead), prod(x.shape[n:end]), *x.shape[end:])
 
 

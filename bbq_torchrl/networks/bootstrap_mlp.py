@@ -88,7 +88,6 @@ class BootstrapMLP(nn.Module):
         checked_number("prior_scale", prior_scale, minimum=0)
         self.in_features, self.out_features = in_features, out_features
         sizes = (in_features, *hidden, out_features)
-        FlatLayout(sizes)  # refuses sizes that are no network before they are cut in two
         self.trunk_layout = FlatLayout(sizes[: trunk_layers + 1]) if trunk_layers else None
         self.head_layout = FlatLayout(sizes[trunk_layers:])
         self.replicas = replica_shape(replicas)

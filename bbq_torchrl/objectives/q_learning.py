@@ -243,8 +243,6 @@ class OneStepQLoss(DQNLoss):
 
     def _rows(self, tensor: Tensor) -> Tensor:
         """Returns [*replicas, *batch, features] as [*replicas, B, features]."""
-        if tensor.ndim == len(self.replicas) + 2:
-            return tensor
         return tensor.reshape(*self.replicas, -1, tensor.shape[-1])
 
     def _reward_and_index(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:

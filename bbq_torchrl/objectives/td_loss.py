@@ -30,7 +30,9 @@ class _TDLoss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, grad: Tensor | None, *_: Any) -> tuple[Tensor | None, ...]:
+        if grad is None:  # what took the loss has no gradient
+            return None, None, None, None, None, None
         index, slope = ctx.saved_tensors
         slope = slope * grad[..., None, None]
         out = slope.new_zeros(ctx.shape).scatter_(-1, index, slope)

@@ -107,6 +107,7 @@ PRIOR = GaussianPosterior([3], 1.0)
             "known_kl needs kl='closed', got",
         ),
         (lambda: BayesConv2d(2, 0, 3), "kernel_size must be positive, got 2, 0 and 3"),
+        (lambda: PRIOR.weights("local"), 'mode "local" needs a layer with local'),
         (lambda: BayesGRU(0, 3), "input_size and hidden_size must be positive, got 0 and 3"),
     ],
 )

@@ -67,6 +67,7 @@ def test_boltzmann_draws_an_action_in_the_form_of_the_greedy_one(spec):
     td = TensorDict(observation=torch.ones(300, 2), batch_size=[300])
     with set_exploration_type(ExplorationType.DETERMINISTIC):  # it is not to explore
         assert torch.equal(policy(td.clone())["action"], actor(td.clone())["action"])
+    assert "action_mask" not in policy.in_keys
     action = policy(td)["action"]
     assert spec.expand(300, *spec.shape).is_in(action.to(spec.dtype))
     # 300 draws at so high a temperature miss one of three actions with probability 1e-52

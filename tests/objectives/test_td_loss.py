@@ -62,3 +62,21 @@ def test_vmap_over_losses_is_a_loop(distance, in_dims):
     torch.testing.assert_close(slope, torch.stack(slopes))
     for one, each in zip(found, zip(*losses, strict=True), strict=True):
         torch.testing.assert_close(one, torch.stack(each))
+
+
+class NoGradient(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, loss):
+        return loss.clone()
+
+    @staticmethod
+    def backward(ctx, grad):
+        return None
+
+
+def test_what_gives_the_loss_no_gradient_gives_the_values_none():
+    index, target, weight = batch()
+    values = torch.randn(2, 6, 4).double().requires_grad_()
+    loss, *_ = td_loss(values, index, target, weight, "l2", 1.0)
+    NoGradient.apply(loss).sum().backward()
+    assert values.grad is None

@@ -90,7 +90,7 @@ def test_the_discount_of_n_step_data_is_that_of_n_steps(make, gamma):
     value = torch.randn(4, 8, 1)
     discount = torch.as_tensor(gamma).reshape(-1, 1, 1) ** td["steps_to_next_obs"].unsqueeze(-1)
     # the target of this data is the reward of that
-    target = td.exclude("steps_to_next_obs")
+    target = td.exclude("steps_to_next_obs").clone()
     target["next", "reward"] = td["next", "reward"] + discount * value * ~td["next", "terminated"]
     target["next", "terminated"] = torch.ones(4, 8, 1).bool()
     has_heads = "bootstrap_mask" in vars(loss.tensor_keys)
