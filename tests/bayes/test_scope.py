@@ -107,6 +107,11 @@ def test_what_is_no_scope_is_refused(network, settings, message):
         network(X)
 
 
+def test_another_mode_is_refused_before_a_layer_runs():
+    with pytest.raises(ValueError, match="got 'sample'"), weight_scope("sample"):
+        pass
+
+
 def test_another_mode_is_refused_whatever_weights_are_given():
     net, x = BayesLinear(3, 4), torch.ones(5, 3)
     for weights in (None, net.draw_weights()):
