@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import settings
+from tiny import without_drawing
 
 from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.domains import Domain, load_domain, load_miulab, movie_domain
@@ -57,9 +58,8 @@ def drawn_noise(monkeypatch: pytest.MonkeyPatch) -> list[torch.Tensor]:
 
 @pytest.fixture(scope="module")
 def without_curves() -> Iterator[None]:
-    """Curves are empty files: drawing one takes as long as a short training."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bbq_torchrl.run.draw_run", lambda file, *_, **__: file.touch())
+    """Curves are empty files."""
+    with without_drawing():
         yield
 
 

@@ -6,7 +6,7 @@ import pickle
 from copy import deepcopy
 
 import torch
-from q_transitions import ACTIONS, FEATURES, plain_loss
+from q_transitions import ACTIONS, FEATURES, off_prior, plain_loss
 
 from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss
 
@@ -22,9 +22,7 @@ COPIES = {
 def model(replicas=(), dtype=torch.float, **settings):
     """A model away from the prior, with statistics of its own."""
     dynamics = DynamicsModel(FEATURES, ACTIONS, (8,), replicas=replicas, dtype=dtype, **settings)
-    with torch.no_grad():
-        dynamics.network.posterior.mu.normal_(0, 0.3)
-        dynamics.network.posterior.rho.uniform_(-3, -1)
+    off_prior(dynamics.network)
     dynamics.update_statistics(1 + 2 * torch.randn(*replicas, 40, FEATURES, dtype=dtype))
     return dynamics
 

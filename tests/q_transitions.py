@@ -42,12 +42,17 @@ def transitions(replicas=(), batch=(BATCH,), dtype=torch.float, *, features=FEAT
     )
 
 
-def bayes_loss(replicas=(), *, hidden=(8, 8), dtype=torch.float, net=None, **settings):
-    """A BBQN loss whose posterior and target lie away from the prior and from each other."""
-    net = net or BayesMLP(FEATURES, ACTIONS, hidden, replicas=replicas, dtype=dtype)
+def off_prior(net):
+    """The network, its posterior with means and spreads away from the prior."""
     with torch.no_grad():
         net.posterior.mu.normal_(0, 0.3)
         net.posterior.rho.uniform_(-3, -1)
+    return net
+
+
+def bayes_loss(replicas=(), *, hidden=(8, 8), dtype=torch.float, net=None, **settings):
+    """A BBQN loss whose posterior and target lie away from the prior and from each other."""
+    net = off_prior(net or BayesMLP(FEATURES, ACTIONS, hidden, replicas=replicas, dtype=dtype))
     loss = BBQNLoss(q_actor(net, Categorical(ACTIONS)), **{"num_data": 100, **settings})
     return away(loss)
 

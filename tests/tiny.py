@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import csv
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import pytest
+
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 TINY = (
@@ -23,6 +27,14 @@ TINY = (
     "env.max_turn=8",
 )
 """Where a key is given again after these, that is what counts."""
+
+
+@contextmanager
+def without_drawing() -> Iterator[None]:
+    """Within it curves are empty files: drawing one takes as long as a short training."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bbq_torchrl.run.draw_run", lambda file, *_, **__: file.touch())
+        yield
 
 
 def rows(file: Path) -> list[dict[str, str]]:

@@ -166,20 +166,25 @@ def find_unfinished(places: Iterable[Path]) -> list[Path]:
 
 def _is_of_a_run(file: Path) -> bool:
     """Whether a configuration is that of a training; other programs call theirs so, too."""
-    try:
-        config = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError, RecursionError):
-        return False
+    config = _readable(file)
     return isinstance(config, dict) and {"agent", "protocol"} <= config.keys()
 
 
 def _is_extended(folder: Path) -> bool:
     """Whether a run with a result goes on to more rounds; not where a file is damaged."""
     try:
-        rounds = yaml.safe_load((folder / CONFIG).read_text(encoding="utf-8"))["protocol"]["rounds"]
+        rounds = _readable(folder / CONFIG)["protocol"]["rounds"]
         return bool(read_result(folder).rounds < rounds)
-    except (OSError, ValueError, TypeError, LookupError, yaml.YAMLError, RecursionError):
-        return False  # reading the run says what is wrong
+    except (OSError, ValueError, TypeError, LookupError):
+        return False
+
+
+def _readable(file: Path) -> Any:
+    """Returns what a YAML file holds; None where that cannot be told: reading the run says why."""
+    try:
+        return yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError, RecursionError):
+        return None
 
 
 def read_run(folder: Path) -> list[Replica]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tiny import TINY
+from tiny import TINY, without_drawing
 
 from bbq_torchrl.chat import Partner, TrainedAgent
 from bbq_torchrl.chat.spelling import Spelling
@@ -16,8 +16,7 @@ SHRUNKEN = (*TINY, "protocol.rounds=1", "protocol.eval_every=0", "spike.policy=r
 
 def trained(folder, *more):
     folder.mkdir()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bbq_torchrl.run.draw_run", lambda file, *_, **__: file.touch())
+    with without_drawing():
         run(compose([*SHRUNKEN, *more]), folder)
     return folder
 
