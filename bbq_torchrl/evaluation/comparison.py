@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.figures import COLORS, draw_comparison
 from bbq_torchrl.evaluation.groups import references
-from bbq_torchrl.evaluation.learning import LEVELS, WINDOW, reach
-from bbq_torchrl.evaluation.pairs import difference, pair
+from bbq_torchrl.evaluation.learning import FIRST, LEVELS, WINDOW, reach
+from bbq_torchrl.evaluation.pairs import EARLY, difference, pair
 from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
-from bbq_torchrl.evaluation.tables import Report, Table
+from bbq_torchrl.evaluation.tables import NONE, Report, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 NOTE = """\
 The unit is the training seed, never the dialogue. Means over seeds with their 95 % Student t
 interval. IQM: interquartile mean over seeds with its 95 % bootstrap interval (none below five
-seeds). Cumulative training success: share of all training dialogues that succeeded."""
+seeds). Booked after 1,000: share of the first 1,000 training dialogues that succeeded. Cumulative
+training success: the share of all of them."""
 
 PAIRS_NOTE = """\
 Differences by pairs: replicas of the same seed, which saw the same spiked dialogues, goals and
@@ -41,6 +42,7 @@ NOTES = (NOTE, PAIRS_NOTE, LEARNING_NOTE)
 
 DIFFERENCES = {
     "final": "final success",
+    "early": f"booked after {EARLY:,}",
     "cumulative": "cumulative training success",
     "area": "area under the evaluation curve",
 }
@@ -88,6 +90,7 @@ def success_table(groups: Sequence[Group]) -> Table:
             "rounds": group.first.rounds,
             "final success": estimate(group.final),
             "IQM": estimate_iqm(group.final),
+            **booked_columns(group),
             "cumulative training success": estimate(group.cumulative),
             "reward": group.reward,
             "turns": group.turns,
@@ -97,11 +100,23 @@ def success_table(groups: Sequence[Group]) -> Table:
     return Table("report", rows, words=2)
 
 
+def booked_columns(group: Group) -> dict[str, object]:
+    """Returns a column for each of the numbers of first dialogues that are reported."""
+    return {
+        f"booked after {first:,}": estimate(found) if (found := group.booked(first)) else NONE
+        for first in FIRST
+    }
+
+
 def pair_parts(compared: Sequence[Pairing]) -> list[str | Table]:
     """Returns a row for each two groups with pairs, and remarks on who has no partner."""
     rows = [
         {"by pairs": item.label, "pairs": item.pairs}
-        | {DIFFERENCES[name]: difference(values) for name, values in item.differences.items()}
+        | {
+            column: difference(item.differences[name])
+            for name, column in DIFFERENCES.items()
+            if name in item.differences
+        }
         for item in compared
         if item.pairs
     ]

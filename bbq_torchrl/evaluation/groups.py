@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.learning import areas
+from bbq_torchrl.evaluation.learning import areas, booked
 from bbq_torchrl.evaluation.runs import names_option, read_run, telling
 
 if TYPE_CHECKING:
@@ -63,6 +63,13 @@ class Group:
     def cumulative(self) -> list[float]:
         """Share of all training dialogues that succeeded, one value for each seed."""
         return [replica.own.training_success for replica in self.replicas]
+
+    def booked(self, first: int) -> list[float]:
+        """Share of the first training dialogues that succeeded, one value for each seed.
+
+        Empty where fewer were trained; see :func:`bbq_torchrl.evaluation.learning.booked`.
+        """
+        return booked(self.success, self.round_dialogues, first)
 
     @property
     def reward(self) -> float:

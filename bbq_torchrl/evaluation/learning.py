@@ -15,6 +15,9 @@ from bbq_torchrl.statistics import CONFIDENCE
 LEVELS = (0.5, 0.6, 0.7, 0.8)
 """Success rates that are to be reached."""
 
+FIRST = (500, 1_000, 2_000, 5_000)
+"""Numbers of training dialogues whose success is reported: what exploring costs early."""
+
 WINDOW = 5
 """Rounds whose mean training success is to reach a level: 250 dialogues have an error of .03."""
 
@@ -109,6 +112,31 @@ def rounds_to_reach(success: Any, level: float, window: int = WINDOW) -> Any:
     # Rates of a few dialogues hit a level exactly, and must not miss it by rounding.
     is_reached = means >= level - 1e-9
     return np.where(is_reached.any(0), is_reached.argmax(0) + window, np.inf)
+
+
+def booked(success: Any, dialogues: int, first: int) -> list[float]:
+    """Share of the first training dialogues that succeeded, one value for each seed.
+
+    Args:
+        success: success rates of the training dialogues, shape [rounds, seeds].
+        dialogues: of a round.
+        first: how many dialogues count. Of a round that they end in, its rate counts for its part.
+
+    Returns:
+        one value for each seed; empty where fewer dialogues were trained.
+
+    Examples:
+        >>> booked(np.array([[0.0], [0.5], [1.0]]), 50, 75)
+        [0.16666666666666666]
+        >>> booked(np.array([[0.0]]), 50, 75)
+        []
+    """
+    success = np.asarray(success, dtype=float)
+    if len(success) * dialogues < first:
+        return []
+    before = np.arange(len(success)) * dialogues
+    counted = np.clip(first - before, 0, dialogues)
+    return (counted @ success / first).tolist()
 
 
 def areas(curve: Any) -> list[float]:

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.statistics import Estimate
 
 ALPHA = 0.05
+
+EARLY = 1_000
+"""Training dialogues that a comparison of early success counts."""
+
 NOT_RUN = "not run"
 NOT_PAIRED = "not paired"
 """Verdict on two that were run, of which fewer than two replicas are partners."""
@@ -54,7 +58,8 @@ class Pairing:
         one: the one group.
         other: the group that is subtracted.
         pairs: how many replicas of the one have a partner in the other.
-        differences: of ``final``, ``cumulative`` and, over the rounds in which both were evaluated
+        differences: of ``final``, ``cumulative``, ``early`` (the first :data:`EARLY` training
+            dialogues, where there are as many) and, over the rounds in which both were evaluated
             while training, ``area``: one for each pair; empty if there are no pairs.
         remark: why there are no pairs, or how many replicas have no partner; empty if all have one.
     """
@@ -118,6 +123,9 @@ def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[flo
     """Returns each quantity of both groups, a value for each seed."""
     quantities = {"final": (one.final, other.final)}
     quantities["cumulative"] = (one.cumulative, other.cumulative)
+    early = one.booked(EARLY), other.booked(EARLY)
+    if all(early):
+        quantities["early"] = early
     first, second = one.evaluation, other.evaluation
     if first is not None and second is not None and len(first) == len(second):
         in_both = np.isfinite(first[:, :1]) & np.isfinite(second[:, :1])
@@ -185,7 +193,9 @@ def compare(
     *,
     same_dialogues: bool = True,
 ) -> list[Comparison]:
-    """Compares what was declared by ``final`` or the like, what was not run included.
+    """Compares what was declared by one quantity, what was not run included.
+
+    The quantity is a name in :attr:`Pairing.differences`, such as ``final``.
 
     ``same_dialogues`` is that of :func:`pair`.
     """

@@ -45,7 +45,18 @@ EXPERIMENTS = {
 COMPARED = yaml.safe_load(Path(__file__).with_name("compared.yaml").read_text(encoding="utf-8"))
 """Which runs are set beside each other, and what is claimed of them."""
 
-VERBS = {"final": "ends higher than", "cumulative": "books more in training than"}
+VERBS = {
+    "early": f"books more in the first {pairs.EARLY:,} dialogues than",
+    "final": "ends higher than",
+    "cumulative": "books more in training than",
+}
+COLUMNS = {
+    "final": "difference",
+    "early": f"of the first {pairs.EARLY:,} dialogues",
+    "cumulative": "of all training",
+}
+"""Quantity of a pairing -> its column beside the final success of two agents."""
+
 OTHERS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
 """Whom BBQN-MAP is claimed to be ahead of: in the paper's Table 1, or in what it says of it."""
 
@@ -185,9 +196,9 @@ def compared(rows: dict[str, list[str]], head: list[str]) -> str:
         if len(both) == 2:
             one, other = both
             found = pairs.pair(one, other).differences
-            differences = (pairs.difference(found[quantity]) for quantity in VERBS)
+            differences = (pairs.difference(found[quantity]) for quantity in COLUMNS)
             lines.append((title, estimate(one.final), estimate(other.final), *differences))
-    return table((*head, "difference", "of all training"), lines, numbers=4)
+    return table((*head, *COLUMNS.values()), lines, numbers=2 + len(COLUMNS))
 
 
 for _name, _table in COMPARED["tables"].items():

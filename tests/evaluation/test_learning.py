@@ -15,7 +15,7 @@ from tiny import rows
 from bbq_torchrl.evaluation import areas, rounds_to_reach
 from bbq_torchrl.evaluation.comparison import learning_table
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.learning import Reach
+from bbq_torchrl.evaluation.learning import Reach, booked
 from bbq_torchrl.evaluation.pairs import pair
 
 curves = arrays(float, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(0, 1))
@@ -32,6 +32,22 @@ def test_a_level_is_reached_in_the_first_round_whose_last_rounds_mean_it(success
         }
         reached = [end for end, mean in means.items() if mean >= level - 1e-9]
         assert rounds == (reached[0] if reached else INF)
+
+
+@given(arrays(int, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.integers(0, 10)))
+def test_the_first_dialogues_booked_are_counted_one_by_one(successes):
+    for first in (10, 40, 120):
+        found = booked(successes / 10, dialogues=10, first=first)
+        counts = successes[: first // 10].sum(0) / first
+        assert found == (pytest.approx(counts) if len(successes) * 10 >= first else [])
+
+
+def test_early_success_is_compared_by_pairs_where_both_trained_for_as_long(add):
+    agents = {"bbqn": 0.8, "dqn": 0.6}
+    long = [add([rate], agent=agent, rounds=30) for agent, rate in agents.items()]
+    assert pair(*read_groups(long)).differences["early"] == pytest.approx([0.1])
+    short = [add([rate], agent=agent, seed=7) for agent, rate in agents.items()]
+    assert "early" not in pair(*read_groups(short)).differences
 
 
 def test_a_rate_that_hits_the_level_reaches_it_in_spite_of_rounding():
