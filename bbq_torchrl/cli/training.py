@@ -144,6 +144,7 @@ def build_trainer(
         batch_size=protocol.batch_size,
         freezes=protocol.freezes,
         epochs=protocol.epochs,
+        updates_per_round=protocol.updates_per_round,
         checkpoint_every=protocol.checkpoint_every,
         keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
         lr_share=None if protocol.lr_final == 1 else protocol.lr_share,

@@ -11,13 +11,19 @@ from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDic
 from torchrl.envs import Compose
 
 from bbq_torchrl.data.hooks import Measured, Seeded
-from bbq_torchrl.data.rows import Batch, gather_epoch, map_stored_rows
+from bbq_torchrl.data.rows import (
+    Batch,
+    gather_rows,
+    map_stored_rows,
+    repeated_indices,
+    shuffled_indices,
+)
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.hooks import modules_with
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from tensordict import NestedKey, TensorDictBase
     from torchrl.envs import Transform
@@ -32,6 +38,9 @@ TRANSITION_KEYS: tuple[NestedKey, ...] = (
     ("next", "done"),
     ("next", "terminated"),
 )
+
+_GATHERED_BATCHES = 64
+"""The most batches of a replica that are gathered together: more would take memory for nothing."""
 
 
 class ReplicaReplay:
@@ -236,20 +245,50 @@ class ReplicaReplay:
         Raises:
             ValueError: if ``batch_size`` is not positive or a replica has no transition.
         """
-        if batch_size < 1:
-            raise ValueError(f"batch_size must be at least 1, got {batch_size}")
-        self._check_not_empty()
+        self._check_readable(batch_size)
+        indices, valid = shuffled_indices(self.buffers, batch_size)
         lengths = self.lengths
-        rows: TensorDictBase = gather_epoch(
-            self.buffers, self.stored_keys, batch_size, self._computed
+        return [
+            Batch(batch, tuple(number * batch_size < length for length in lengths))
+            for number, batch in enumerate(self._batches(indices, valid, batch_size))
+        ]
+
+    def batches(self, batch_size: int, count: int) -> Iterator[list[Batch]]:
+        """Yields as many batches for every replica, however many transitions it holds.
+
+        Each replica is read pass after pass, every pass in another order; the last one may end
+        anywhere. All batches are full.
+
+        Args:
+            batch_size: the number of rows of a batch for each replica.
+            count: the number of batches.
+
+        Yields:
+            up to 64 batches at a time, which are gathered together.
+
+        Raises:
+            ValueError: if ``batch_size`` is not positive or a replica has no transition.
+        """
+        self._check_readable(batch_size)
+        indices = repeated_indices(self.buffers, count * batch_size)
+        active = (True,) * self.replicas
+        for part in indices.split(_GATHERED_BATCHES * batch_size, 1):
+            valid = torch.ones(part.shape, dtype=torch.bool, device=part.device)
+            yield [Batch(batch, active) for batch in self._batches(part, valid, batch_size)]
+
+    def _batches(self, indices: Tensor, valid: Tensor, batch_size: int) -> Sequence[TensorDictBase]:
+        """Returns the rows at these places, read through the transform and cut into batches."""
+        rows: TensorDictBase = gather_rows(
+            self.buffers, self.stored_keys, indices, valid, self._computed
         )
         if self.transform is not None:
             rows = self.transform(rows)
-        batches = rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
-        return [
-            Batch(batch, tuple(number * batch_size < length for length in lengths))
-            for number, batch in enumerate(batches)
-        ]
+        return rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
+
+    def _check_readable(self, batch_size: int) -> None:
+        if batch_size < 1:
+            raise ValueError(f"batch_size must be at least 1, got {batch_size}")
+        self._check_not_empty()
 
     def _check_not_empty(self) -> None:
         if min(self.lengths) == 0:

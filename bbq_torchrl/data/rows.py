@@ -30,32 +30,70 @@ class Batch(NamedTuple):
     active: tuple[bool, ...]
 
 
-def gather_epoch(
-    buffers: Sequence[TensorDictReplayBuffer],
-    keys: Sequence[NestedKey],
-    batch_size: int,
-    computed: Mapping[NestedKey, Tensor],
-) -> TensorDict:
-    """Returns an epoch's rows, shuffled and padded: [replicas, batches * batch_size].
+def shuffled_indices(
+    buffers: Sequence[TensorDictReplayBuffer], batch_size: int
+) -> tuple[Tensor, Tensor]:
+    """Returns the places of an epoch's rows in each buffer, shuffled, and which of them count.
 
     Args:
         buffers: of each replica; their samplers say in which order.
-        keys: the entries that are stored.
         batch_size: rows of a batch for each replica.
-        computed: values [replicas, rows, *] of every stored row, in the place of stored ones.
+
+    Returns:
+        places, int64, and validity, bool, both [replicas, batches * batch_size]. A buffer with
+        fewer rows than the others is padded with a row of it, which does not count.
     """
     lengths = [len(buffer) for buffer in buffers]
     padded = -(-max(lengths) // batch_size) * batch_size
-    indices, stored = [], []
+    indices = []
     for buffer, length in zip(buffers, lengths, strict=True):
         index, _ = buffer.sampler.sample(buffer.storage, length)
         indices.append(torch.cat([index, index[:1].expand(padded - length)]))
-        stored.append(buffer.storage.get(slice(0, length)))
     # Filled in, not compared with the lengths: a tensor of them would have to be copied to the
     # device, and the host would wait for it.
     valid = torch.ones(len(lengths), padded, dtype=torch.bool, device=indices[0].device)
     for replica, length in enumerate(lengths):
         valid[replica, length:].fill_(False)
+    return torch.stack(indices), valid
+
+
+def repeated_indices(buffers: Sequence[TensorDictReplayBuffer], count: int) -> Tensor:
+    """Returns the places of ``count`` rows of each buffer, pass after shuffled pass.
+
+    Args:
+        buffers: of each replica; their samplers say in which order.
+        count: the number of rows, which may be more or fewer than a buffer has.
+
+    Returns:
+        int64, shape [replicas, count].
+    """
+    indices = []
+    for buffer in buffers:
+        length = len(buffer)
+        passes = [
+            buffer.sampler.sample(buffer.storage, length)[0] for _ in range(-(-count // length))
+        ]
+        indices.append(torch.cat(passes)[:count])
+    return torch.stack(indices)
+
+
+def gather_rows(
+    buffers: Sequence[TensorDictReplayBuffer],
+    keys: Sequence[NestedKey],
+    indices: Tensor,
+    valid: Tensor,
+    computed: Mapping[NestedKey, Tensor],
+) -> TensorDict:
+    """Returns the rows at these places, batch size [replicas, rows].
+
+    Args:
+        buffers: of each replica.
+        keys: the entries that are stored.
+        indices: places in each buffer, int64, shape [replicas, rows].
+        valid: the entry of that name, bool, shape [replicas, rows].
+        computed: values [replicas, stored rows, *], in the place of stored ones.
+    """
+    stored = [buffer.storage.get(slice(0, len(buffer))) for buffer in buffers]
     rows = TensorDict({"valid": valid}, valid.shape)
     sources: dict[NestedKey, Sequence[Tensor] | Tensor] = {
         **{key: [own.get(key) for own in stored] for key in keys},

@@ -13,7 +13,7 @@ from bbq_torchrl.objectives.hooks import BeginsEpochs, FixedTargets, UsesNumData
 from bbq_torchrl.trainers.errors import TrainingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from tensordict import TensorDictBase
     from torch import nn
@@ -148,6 +148,9 @@ class Learner:
         batch_size: transitions of a mini-batch, for each replica.
         freezes: how often in a round the target is frozen and learned against.
         epochs: how many epochs over the buffer follow each freeze.
+        updates_per_round: the number of updates in every round, spread over the freezes, in place
+            of the epochs. Early buffers are small, so epochs make few updates of them. Defaults
+            to None: as many as the epochs have.
         lr_share: returns the share of the learning rate that a round, counted from 0, learns with.
             Defaults to None: all of it, always.
     """
@@ -161,6 +164,7 @@ class Learner:
     batch_size: int
     freezes: int
     epochs: int
+    updates_per_round: int | None = None
     lr_share: Callable[[int], float] | None = None
 
     def __post_init__(self) -> None:
@@ -189,14 +193,24 @@ class Learner:
         for freeze in range(self.freezes):
             self.target_updater.step()
             self.compute_targets()
+            for batches in self._batches(round_number, freeze):
+                if provides(self.loss, BeginsEpochs):
+                    self.loss.begin_epoch()
+                for batch in batches:
+                    self._update(batch)
+
+    def _batches(self, round_number: int, freeze: int) -> Iterator[list[Batch]]:
+        """Yields what is learned after one freeze, some batches at a time."""
+        if self.updates_per_round is None:
             for epoch in range(self.epochs):
                 # A seed for every epoch: its length is that of the longest replica's, and the
                 # draws of the next epoch must not depend on it.
                 self.seed_phase("learn", round_number, freeze, epoch)
-                if provides(self.loss, BeginsEpochs):
-                    self.loss.begin_epoch()
-                for batch in self.replay.epoch(self.batch_size):
-                    self._update(batch)
+                yield self.replay.epoch(self.batch_size)
+        else:
+            share, rest = divmod(self.updates_per_round, self.freezes)
+            self.seed_phase("learn", round_number, freeze, 0)
+            yield from self.replay.batches(self.batch_size, share + (freeze < rest))
 
     def compute_targets(self) -> None:
         """Has the frozen network's values computed for the whole buffer, where a loss allows it."""

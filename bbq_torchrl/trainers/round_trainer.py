@@ -73,6 +73,8 @@ class RoundTrainer:
         batch_size: transitions of a mini-batch, for each replica.
         freezes: how often in a round the target is frozen and learned against.
         epochs: how many epochs over the buffer follow each freeze.
+        updates_per_round: the number of updates in every round, in place of the epochs. Defaults
+            to None: as many as the epochs have.
         checkpoint_every: rounds between two checkpoints.
         keep_checkpoints: how many of the newest are kept; None: all.
         lr_share: returns the share of the learning rate that a round, counted from 0, learns with.
@@ -111,6 +113,7 @@ class RoundTrainer:
     epochs: int
     checkpoint_every: int
     keep_checkpoints: int | None
+    updates_per_round: int | None = None
     lr_share: Callable[[int], float] | None = None
     max_steps: int = 1000
     seed: int = 0
@@ -140,12 +143,18 @@ class RoundTrainer:
             "batch_size",
             "freezes",
             "epochs",
+            "updates_per_round",
             "checkpoint_every",
             "keep_checkpoints",
             "max_steps",
         ):
             if (count := getattr(self, name)) is not None and count < 1:
                 raise ValueError(f"{name} must be at least 1, got {count}")
+        if self.updates_per_round is not None and self.updates_per_round < self.freezes:
+            raise ValueError(
+                f"updates_per_round must be at least freezes ({self.freezes}), got "
+                f"{self.updates_per_round}"
+            )
         self.run_folder = Path(self.run_folder)  # a text will do, too
         self.described = {"seed": self.seed, "replicas": replicas, **self.described}
         self.rounds_done = self.rounds_saved = 0
@@ -159,6 +168,7 @@ class RoundTrainer:
             batch_size=self.batch_size,
             freezes=self.freezes,
             epochs=self.epochs,
+            updates_per_round=self.updates_per_round,
             lr_share=self.lr_share,
         )
         self.metrics = MetricsFile(self.run_folder / METRICS, replicas, self.loggers)

@@ -61,6 +61,38 @@ def test_an_epoch_shows_every_transition_once_in_batches_of_one_shape():
         assert torch.equal(transitions["next", "reward"], 100 * transitions["observation"])
 
 
+def numbers_of(replay: ReplicaReplay, batch_size: int, count: int) -> torch.Tensor:
+    """The numbers each replica sees in so many batches: [replicas, count * batch_size]."""
+    batches = [batch for part in replay.batches(batch_size, count) for batch in part]
+    assert len(batches) == count
+    assert all(all(batch.active) for batch in batches)
+    transitions = torch.cat([batch.transitions for batch in batches], 1)
+    assert transitions["valid"].all()
+    assert torch.equal(transitions["next", "reward"], 100 * transitions["observation"])
+    return transitions["observation"][..., 0] - 10_000 * torch.arange(replay.replicas)[:, None]
+
+
+@pytest.mark.parametrize("count", [1, 3, 70, 129])
+def test_as_many_batches_as_asked_for_read_each_replica_pass_after_pass(count):
+    lengths = (300, 40, 1)
+    replay = filled(*lengths)
+    for seen, length in zip(numbers_of(replay, 4, count), lengths, strict=True):
+        passes = seen.int().split(length)
+        for whole in passes[:-1]:
+            assert sorted(whole.tolist()) == list(range(length))
+        assert len(passes[-1].unique()) == len(passes[-1])
+
+
+def test_the_order_of_a_replicas_batches_depends_on_its_seed_and_rows_alone():
+    replay, other = filled(40, 30), filled(40, 9)
+    play_epoch(other)
+    for r in (replay, other):
+        r.seed([5, 6])
+    ours, theirs = numbers_of(replay, 4, 70), numbers_of(other, 4, 70)
+    assert torch.equal(ours[0], theirs[0])
+    assert not torch.equal(ours[1], theirs[1])
+
+
 def test_a_seed_decides_the_order_whatever_was_drawn_before_and_others_hold():
     replay, other = filled(40, 40), filled(40, 9)
     play_epoch(other, batch_size=7)
@@ -258,12 +290,14 @@ LACKING = rows(0, 3).exclude(("next", "reward"))
         (lambda replay: ReplicaReplay(0), "capacity must be at least 1, got 0"),
         (lambda replay: ReplicaReplay(5, replicas=0), "replicas must be at least 1, got 0"),
         (lambda replay: replay.epoch(0), "batch_size must be at least 1, got 0"),
+        (lambda replay: next(replay.batches(0, 3)), "batch_size must be at least 1, got 0"),
         (lambda replay: replay.extend([rows(0, 1)]), "a list of 2 TensorDicts, .*, got list of 1"),
         (lambda replay: replay.extend(rows(0, 2)), "one for each replica, got TensorDict of 2"),
         (lambda replay: replay.extend([rows(0, 3), LACKING]), r"lack .*, .* give it keys=\[\.\.\."),
         (lambda replay: replay.seed([1, 2, 3]), "seeds must be 2, one for each replica, got 3"),
         (lambda replay: replay.protect(), "fewer than the capacity 5 of the storage, got 5"),
         (lambda replay: ReplicaReplay(5).epoch(2), EMPTY),
+        (lambda replay: next(ReplicaReplay(5).batches(2, 3)), EMPTY),
         (lambda replay: ReplicaReplay(5).compute("x", abs), EMPTY),
         (lambda replay: replay.load_state_dict(filled(1).state_dict()), "of 2 replicas, got 1"),
         (

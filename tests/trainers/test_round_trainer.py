@@ -52,6 +52,18 @@ def test_metrics_are_what_was_played_and_learned(tmp_path):
     assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
 
 
+def test_a_round_has_the_updates_that_are_asked_for_from_the_first_to_the_last(
+    tmp_path, monkeypatch
+):
+    trainer = make_trainer(tmp_path, rounds=3, replicas=2, updates_per_round=7)
+    events: list[str] = []
+    for owner, name in ((trainer.target_updater, "step"), (trainer.loss, "forward")):
+        noted(monkeypatch, owner, name, events)
+    rows = trainer.train()
+    assert [row["updates"] for row in rows] == 6 * [7]
+    assert events == 3 * ["step", *4 * ["forward"], "step", *3 * ["forward"]]
+
+
 def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path, monkeypatch):
     trainer = make_trainer(tmp_path, rounds=2, replicas=1)
     events: list[str] = []
@@ -188,6 +200,7 @@ def test_a_folder_that_holds_a_training_is_not_overwritten(tmp_path):
         ({"optimizer": Adam([torch.ones(1)])}, "as ReplicaAdam does, got Adam"),
         ({"rounds": 0}, "rounds must be at least 1, got 0"),
         ({"batch_size": -1}, "batch_size must be at least 1, got -1"),
+        ({"updates_per_round": 1}, r"updates_per_round must be at least freezes \(2\), got 1"),
         ({"keep_checkpoints": 0}, "keep_checkpoints must be at least 1, got 0"),
     ],
 )

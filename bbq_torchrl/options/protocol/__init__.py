@@ -16,6 +16,7 @@ from bbq_torchrl.options.settings import (
     ConfigError,
     integers,
     one_of,
+    optional,
     setting,
 )
 
@@ -53,6 +54,11 @@ class ProtocolOption(Option):
     )
     freezes: int = setting(2, COUNT, "target freezes of a round")
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
+    updates_per_round: int | None = setting(
+        None,
+        optional(COUNT, "as many as the epochs have"),
+        "updates of every round and replica, in place of the epochs",
+    )
     capacity: int = setting(10_000, STORED, "transitions a replica's buffer holds")
     eval_dialogues: int = setting(10_000, STORED, "dialogues of the final evaluation of a replica")
     eval_batch: int = setting(2_500, BATCH, "evaluation dialogues of all replicas side by side")
@@ -89,12 +95,24 @@ class ProtocolOption(Option):
         return min(dialogues, max(1, self.eval_batch // replicas))
 
     def check(self, config: Config) -> None:
-        """Refuses a small buffer, step sizes that do not fall as asked, and long evaluations."""
+        """Refuses settings that contradict each other, and long evaluations."""
         if self.capacity < self.batch_size:
             raise ConfigError(
                 f"protocol.capacity must be at least protocol.batch_size ({self.batch_size}), "
                 f"got {self.capacity}"
             )
+        if self.updates_per_round is not None:
+            own = f"with protocol.updates_per_round={self.updates_per_round}"
+            if self.epochs != type(self).epochs:
+                raise ConfigError(
+                    f"protocol.epochs must be {type(self).epochs} {own}, which takes its place, "
+                    f"got {self.epochs}"
+                )
+            if self.updates_per_round < self.freezes:
+                raise ConfigError(
+                    f"protocol.updates_per_round must be at least protocol.freezes "
+                    f"({self.freezes}), got {self.updates_per_round}"
+                )
         if self.lr_final == 1 and self.lr_decay_from != type(self).lr_decay_from:
             raise ConfigError(
                 f"protocol.lr_decay_from must be {type(self).lr_decay_from} with "
@@ -127,8 +145,10 @@ def _check_evaluation(config: Config) -> None:
     places = protocol.places(dialogues, replicas)
     evaluation = math.ceil(dialogues / places) * turns * (FIXED_ROWS + replicas * places)
     stored = (config.spike.dialogues + protocol.rounds * protocol.dialogues) * turns
-    batches = math.ceil(min(protocol.capacity, stored) / protocol.batch_size)
-    updates = protocol.freezes * protocol.epochs * batches
+    updates = protocol.updates_per_round
+    if updates is None:
+        batches = math.ceil(min(protocol.capacity, stored) / protocol.batch_size)
+        updates = protocol.freezes * protocol.epochs * batches
     a_round = turns * (FIXED_ROWS + replicas * protocol.dialogues)
     a_round += updates * (FIXED_ROWS + replicas * protocol.batch_size)
     if evaluation <= protocol.eval_every * a_round:
