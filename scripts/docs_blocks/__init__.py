@@ -5,10 +5,10 @@ A module declares its blocks, by :func:`~scripts.docs_blocks.common.block`, as i
 
 from __future__ import annotations
 
-from scripts.docs_blocks import config, domain, files, house, results, speed, tables
+from scripts.docs_blocks import config, domain, files, house, results, speed, story, tables
 from scripts.docs_blocks.common import BLOCKS
 
-__all__ = ["BLOCKS", "config", "domain", "draw_figures", "tables"]
+__all__ = ["BLOCKS", "config", "domain", "draw_figures", "story", "tables"]
 
 
 def draw_figures() -> None:

@@ -1,0 +1,136 @@
+"""The claims that open the page of results, each with its figure and verdict."""
+
+from __future__ import annotations
+
+from statistics import fmean
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.evaluation import pairs, table1
+from scripts.docs_blocks.common import block, table
+from scripts.docs_blocks.results import groups
+from scripts.docs_blocks.tables import measured
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from bbq_torchrl.evaluation.groups import Group
+    from bbq_torchrl.evaluation.statistics import Estimate
+
+TABLE1 = {"full": "table1/full", "domain_ext": "table1/extension"}
+"""Environment -> folder of its runs in results/."""
+
+BY_ENV = "{} in the full domain, {} in domain extension"
+
+
+def _difference(one: Group, other: Group, quantity: str) -> Estimate:
+    return pairs.difference(pairs.pair(one, other).differences[quantity])
+
+
+def _verdict(*differences: Estimate) -> str:
+    """Returns whether all differences are above 0, by their intervals."""
+    if all(item.low > 0 for item in differences):
+        return "yes"
+    return "no, the reverse" if all(item.high < 0 for item in differences) else "not shown"
+
+
+def _short(rate: float) -> str:
+    return f"{rate:.3f}".lstrip("0")
+
+
+def _range(rates: Sequence[float]) -> str:
+    return f"{_short(min(rates))} to {_short(max(rates))}"
+
+
+def _cells() -> dict[str, dict[str, Group]]:
+    """Returns the runs of Table 1: environment -> agent -> group."""
+    return {env: table1.find_cells(groups(folder), env) for env, folder in TABLE1.items()}
+
+
+def _differences(one: str, other: str, quantity: str) -> list[Estimate]:
+    """Returns the difference of two agents of Table 1 in each of its environments."""
+    return [_difference(cells[one], cells[other], quantity) for cells in _cells().values()]
+
+
+def _finals(names: Iterable[str]) -> list[list[float]]:
+    """Returns the mean final success of agents of Table 1 in each of its environments."""
+    chosen = [*names]
+    return [[fmean(cells[name].final) for name in chosen] for cells in _cells().values()]
+
+
+@block("results.early")
+def _early() -> str:
+    """Returns how BBQN-MAP does in its first dialogues."""
+    return (
+        f"Of its first {pairs.EARLY:,} training dialogues BBQN-MAP books less than DQN-Boltzmann: "
+        f"{BY_ENV.format(*_differences('BBQN-MAP', 'DQN-Boltzmann', 'early'))} (difference of the "
+        "shares booked, by pairs)."
+    )
+
+
+@block("results.story")
+def _story() -> str:
+    """Returns the claims as Markdown: what contradicts the paper or us first."""
+    scripted = measured()["movie", "reference", "repair"]["success_rate"]
+    trained = _finals(table1.PAPER["full"])
+    bbqn = _finals(name for name in table1.PAPER["full"] if name.startswith("BBQN"))
+    early = _differences("BBQN-MAP", "DQN-Boltzmann", "early")
+    by_vime = _differences("DQN-VIME-MAP", "DQN", "final")
+    final = _differences("BBQN-MAP", "DQN", "final")
+    leads = [
+        cells["BBQN-MAP"].success_rate - cells["DQN"].success_rate
+        for cells in table1.PAPER.values()
+    ]
+    explorers = [
+        groups(f"explorers/bbqn/{number}_{name}")[0]
+        for number, name in enumerate(("thompson", "greedy", "epsilon_greedy", "boltzmann"))
+    ]
+    by_epsilon, greedily = (
+        groups(f"explorers/dqn/{name}")[0] for name in ("0_epsilon_greedy", "1_greedy")
+    )
+    unspiked = sum(
+        group.round_dialogues * group.first.rounds * len(group.final)
+        for group in groups("no_spike")
+    )
+    rows = [
+        (
+            "BBQN is ahead from the first dialogue",
+            f"booked of the first {pairs.EARLY:,} dialogues, BBQN-MAP minus DQN-Boltzmann: "
+            + BY_ENV.format(*early),
+            _verdict(*early),
+        ),
+        (
+            "A trained agent beats a script",
+            f"`repair`, a script that reads only observations, books {_short(scripted)} of the "
+            f"full domain; the nine agents end at {BY_ENV.format(*map(_range, trained))}",
+            "yes" if max(trained[0]) > scripted else "no",
+        ),
+        (
+            "VIME helps",
+            f"DQN-VIME-MAP minus DQN: {BY_ENV.format(*by_vime)}; the four BBQN, with VIME and "
+            f"without, end at {BY_ENV.format(*map(_range, bbqn))}",
+            _verdict(*by_vime),
+        ),
+        (
+            "BBQN ends higher than DQN",
+            f"BBQN-MAP minus DQN: {BY_ENV.format(*final)}; the paper: "
+            + " and ".join(f"{lead:+.3f}" for lead in leads),
+            _verdict(*final),
+        ),
+        (
+            "Thompson sampling explores better",
+            "the same learner books {} of its training dialogues by Thompson sampling, {} "
+            "greedily, {} by ε and {} by Boltzmann. But the paper's ε is not the best explorer of "
+            "DQN: greedily it ends {} above".format(
+                *(_short(fmean(group.cumulative)) for group in explorers),
+                _difference(greedily, by_epsilon, "final"),
+            ),
+            _verdict(*(_difference(explorers[0], one, "cumulative") for one in explorers[1:])),
+        ),
+        (
+            "Nobody learns without spiking",
+            f"BBQN-MAP and DQN by ε: no success in {unspiked:,} dialogues, where uniformly random "
+            "actions succeed in one of 2,000. Agents that act more at random were not run",
+            "open",
+        ),
+    ]
+    return table(("claim", "figure", "verdict"), rows)
