@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from host_waits import HostWaitError, NeverWaits
+
+from benchmarks.parts.host_waits import HostWaitError, NeverWaits
 
 WAITING = {
     "a number": lambda x: float(x.sum()),

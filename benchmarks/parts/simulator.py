@@ -35,16 +35,19 @@ def play_simulator(env: DialogueEnv, policy: str = "random") -> Callable[[], int
         steps = [domain.action_index(step) for step in domain.policies[policy].steps]
 
     def play() -> int:
-        generator = torch.Generator().manual_seed(0)
+        generator = torch.Generator(env.device).manual_seed(0)
         state = simulator.reset(simulator.draw_reset(batch, generator), active)
         simulator.observe(state, active)
         valid = turn = 0
         while not state["done"].all():
             valid += int((~state["done"]).sum())
             if policy == "random":
-                action = torch.randint(len(domain.actions), batch, generator=generator)
+                action = torch.randint(
+                    len(domain.actions), batch, generator=generator, device=env.device
+                )
             else:
-                action = torch.tensor(steps[min(turn, len(steps) - 1)]).expand(batch)
+                step = steps[min(turn, len(steps) - 1)]
+                action = torch.full(batch, step, device=env.device)
             state = simulator.turn(state, action, simulator.draw_turn(batch, generator), active)
             simulator.observe(state, active)
             turn += 1

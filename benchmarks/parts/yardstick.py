@@ -17,21 +17,23 @@ if TYPE_CHECKING:
 FEATURES, HIDDEN, ACTIONS, BATCH = 268, (256, 256), 39, 32
 
 
-def bare_update() -> Callable[[], None]:
+def bare_update(batch: int = BATCH, device: str = "cpu") -> Callable[[], None]:
     """Returns a DQN update of a ready batch: three ``addmm`` for each network, fused Adam."""
     sizes = (FEATURES, *HIDDEN, ACTIONS)
     params = []
     for inputs, outputs in itertools.pairwise(sizes):
-        params.append(torch.nn.Parameter(torch.randn(inputs, outputs) * inputs**-0.5))
-        params.append(torch.nn.Parameter(torch.zeros(outputs)))
+        matrix = torch.randn(inputs, outputs, device=device) * inputs**-0.5
+        params.append(torch.nn.Parameter(matrix))
+        params.append(torch.nn.Parameter(torch.zeros(outputs, device=device)))
     frozen = [p.detach().clone() for p in params]
     optimizer = torch.optim.Adam(params, lr=1e-3, fused=True)
     # about 27 of the 268 features of a dialogue state are active
-    observation, following = ((torch.rand(BATCH, FEATURES) < 0.1).float() for _ in range(2))
-    action = torch.randint(ACTIONS, (BATCH, 1))
-    mask = torch.ones(BATCH, ACTIONS, dtype=torch.bool)
-    reward = torch.randn(BATCH)
-    discount = 0.9 * (torch.rand(BATCH) >= 0.1).float()
+    shape = (batch, FEATURES)
+    observation, following = ((torch.rand(shape, device=device) < 0.1).float() for _ in range(2))
+    action = torch.randint(ACTIONS, (batch, 1), device=device)
+    mask = torch.ones(batch, ACTIONS, dtype=torch.bool, device=device)
+    reward = torch.randn(batch, device=device)
+    discount = 0.9 * (torch.rand(batch, device=device) >= 0.1).float()
     least = torch.finfo(torch.float32).min
 
     def network(w: list[torch.Tensor], x: torch.Tensor) -> torch.Tensor:

@@ -6,14 +6,16 @@ import math
 from types import SimpleNamespace
 
 import pytest
+import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.networks import FlatMLP
-from benchmarks import compare, growth
-from benchmarks.parts import processes, time_to_learn, timing, updates
+from benchmarks import compare, gpu, growth
+from benchmarks.parts import on_device, processes, time_to_learn, timing, updates
 from benchmarks.parts.floor import PARAMETERS, UPDATES, Work, least_seconds, turn, valid_share
+from benchmarks.parts.host_draws import DrawsOnTheHost
 from benchmarks.parts.processes import Used
 from benchmarks.parts.rows import Row, as_table, keep, read
 from benchmarks.parts.sizes import FULL, TINY
@@ -44,6 +46,43 @@ def test_part_gives_positive_figures(part, monkeypatch):
     assert rows
     assert all(row.part == part for row in rows)
     assert all(row.measured > 0 for row in rows if row.unit != "%")
+
+
+@pytest.mark.parametrize("part", ["same", "turns", "updates"])
+def test_the_gpu_benchmark_runs_on_a_cpu_whose_training_equals_itself(part, tmp_path, capsys):
+    file = tmp_path / "gpu.csv"
+    chosen = ["--device=cpu", "--tiny", f"--file={file}", "--parts", part]
+    assert gpu.main(chosen) == 0
+    rows = read(file)["cpu"]
+    assert {row.part for row in rows} == {part}
+    assert all(row.measured == 0 if part == "same" else row.measured > 0 for row in rows)
+    assert rows[0].what in capsys.readouterr().out
+
+
+def test_a_device_whose_training_differs_fails_the_gpu_benchmark(tmp_path, monkeypatch):
+    rates = iter([0.5, 0.25])
+    trained = lambda *_: [{"success_rate": next(rates), "reward": 1, "turns": 2, "loss": 3}]  # noqa: E731
+    monkeypatch.setattr(on_device, "_trained", trained)
+    given = ["--device=cpu", "--tiny", "--parts", "same", f"--file={tmp_path / 'gpu.csv'}"]
+    assert gpu.main(given) == 1
+
+
+def test_numbers_of_another_device_are_drawn_by_the_cpus_generator():
+    torch.manual_seed(0)
+    torch.rand(5), torch.randint(9, (3,))
+    expected = torch.get_rng_state()
+    torch.manual_seed(0)
+    with DrawsOnTheHost():
+        drawn = torch.rand(5, device="meta"), torch.randint(9, (3,), device="meta")
+    assert torch.equal(torch.get_rng_state(), expected)
+    assert [(value.shape, value.device.type) for value in drawn] == [((5,), "meta"), ((3,), "meta")]
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="refused only without a CUDA device")
+def test_the_gpu_benchmark_says_that_there_is_no_gpu(capsys):
+    with pytest.raises(SystemExit):
+        gpu.main([])
+    assert "got cuda: torch finds no CUDA device" in capsys.readouterr().err
 
 
 def test_the_process_part_measures_a_run_with_full_buffers_and_medians_of_starts(commands):

@@ -6,12 +6,12 @@ from functools import partial
 
 import pytest
 import torch
-from host_waits import NeverWaits
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
 from bbq_torchrl.envs.measured import load_errors
 from bbq_torchrl.simulator import ErrorModel, Simulator
+from benchmarks.parts.host_waits import NeverWaits
 
 
 def make_env(domain, **options):

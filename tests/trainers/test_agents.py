@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from host_waits import NeverWaits, draw_as_on_a_device
 from tiny import TINY
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.options import Task
+from benchmarks.parts.host_waits import NeverWaits, drawn_as_on_a_device
 
 SHRUNKEN = (
     *TINY,
@@ -54,13 +54,13 @@ def build(restaurant_folder, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:No target network updater")  # on a device without numbers
 @pytest.mark.parametrize("agent", AGENTS)
-def test_a_rounds_updates_never_wait_and_find_all_on_their_device(agent, build, monkeypatch):
-    draw_as_on_a_device(monkeypatch)
+def test_a_rounds_updates_never_wait_and_find_all_on_their_device(agent, build):
     config, trainer = build(agent, "run")
-    trainer.begin()
-    trainer.train_round()
-    with NeverWaits():
-        trainer.learner.update_all(1)
+    with drawn_as_on_a_device():
+        trainer.begin()
+        trainer.train_round()
+        with NeverWaits():
+            trainer.learner.update_all(1)
 
     trainer.learner.compute_targets()
     batch = trainer.replay.epoch(8)[0].transitions.to("meta")

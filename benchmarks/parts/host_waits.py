@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from bbq_torchrl.objectives import BBQNLoss
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 # Operations whose result's shape or whose value the host has to know.
 WAITING = {
@@ -59,8 +66,12 @@ def _has_place(tensor: object) -> bool:
     )
 
 
-def draw_as_on_a_device(monkeypatch) -> None:
-    """Has noise drawn by torch's generator and nothing held or put off, as on a CUDA device."""
-    monkeypatch.setattr("bbq_torchrl.bayes.posterior.fill_normal_", lambda out: out.normal_())
-    monkeypatch.setattr(BBQNLoss, "_held_for", lambda loss, tensors: None)
-    monkeypatch.setattr("bbq_torchrl.trainers.learn._AT_ONCE", 1)
+@contextmanager
+def drawn_as_on_a_device() -> Iterator[None]:
+    """Draws noise by torch's generator and caches nothing, as on a CUDA device."""
+    with (
+        patch("bbq_torchrl.bayes.posterior.fill_normal_", lambda out: out.normal_()),
+        patch.object(BBQNLoss, "_held_for", lambda loss, tensors: None),
+        patch("bbq_torchrl.trainers.learn._AT_ONCE", 1),
+    ):
+        yield
