@@ -1,10 +1,12 @@
-"""How a training goes: a progress bar on a terminal, lines in the log elsewhere."""
+"""The progress of a training: a bar on a terminal, lines in the log elsewhere."""
 
 from __future__ import annotations
 
 import logging
 import math
 import multiprocessing
+import os
+import sys
 from statistics import fmean
 from typing import TYPE_CHECKING
 
@@ -31,7 +33,7 @@ class RoundProgress:
         rounds: how many rounds the training has.
         done: how many of them are done already (a resumed run). Defaults to 0.
         visible: whether the bar is shown. Defaults to None: where stderr is a terminal and no other
-            process of a sweep draws on it.
+            process of a sweep draws on it. A terminal of no columns or lines never shows it.
         name: begins each line of the log. Defaults to "".
     """
 
@@ -42,7 +44,8 @@ class RoundProgress:
         self._left = rounds - done
         self._name = f"{name}: " if name else ""
         self._unsaid: list[dict[str, float]] = []
-        if visible is None and multiprocessing.parent_process() is not None:
+        is_of_a_sweep = visible is None and multiprocessing.parent_process() is not None
+        if is_of_a_sweep or _is_without_a_size():
             visible = False
         self._bar = tqdm(
             total=rounds,
@@ -93,3 +96,11 @@ class RoundProgress:
     def close(self) -> None:
         """Leaves the bar as it is and ends its line."""
         self._bar.close()
+
+
+def _is_without_a_size() -> bool:
+    """Tells whether stderr is a terminal on which tqdm would draw nothing, as in a container."""
+    try:
+        return min(os.get_terminal_size(sys.stderr.fileno())) < 1
+    except (AttributeError, OSError, ValueError):  # no terminal, or no stream of a file
+        return False

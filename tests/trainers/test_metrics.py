@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import logging
 import math
 import multiprocessing
+import os
+import pty
+import struct
 import sys
+import termios
 from unittest.mock import MagicMock, call
 
 import pytest
@@ -160,6 +165,27 @@ def test_runs_side_by_side_do_not_draw_over_one_another(capsys, monkeypatch):
         monkeypatch.setattr(multiprocessing, "parent_process", lambda parent=parent: parent)
         RoundProgress(2).close()
         assert bool(capsys.readouterr().err) is is_shown
+
+
+@pytest.mark.parametrize(
+    ("size", "is_drawn"), [((24, 80), True), ((0, 0), False), ((24, 0), False), ((0, 80), False)]
+)
+@pytest.mark.parametrize("visible", [None, True])
+def test_a_terminal_without_a_size_gets_lines_in_place_of_a_bar(
+    size, is_drawn, visible, caplog, monkeypatch
+):
+    caplog.set_level(logging.INFO, "bbq_torchrl")
+    ours, its = pty.openpty()
+    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
+    os.set_blocking(ours, False)
+    with open(its, "w") as terminal, open(ours, "rb", buffering=0) as screen:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        progress = RoundProgress(1, visible=visible)
+        progress.update([row(0)])
+        progress.close()
+        monkeypatch.undo()
+        assert ("1/1" in (screen.read() or b"").decode()) is is_drawn
+    assert bool(caplog.messages) is not is_drawn
 
 
 def test_a_short_training_without_a_bar_logs_every_round(caplog):
