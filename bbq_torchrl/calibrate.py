@@ -17,26 +17,27 @@ from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import CalibrateConfig, ConfigError
+from bbq_torchrl.pages import page
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-USAGE = """\
+USAGE = f"""\
 usage: python -m bbq_torchrl.domains calibrate [<key>=<value> ...]
 
 Finds the slot error probability at which a scripted policy succeeds in a wanted share of dialogues,
 and prints the line to write into domain.yaml, with standard errors.
 
-  domain=, domain.path=   the domain, as in train.py
+  domain=, domain.path=   the domain, as in bbq train
   policy=     a scripted policy of the domain; rule by default
   success=    the wanted success rate; 0.183 by default, that of the paper's rule agent
   dialogues=  how many are played for each probability that is tried
-  env=, env.<key>=  turn limit, error mode and the like, as in train.py; with env=domain_ext the
+  env=, env.<key>=  turn limit, error mode and the like, as in bbq train; with env=domain_ext the
               essential slots alone, as in round 0
   batch=, seed=, device=, threads=
 
-Meaning and allowed values of a key: docs/environment.md
+Meaning and allowed values of a key: {page("environment")}
 """
 
 _PRECISION = 5e-5

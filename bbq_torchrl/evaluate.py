@@ -15,6 +15,7 @@ from bbq_torchrl.cli.resume import run_config
 from bbq_torchrl.cli.store import compose, run_of
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.pages import page
 from bbq_torchrl.shipped import run_folder
 from bbq_torchrl.text import shown
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.envs import DialogueEnv
 
-USAGE = """\
+USAGE = f"""\
 usage: python -m bbq_torchrl.evaluate policy=<policy> [<key>=<value> ...]
 
 Plays dialogues and prints one line of JSON: success_rate, standard_error, reward, turns,
@@ -37,16 +38,17 @@ dialogues, turns_per_second.
                env=domain_ext, a trained agent in the round that it was saved in)
   dialogues=   how many; for each replica of a run folder
   batch=       how many run side by side
-  env=, domain=  as in train.py; a run folder's own unless given, where env.<key>= or
+  env=, domain=  as in bbq train; a run folder's own unless given, where env.<key>= or
                domain.<key>= changes a key
-  env.level=   text: users speak in sentences, which are understood (docs/language.md)
+  env.level=   text: users speak in sentences, which are understood; see
+               {page("language")}
   mode=        mean, average, draw or thompson, for a Bayesian agent
   weights=     last, or best: each replica's at its best evaluation while training
   log=<file>   writes the first log_dialogues= dialogues as readable acts
   seed=, device=, threads=
-  --config-dir <folder>   of options of your own, as in train.py
+  --config-dir <folder>   of options of your own, as in bbq train
 
-Meaning and allowed values of a key: docs/configuration.md
+Meaning and allowed values of a key: {page("configuration")}
 """
 
 

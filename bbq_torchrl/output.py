@@ -101,7 +101,14 @@ def settle() -> None:
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse's parser, whose help is printed by :func:`write`."""
+    """argparse's parser, whose help is printed by :func:`write`.
+
+    Its description stays as it is: argparse would break the path of a page at a hyphen.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        raw = argparse.RawDescriptionHelpFormatter
+        super().__init__(**{"formatter_class": raw, **kwargs})
 
     def print_help(self, file: Any = None) -> None:
         """Prints the help, on standard output unless a file is given."""

@@ -12,6 +12,7 @@ from bbq_torchrl import output
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.output import between
+from bbq_torchrl.pages import page
 
 if TYPE_CHECKING:
     import argparse
@@ -71,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
-        prog="bbq chat", description="Talk with a trained agent. See docs/chat.md."
+        prog="bbq chat", description=f"Talk with a trained agent.\nSee {page('chat')}"
     )
     parser.add_argument("run", help="a run folder, or shipped:<name>")
     about = parser.add_mutually_exclusive_group()
@@ -82,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--mode", help="mean, average, draw or thompson, for a Bayesian agent")
     parser.add_argument("--weights", choices=("last", "best"), default="last")
     parser.add_argument(
-        "--config-dir", metavar="FOLDER", help="of options of your own, as in train.py"
+        "--config-dir", metavar="FOLDER", help="of options of your own, as in bbq train"
     )
     parser.add_argument(
         "--ask-below",

@@ -29,7 +29,13 @@ from bbq_torchrl.options import (
     Option,
     schemas,
 )
-from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options, options_folder
+from bbq_torchrl.options.registry import (
+    EXPERIMENT,
+    conf_folder,
+    load_folder,
+    options,
+    options_folder,
+)
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.text import sentence, shown
 
@@ -123,11 +129,15 @@ def too_large(overrides: Sequence[str]) -> str | None:
 
 
 def train_command() -> list[str]:
-    """Returns how ``train.py`` is called, with the folder of options if there is one."""
+    """Returns how a training is called, with the folder of options if there is one.
+
+    That is ``python train.py`` in a checkout, unless the command ``bbq`` runs, and ``bbq train``.
+    """
     folder = options_folder()
     flag = [] if folder is None else ["--config-dir", str(folder)]
-    program = ["bbq", "train"] if Path(sys.argv[0]).stem == "bbq" else ["python", "train.py"]
-    return [*program, *flag]
+    in_checkout = (conf_folder().parent / "train.py").is_file()
+    by_file = in_checkout and Path(sys.argv[0]).stem != "bbq"
+    return [*(["python", "train.py"] if by_file else ["bbq", "train"]), *flag]
 
 
 def unreadable(override: str, hint: str = "write key=value") -> str:

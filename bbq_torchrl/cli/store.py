@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import os
+import shlex
 import textwrap
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -36,6 +37,7 @@ from bbq_torchrl.cli.messages import (
     key_of,
     not_an_option,
     too_large,
+    train_command,
     unknown_key,
 )
 from bbq_torchrl.options import (
@@ -51,6 +53,7 @@ from bbq_torchrl.options import (
 from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, options_folder
 from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.values import keys_with_lists
+from bbq_torchrl.pages import page
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -94,6 +97,12 @@ def register_options() -> None:
     OmegaConf.register_new_resolver("bbq_groups", _indented_groups, replace=True)
     OmegaConf.register_new_resolver("bbq_lists", _indented_lists, replace=True)
     OmegaConf.register_new_resolver("bbq_own", keys_of_others, replace=True)
+    OmegaConf.register_new_resolver(
+        "bbq_command", lambda: _literal(shlex.join(train_command())), replace=True
+    )
+    OmegaConf.register_new_resolver(
+        "bbq_page", lambda name: _literal(str(page(name))), replace=True
+    )
 
 
 def explorations_table() -> str:
@@ -129,9 +138,13 @@ def keys_of_others() -> str:
                 for item in fields(option)
                 if item.name not in ours
             ]
-    # Hydra takes what it shows for a template.
-    table = "\n".join(["Keys of options of your own", *lines, "", ""]).replace("$", "$$")
-    return table if lines else ""
+    table = "\n".join(["Keys of options of your own", *lines, "", ""])
+    return _literal(table) if lines else ""
+
+
+def _literal(text: str) -> str:
+    """Returns a text as Hydra shows it, which takes what it shows for a template."""
+    return text.replace("$", "$$")
 
 
 def _indented_groups() -> str:

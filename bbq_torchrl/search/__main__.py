@@ -12,6 +12,7 @@ from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.extras import needed
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.pages import page
 from bbq_torchrl.search.definition import SEARCH, compose_search
 from bbq_torchrl.text import sentence
 
@@ -21,14 +22,15 @@ if TYPE_CHECKING:
 USAGE = """\
 usage: python -m bbq_torchrl.search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
 
-Searches for hyper-parameters by Optuna. Every trial is a run of train.py with the keys given;
+Searches for hyper-parameters by Optuna. Every trial is a run of bbq train with the keys given;
 started again with the same command, a search goes on. Prints the best trial as one line of JSON.
 
   search=      {names}, or a YAML file
   search.trials=, search.objective=, search.folder=, ...
   search.space.<key>={{type: float, low: 0.1, high: 1, log: true}}, search.space.<key>.high=2
 
-All keys of a search: docs/scale.md; those of train.py: docs/configuration.md
+All keys of a search: {scale}
+Those of bbq train: {configuration}
 """
 
 
@@ -41,7 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     interruption.tell(lambda: "in a search", lambda: "the same command goes on with the search")
     if not arguments or {"-h", "--help"} & set(arguments):
-        output.write(USAGE.format(names=", ".join(options(SEARCH))))
+        pages = {name: page(name) for name in ("scale", "configuration")}
+        output.write(USAGE.format(names=", ".join(options(SEARCH)), **pages))
         return 0
     try:
         search = compose_search(take_config_dir(arguments))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl import interruption, output
 from bbq_torchrl.extras import needed
 from bbq_torchrl.output import between
+from bbq_torchrl.pages import page
 from bbq_torchrl.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.text import shown
 
@@ -37,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
-        prog="python -m bbq_torchrl.study", description="A human study. See docs/study.md."
+        prog="python -m bbq_torchrl.study", description=f"A human study.\nSee {page('study')}"
     )
     commands = parser.add_subparsers(required=True, metavar="serve | simulate | report | power")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -14,6 +15,7 @@ import pytest
 import yaml
 from tiny import TINY
 
+from bbq_torchrl.cli.console import COMMANDS
 from bbq_torchrl.extras import install_command
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,6 +25,7 @@ import json
 from importlib.metadata import metadata
 import gymnasium
 import bbq_torchrl.envs.gymnasium
+from bbq_torchrl.cli.console import COMMANDS
 from bbq_torchrl.extras import install_command
 about = metadata("bbq-torchrl")
 print(json.dumps({
@@ -72,6 +75,19 @@ def test_the_wheel_says_what_it_is(python: Path, tmp_path: Path):
     assert sorted(said["keywords"]) == sorted(citation["keywords"])
     assert said["hint"].startswith("pip install 'bbq-torchrl[search] @ file:///")
     assert said["actions"] == 39
+
+
+@pytest.mark.slow
+def test_the_helps_of_the_wheel_name_what_it_has(python: Path, tmp_path: Path):
+    pages = set()
+    for command in COMMANDS:
+        said = _run([python.with_name("bbq"), command, "--help"], tmp_path)
+        assert "train.py" not in said, command
+        pages |= {Path(named) for named in re.findall(r"\S+\.md\b", said)}
+    assert {page.stem for page in pages} >= {"configuration", "scale", "chat", "study"}
+    for page in pages:
+        assert page.is_file()
+        assert page.is_relative_to(python.parents[1])
 
 
 def _run(command: list[object], folder: Path) -> str:
