@@ -5,11 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shutil
+import sys
 from collections import Counter
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import yaml
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -36,13 +37,14 @@ from bbq_torchrl.run_folder import (
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from contextlib import AbstractContextManager
+    from collections.abc import Iterator, Sequence
+    from typing import TextIO
 
     from omegaconf import DictConfig
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
 
+_OF_A_JOB = "Error executing job with overrides"
 _SLURM = ("slurm", "submitit_slurm")
 _HEAD = ("run", "overrides", "final success", "state")
 
@@ -58,11 +60,17 @@ class Sweep:
     jobs: int
     launcher: str
 
-    def interruptible(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
         """Within it, a signal has the jobs on this machine end their rounds first."""
         interruption.tell(lambda: "in a sweep", self.how_to_go_on)
         is_here = self.launcher in ("cores", "joblib", "basic")
-        return interruption.gently(_stop_workers) if is_here else nullcontext()
+        quiet = cast("Any", sys.stderr and _StandardError(sys.stderr))
+        with (
+            interruption.gently(_stop_workers) if is_here else nullcontext(),
+            redirect_stderr(quiet),
+        ):
+            yield
 
     def show(self) -> None:
         """Writes the table of its runs to stderr."""
@@ -113,8 +121,28 @@ def prepare_sweep(hydra_session: Any, overrides: Sequence[str]) -> Sweep:
     return Sweep(folder, len(jobs), launcher)
 
 
+def tell_no_job() -> None:
+    """Has Hydra raise what ends a job, and not print it: the sweep ends by a line of its own."""
+    os.environ[FULL_ERROR] = "1"
+
+
+class _StandardError:
+    """Standard error, after a signal without Hydra's line on each job, none of which has failed."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Writes the text, unless it is that line."""
+        is_hushed = interruption.exit_code() and text.startswith(_OF_A_JOB)
+        return len(text) if is_hushed else self._stream.write(text)
+
+
 def _stop_workers() -> None:
-    os.environ[FULL_ERROR] = "1"  # what becomes of the jobs is not told one by one
+    tell_no_job()
     for worker in multiprocessing.active_children():
         worker.terminate()
 

@@ -27,7 +27,7 @@ from bbq_torchrl.cli.messages import explain, train_command
 from bbq_torchrl.cli.preparation import SingleRun, prepare
 from bbq_torchrl.cli.resume import is_finished, restarted_config
 from bbq_torchrl.cli.store import to_config
-from bbq_torchrl.cli.sweeps import FULL_ERROR
+from bbq_torchrl.cli.sweeps import FULL_ERROR, tell_no_job
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.options.settings import ConfigError
@@ -107,6 +107,7 @@ def _job_of_a_sweep(composed: DictConfig) -> float:
             return read_result(folder).success_rate
         return _train(config, folder, None)
     except interruption.Interrupted:
+        tell_no_job()
         raise UsageError(interruption.line()) from None  # the other jobs end in good order
     except Exception as error:
         # Hydra reports the first job that fails, at the end; the log has each.

@@ -7,12 +7,13 @@ import os
 import signal
 
 import pytest
+from hydra.core.utils import JobReturn, JobStatus
 from tiny import rows
 
 from bbq_torchrl import interruption
 from bbq_torchrl.cli.resume import load_config
 from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.sweeps import table_of_runs
+from bbq_torchrl.cli.sweeps import FULL_ERROR, Sweep, table_of_runs
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 
@@ -71,6 +72,22 @@ def listening():
     for number, handler in before.items():
         signal.signal(number, handler)
     interruption._State.received = None
+
+
+def test_hydra_does_not_tell_of_each_job_that_a_signal_has_ended(
+    tmp_path, listening, capsys, monkeypatch
+):
+    monkeypatch.setenv(FULL_ERROR, "0")  # the signal sets it
+    failed = JobReturn(["seed=1"], status=JobStatus.FAILED)
+    failed.return_value = ConfigError("it has failed")
+    with Sweep(tmp_path, 1, "basic").interruptible():
+        with pytest.raises(ConfigError):
+            _ = failed.return_value
+        assert capsys.readouterr().err == "Error executing job with overrides: ['seed=1']\n"
+        os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(ConfigError):
+            _ = failed.return_value
+        assert not capsys.readouterr().err
 
 
 def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
