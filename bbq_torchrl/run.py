@@ -14,6 +14,7 @@ from bbq_torchrl.cli.final import final_result
 from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import result_of, save_config
 from bbq_torchrl.cli.training import build_trainer, make_domain
+from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name
@@ -125,17 +126,23 @@ def _tell_of_domain(domain: Domain, never: set[str]) -> None:
 
 
 def _result_line(config: Config, result: RunResult) -> str:
-    """Returns how well the agent does, beside the scripted policies and the privileged ones."""
+    """Returns the agent's success beside that of the scripted policies and of the privileged ones.
+
+    The best script is named first: an agent that does not reach it was not worth the training.
+    """
     rates = [item.success_rate for item in result.per_replica]
     spread = (
         f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
         if len(rates) > 1
         else ""
     )
-    others = ", ".join(
-        [f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in result.scripted.items()]
-        + [f"privileged {name} {_short(rate)}" for name, rate in result.references.items()]
-    )
+    scripts = [name for name in result.scripted if name != RANDOM_POLICY]
+    best = max(scripts, key=lambda name: result.scripted[name], default=None)
+    rated = [
+        (f"best script {name}" if name == best else name, result.scripted[name])
+        for name in sorted(result.scripted, key=lambda name: name != best)
+    ] + [(f"privileged {name}", rate) for name, rate in result.references.items()]
+    others = ", ".join(f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in rated)
     name = agent_name(dataclasses.asdict(config))
     does = "books {} of dialogues" if config.env.has_domain else "succeeds in {} of episodes"
     return f"{name} {does.format(_short(result.success_rate))}{spread} ({others})"

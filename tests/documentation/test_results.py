@@ -63,6 +63,23 @@ def test_unfinished_run_is_not_kept(tmp_path):
     assert not (tmp_path / "kept").exists()
 
 
+def test_the_best_script_is_the_one_that_was_measured_to_be(tmp_path, monkeypatch):
+    rates = {"random": 0.9, "rule": 0.2, "a_script": 0.5, "another": 0.7, "clairvoyant": 0.8}
+    entries = [
+        {"corpus": "movie", "setting": setting, "policy": policy, "result": {"success_rate": rate}}
+        for setting, policy, rate in [
+            *(("reference", *item) for item in rates.items()),
+            ("no error", "a_script", 0.95),
+        ]
+    ]
+    (tmp_path / "policies.json").write_text(json.dumps(entries))
+    monkeypatch.setattr(common, "RESULTS", tmp_path)
+    assert BLOCKS["results.scripts"]() == (
+        "In the full domain the best script, `another`, books 0.70, the rule agent, whose "
+        "dialogues fill the buffer at first, 0.20, and the privileged policy 0.80."
+    )
+
+
 def test_an_experiment_is_shown_with_the_commands_that_made_it(kept):
     text = BLOCKS["results.miulab"]()
     assert "| BBQN-MAP | thompson | 5 | 2 | 0.750 [" in text

@@ -175,6 +175,9 @@ def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_pat
     assert line.startswith("DQN books ")
     assert "over 2 replicas (" in line
     assert "privileged clairvoyant ." in line
+    best = max(domain.policies, key=lambda name: result.scripted[name])
+    assert f"(best script {best.replace('_', ' ')} ." in line
+    assert line.count("best") == 1
     for name, rate in result.scripted.items():
         given = [f"policy={name}", "dialogues=1000", "seed=5", "domain=folder"]
         alone = command.evaluation(command.composed([*given, f"domain.path={config.domain.path}"]))
