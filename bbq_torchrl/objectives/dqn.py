@@ -69,14 +69,7 @@ class NoisyDQNLoss(OneStepQLoss):
     Args:
         value_network: an actor, or a network that maps the observation to values, with noisy
             layers (:class:`~bbq_torchrl.networks.NoisyMLP`).
-
-    Keyword Args:
-        gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
-        action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
-            has one.
-        delay_value: whether the target is a frozen copy of the network. Defaults to True.
-        double_dqn: whether the online network chooses the target's action. Defaults to False.
-        loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
+        **settings: the keywords of :class:`DropoutDQNLoss`.
 
     Raises:
         ValueError: for an argument outside of what is listed, or a network without noisy layers.

@@ -6,6 +6,8 @@ import ast
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 import sysconfig
 from dataclasses import fields
 from pathlib import Path
@@ -138,6 +140,26 @@ def test_every_key_is_documented(prefix, options):
     page = text_of("docs", "configuration.md")
     keys = {item.name for option in options for item in fields(option)} - {"name", *schemas()}
     assert [key for key in keys if f"| `{prefix}{key}` |" not in page] == []
+
+
+@pytest.mark.parametrize(("link", "code"), [("index.md", 0), ("missing.md", 1), ("index.md#a", 1)])
+def test_the_check_of_the_documentation_fails_where_a_link_leads_nowhere(link, code, tmp_path):
+    [stage] = re.findall(
+        r"^    docs\) (mkdocs build .*) --site-dir", text_of("scripts", "check"), re.M
+    )
+    validation = text_of("mkdocs.yml").partition("\nvalidation:\n")[2].partition("\n\n")[0]
+    (tmp_path / "mkdocs.yml").write_text(f"site_name: a\nvalidation:\n{validation}\n")
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.md").write_text(f"[a page]({link})\n")
+
+    done = subprocess.run(
+        [sys.executable, "-m", *stage.split(), "--site-dir", tmp_path / "site"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+
+    assert done.returncode == code, done.stdout + done.stderr
 
 
 def test_search_on_the_site_needs_no_server_and_no_network():
