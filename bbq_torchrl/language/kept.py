@@ -38,8 +38,7 @@ def kept_understander(
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
     lines = [] if labeled is None else read_lines(labeled, domain)
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    kept = cache / "bbq-torchrl" / f"{language_key(domain, labeled)}.npz"
+    kept = _cache_folder() / "bbq-torchrl" / f"{language_key(domain, labeled)}.npz"
     with suppress(OSError, ValueError):
         return Understander.load(kept, domain)
     tell("Learning the language of the domain, once; it takes about a minute ...")
@@ -50,6 +49,16 @@ def kept_understander(
         own.save(part)
         part.replace(kept)
     return own
+
+
+def _cache_folder() -> Path:
+    """Returns the user's cache folder; without a home, a place where nothing can be kept."""
+    if given := os.environ.get("XDG_CACHE_HOME"):
+        return Path(given)
+    try:
+        return Path.home() / ".cache"
+    except RuntimeError:  # neither HOME nor a name of the user, as in some containers
+        return Path(os.devnull)
 
 
 def language_key(domain: Domain, labeled: Path | None = None) -> str:

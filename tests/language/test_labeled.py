@@ -97,6 +97,21 @@ def test_own_lines_that_are_not_there_are_missed_though_an_understander_is_kept(
         kept_understander(movie_domain(), tmp_path / "gone.txt")
 
 
+def test_without_a_home_folder_an_understander_is_trained_and_not_kept(tmp_path, monkeypatch):
+    def unknown(_):
+        raise KeyError("getpwuid(): uid not found: 12345")
+
+    trained = Understander.train(movie_domain(), sentences=50)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HOME")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    monkeypatch.setattr(Understander, "train", lambda *_, **__: trained)
+    for _ in range(2):
+        assert kept_understander(movie_domain()) is trained
+    assert not list(tmp_path.iterdir())
+
+
 def test_lines_that_cannot_be_read_are_all_named(tmp_path):
     path = tmp_path / "own.txt"
     path.write_text("hello\n | hi | greets\n | hi | inform(town=reno)\n |  | greeting\n")
