@@ -27,14 +27,19 @@ MIULAB = f"domain=miulab domain.path={PLACE}"
 REFERENCE = "dialogues=100000 batch=4096"
 SHORT = "dialogues=20000 batch=4096"
 
-SCRIPTED = ("rule", "rule_inform", "careful_essential", "careful")
+SCRIPTED = ("rule", "rule_inform", "careful_essential", "careful", "repair")
 NO_ERROR, V1 = "env.slot_error_prob=0", f"domain.goals={GOALS_V1}"
 SETTINGS: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
     ("movie", "reference", (), (*SCRIPTED, "random", "clairvoyant")),
     ("movie", "no error", (NO_ERROR,), (*SCRIPTED, "clairvoyant")),
     ("miulab", "reference", (), (*SCRIPTED, "random", "clairvoyant")),
     ("miulab", "v2, error .05", ("env.slot_error_prob=.05",), ("rule",)),
-    ("miulab", "v2, no error", (NO_ERROR,), ("rule", "rule_inform", "careful", "clairvoyant")),
+    (
+        "miulab",
+        "v2, no error",
+        (NO_ERROR,),
+        ("rule", "rule_inform", "careful", "repair", "clairvoyant"),
+    ),
     ("miulab", "v1, no error", (V1, NO_ERROR), (*SCRIPTED, "clairvoyant")),
     *(
         ("miulab", f"v1, error {error}", (V1, f"env.slot_error_prob={error}"), ("rule",))

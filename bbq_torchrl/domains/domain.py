@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-PolicyKind = Literal["script", "careful"]
+PolicyKind = Literal["script", "careful", "repair"]
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,9 @@ class ScriptedPolicySpec:
     Args:
         kind: ``"script"`` plays ``steps``, which are actions, in order, whatever the user says.
             ``"careful"`` requests those slots of ``steps`` that are unfilled, answers the user's
-            requests, offers the booking and ends.
-        steps: action texts for a script, slot names for a careful policy.
+            requests, offers the booking and ends. ``"repair"`` lets the user talk, requests the
+            filled slots of ``steps`` again where it was misunderstood, answers, offers and ends.
+        steps: action texts for a script, slot names for the other kinds.
     """
 
     kind: PolicyKind

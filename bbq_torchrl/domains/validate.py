@@ -38,7 +38,7 @@ RANDOM_POLICY = "random"
 """The name of the policy that every domain has besides its own."""
 
 PRIVILEGED_POLICY = "clairvoyant"
-"""The name of the policy that reads the user's hidden goal, to set a ceiling beside agents."""
+"""The name of the policy that reads the user's hidden goal: a reference for agents."""
 
 _RESERVED = {fold(text): key for key, text in RESERVED_TEXT.items()}
 
@@ -193,17 +193,20 @@ def _policy(domain: Domain, name: str, policy: ScriptedPolicySpec) -> Iterator[s
             f"policies must have names of their own, not empty, {RANDOM_POLICY} or "
             f"{PRIVILEGED_POLICY}, got {name!r}"
         )
-    if policy.kind not in ("script", "careful"):
-        yield f"{key} must be of kind 'script' or 'careful', got {shown(policy.kind)}"
     if not policy.steps:
         yield f"{key} must have at least one step, got none"
-    needed = policy.steps
-    if policy.kind == "careful":
+    requests = [f"request({slot})" for slot in policy.steps if slot in domain.slots]
+    ending = (f"inform({domain.complete_slot})", "thanks")
+    needed = {
+        "script": policy.steps,
+        "careful": (*requests, *ending),
+        "repair": (*requests, f"inform({domain.ticket_slot})", "confirm_answer", *ending),
+    }
+    if policy.kind not in needed:
+        yield f"{key} must be of kind {', '.join(needed)}, got {shown(policy.kind)}"
+    if policy.kind != "script":
         yield from _unknown(domain, policy.steps, f"{key} names ")
-        known = [slot for slot in policy.steps if slot in domain.slots]
-        ending = (f"inform({domain.complete_slot})", "thanks")
-        needed = (*(f"request({slot})" for slot in known), *ending)
-    for action in needed:
+    for action in needed.get(policy.kind, ()):
         if action not in domain.action_names:
             names = ", ".join(domain.action_names)
             yield f"{key} needs the action {shown(action)}, which is not among {names}"

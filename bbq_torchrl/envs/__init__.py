@@ -10,6 +10,7 @@ from bbq_torchrl.envs.policies import (
     UniformPolicy,
     scripted_policy,
 )
+from bbq_torchrl.envs.repair import RepairPolicy
 from bbq_torchrl.envs.schedule import ExtensionSchedule
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "ClairvoyantPolicy",
     "DialogueEnv",
     "ExtensionSchedule",
+    "RepairPolicy",
     "SequencePolicy",
     "UniformPolicy",
     "scripted_policy",

@@ -9,7 +9,7 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.validate import RANDOM_POLICY
@@ -133,7 +133,7 @@ def _play(
             # Few strays end a dialogue, or there would be no late turns.
             strays &= ~ends[other] | (torch.rand(shape, generator=generator) < random)
             state["action"] = torch.where(strays, other, action)
-            state = env.step(state)["next"]
+            state = step_mdp(env.step(state))
 
 
 def errors_text(counts: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from bbq_torchrl.domains.validate import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
+from bbq_torchrl.envs.repair import RepairPolicy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -144,7 +145,7 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
 
     Args:
         name: one of the domain's policies (the movie domain has ``rule``, ``rule_inform``,
-            ``careful_essential`` and ``careful``), ``"random"``, or the privileged
+            ``careful_essential``, ``careful`` and ``repair``), ``"random"``, or the privileged
             ``"clairvoyant"``.
         env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms; these must
             leave the observation and the mask as they are.
@@ -182,8 +183,10 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
                     f"{action.slot} of its step {action} comes later"
                 )
         policy = SequencePolicy(steps)
-    else:
+    elif specification.kind == "careful":
         policy = CarefulPolicy(env, specification.steps)
+    else:
+        policy = RepairPolicy(env, specification.steps)
     return policy.to(env.device)
 
 

@@ -66,8 +66,8 @@ def actions(*first):
     return {"actions": (*first, *ACTIONS[len(first) :])}
 
 
-def careful(slot):
-    return {"policies": {"x": ScriptedPolicySpec("careful", (slot,))}}
+def careful(slot, kind="careful"):
+    return {"policies": {"x": ScriptedPolicySpec(kind, (slot,))}}
 
 
 FAULTS = {
@@ -88,6 +88,8 @@ FAULTS = {
     "policy empty": ({"policies": {"x": ScriptedPolicySpec("script", ())}}, "x.*one step"),
     "policy request": (careful("terrace"), r"needs.*request\(terrace\)"),
     "policy farewell": (actions(Action("closing")) | careful("area"), "needs the action 'thanks'"),
+    "policy confirm": (actions() | careful("area", "repair"), "needs the action 'confirm_answer'"),
+    "policy slot": (careful("zip", "repair"), "policies.x names the unknown slot 'zip'"),
     "policy random": ({"policies": {"random": THANKS}}, "names of their own.*got 'random'"),
     "policy clairvoyant": ({"policies": {"clairvoyant": THANKS}}, "own.*got 'clairvoyant'"),
     "policy without name": ({"policies": {"": THANKS}}, "names of their own.*got ''"),

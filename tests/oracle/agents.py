@@ -26,7 +26,7 @@ CLOSES = 0.2
 
 
 class StrayingAgent:
-    """Follows one of the domain's scripted policies, and strays to other legal actions."""
+    """Follows one of the domain's scripts or careful policies, and strays to other actions."""
 
     def __init__(self, world: World, number: int, random: Random) -> None:
         self.random = random
@@ -34,7 +34,7 @@ class StrayingAgent:
         ticket = f"inform({world.ticket})"
         odd = ("confirm_answer", "confirm_question", "greeting", "deny", ticket)
         self.odd = [name for name in self.legal if name in odd or "choice" in name]
-        specs = list(world.domain.policies.values())
+        specs = [spec for spec in world.domain.policies.values() if spec.kind != "repair"]
         spec = specs[number % len(specs)]
         if spec.kind == "script":
             self.policy = follow(spec.steps)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import torch
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from bbq_torchrl.domains import Goal
 from bbq_torchrl.domains.coding import Coding
@@ -40,7 +40,7 @@ class Dialogues:
                     is_drawn = torch.rand(batch, generator=generator) < share
                     tensordict["action"] = torch.where(is_drawn, drawn, tensordict["action"])
                 self.actions.append(tensordict["action"])
-                tensordict = env.step(tensordict)["next"]
+                tensordict = step_mdp(env.step(tensordict))
                 self.states.append(env.dialogues)
 
     def turns(self, place):

@@ -1,0 +1,152 @@
+"""A hand-written policy that hears where it was misunderstood, and asks again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tensordict import TensorDictBase
+    from torchrl.envs import EnvBase
+
+MEMORY = "memory"
+"""The entry that carries the policy's memory from turn to turn."""
+
+MOST_CONFIRMS = 12
+"""How often the user is asked to continue."""
+
+MOST_OFFERS = 3
+"""How often a booking is offered."""
+
+
+class RepairPolicy(TensorDictModuleBase):
+    """Books by observation alone, and asks again for what cannot be right.
+
+    Each turn it takes the first of these that there is reason for:
+
+    1. The user has just thanked for the booking: end the dialogue.
+    2. In the first turn the user asks a question: request what the question is about, which has a
+       simulated user say all that it wants at once.
+    3. Before any answer no record matches what the tracker holds, or an offer was denied: request
+       the filled slots again, in order: all once after a denial, else as long as no record matches.
+    4. The user asks a question: answer it.
+    5. The user may have more to say: tell of the ticket, once, then ``confirm_answer`` until the
+       user gives thanks, at most :data:`MOST_CONFIRMS` times.
+    6. Offer the booking, at most :data:`MOST_OFFERS` times.
+    7. End the dialogue.
+
+    What it has asked, told and offered is a nested TensorDict :data:`MEMORY` beside the action. It
+    is a function of the observations so far and starts anew where a dialogue does. Rollouts and
+    collectors carry it on; a loop of one's own does by ``step_mdp``.
+
+    Args:
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv` whose domain's actions it plays, with or
+            without transforms; these must leave the observation as it is.
+        slots: the slots that it requests again, in order.
+
+    Raises:
+        ValueError: if the domain lacks an action that it takes.
+
+    Examples:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> from bbq_torchrl.envs import DialogueEnv
+        >>> env = DialogueEnv(movie_domain(), batch_size=(3,), seed=0)
+        >>> rollout = env.rollout(4, RepairPolicy(env, ["moviename", "city", "date"]))
+        >>> rollout["memory", "asked"].shape
+        torch.Size([3, 4, 29])
+    """
+
+    def __init__(self, env: EnvBase, slots: Sequence[str]) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = ["observation", "action_mask"], ["action", MEMORY]
+        domain, self._layout = env.domain, env.layout
+        names, ordinary = domain.action_names, set(domain.slots) - set(domain.special_slots)
+        askable, answers = (
+            [slot for slot in domain.slots if slot in ordinary and f"{act}({slot})" in names]
+            for act in ("request", "inform")
+        )
+        plan = [
+            *(f"request({slot})" for slot in (*askable, *slots)),
+            *(f"inform({slot})" for slot in answers),
+            f"inform({domain.ticket_slot})",
+            "confirm_answer",
+            f"inform({domain.complete_slot})",
+            "thanks",
+        ]
+        self._plan = _indices([domain.action_index(name) for name in plan])
+        self._askable, self._slots, self._answers = (
+            _indices([domain.slots.index(slot) for slot in some])
+            for some in (askable, slots, answers)
+        )
+        self._n_slots = len(domain.slots)
+        self._ticket = domain.slots.index(domain.ticket_slot)
+        self._complete = domain.slots.index(domain.complete_slot)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action that comes next, and the memory."""
+        flags, is_legal = tensordict.get("observation") > 0, tensordict.get("action_mask")
+        layout, column = self._layout, self._layout.column
+        is_first = ~flags[..., layout["agent_act"]].any(-1, keepdim=True)
+        is_thanked = flags[..., column("user_act", "thanks"), None]
+        nothing_matches = ~flags[..., column("kb_match", "all"), None]
+        told = flags[..., layout["agent_informed"]]
+        has_offered = told[..., self._complete, None]
+        filled, questions = flags[..., layout["filled"]], flags[..., layout["user_requested"]]
+
+        memory = self._remembered(tensordict, is_first)
+        asked = memory["asked"] | flags[..., layout["agent_requested"]]
+        told = memory["told"] | told & ~has_offered
+        offers = memory["offers"] + has_offered
+        confirms = memory["confirms"] + flags[..., column("agent_act", "confirm_answer"), None]
+        confirms = torch.where(is_thanked, MOST_CONFIRMS, confirms)
+
+        has_answered = told[..., self._answers].any(-1, keepdim=True)
+        is_misheard = nothing_matches & ~has_answered
+        again = (filled & ~told)[..., self._slots]
+        left = again & ~asked[..., self._slots]
+        begins = has_offered | (is_misheard & ~left.any(-1, keepdim=True))
+        asked, left = asked & ~begins, torch.where(begins, again, left)
+
+        may_go_on = confirms < MOST_CONFIRMS
+        reasons = [
+            questions[..., self._askable] & is_first,
+            left & (is_misheard | (offers > 0)),
+            questions[..., self._answers],
+            may_go_on & ~filled[..., self._ticket, None],
+            may_go_on,
+            offers < MOST_OFFERS,
+        ]
+        ends = torch.ones_like(is_first)
+        is_open = torch.cat([torch.cat(reasons, -1) & ~(has_offered & is_thanked), ends], -1)
+        is_open = is_open & is_legal[..., self._plan]
+        remembered = {"asked": asked, "told": told, "confirms": confirms, "offers": offers}
+        tensordict.set(MEMORY, TensorDict(remembered, batch_size=tensordict.batch_size))
+        return tensordict.set("action", self._plan[is_open.to(torch.uint8).argmax(-1)])
+
+    def _remembered(self, tensordict: TensorDictBase, is_first: torch.Tensor) -> TensorDictBase:
+        """Returns the memory of the turns before, empty where a dialogue begins.
+
+        Raises:
+            ValueError: if a dialogue that is under way has none.
+        """
+        memory = tensordict.get(MEMORY, None)
+        if memory is not None:
+            return memory.apply(lambda entry: entry * ~is_first)
+        if not bool(is_first.all()):
+            raise ValueError(
+                f"the entry {MEMORY!r} is missing in a dialogue that is under way: carry it from "
+                "step to step, as step_mdp(env.step(tensordict)) does"
+            )
+        nothing = torch.zeros_like(is_first, dtype=torch.int64)
+        no_slot = torch.zeros_like(is_first).repeat_interleave(self._n_slots, -1)
+        empty = {"asked": no_slot, "told": no_slot, "confirms": nothing, "offers": nothing}
+        return TensorDict(empty, batch_size=tensordict.batch_size)
+
+
+def _indices(numbers: Sequence[int]) -> torch.nn.Buffer:
+    return torch.nn.Buffer(torch.tensor(numbers, dtype=torch.int64))

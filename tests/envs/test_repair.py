@@ -1,0 +1,149 @@
+"""The policy that asks again: what it plays in which situation, and what it remembers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.domains import ScriptedPolicySpec
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, RepairPolicy, scripted_policy
+from bbq_torchrl.envs.repair import MOST_CONFIRMS, MOST_OFFERS
+from bbq_torchrl.evaluation.rollouts import evaluate, evaluation_rollouts
+
+SLOTS = ["city", "date", "zip"]
+ANSWERED = "agent_act:inform agent_informed:theater"
+OFFERED = "agent_act:inform agent_informed:taskcomplete kb_match:all"
+FILLED = "filled:city filled:date"
+
+
+def acts(env, *turns):
+    """The actions of turns of one dialogue, each given by the flags that are set in it."""
+    policy, tensordict, actions = RepairPolicy(env, SLOTS), TensorDict(batch_size=[1]), []
+    for flags in turns:
+        assert set(flags.split()) <= {*env.layout.names}
+        observation = torch.tensor([[float(name in flags.split()) for name in env.layout.names]])
+        legal = torch.tensor([["zip" not in name for name in env.domain.action_names]])
+        tensordict = policy(tensordict.update({"observation": observation, "action_mask": legal}))
+        actions.append(env.domain.action_names[tensordict["action"]])
+    return actions
+
+
+@pytest.mark.parametrize(
+    ("turns", "action"),
+    [
+        (["user_requested:theater kb_match:all"], "request(theater)"),
+        (["user_requested:zip kb_match:all"], "inform(ticket)"),  # zip is masked
+        (["user_requested:ticket kb_match:all"], "inform(ticket)"),
+        (["kb_match:all filled:ticket"], "confirm_answer"),
+        # No record matches: again and again, in order, but for what was answered and is masked.
+        (["filled:date filled:zip"], "request(date)"),
+        (["", f"{FILLED} agent_act:request agent_requested:city"], "request(date)"),
+        (
+            ["", *[f"{FILLED} agent_act:request agent_requested:{s}" for s in SLOTS]],
+            "request(city)",
+        ),
+        (["", f"{ANSWERED} {FILLED} user_requested:genre"], "inform(genre)"),
+        # A record matches.
+        (["", f"agent_act:request {FILLED} kb_match:all user_requested:price"], "inform(price)"),
+        (["", f"{ANSWERED} kb_match:all"], "inform(ticket)"),
+        (["", f"{ANSWERED} kb_match:all filled:ticket"], "confirm_answer"),
+        (["", f"{ANSWERED} kb_match:all user_act:thanks"], "inform(taskcomplete)"),
+        # An offer was made.
+        (["", f"{OFFERED} user_act:thanks {FILLED} user_requested:price"], "thanks"),
+        (["", f"{OFFERED} user_act:deny {FILLED}"], "request(city)"),
+        (["", f"{OFFERED} user_act:deny filled:ticket"], "confirm_answer"),
+        (["", f"{OFFERED} user_act:deny {FILLED}", f"{ANSWERED} {FILLED}"], "request(city)"),
+    ],
+)
+def test_the_first_reason_that_there_is_decides(movie, turns, action):
+    assert acts(DialogueEnv(movie), *turns)[-1] == action
+
+
+def test_it_continues_and_offers_a_limited_number_of_times(movie):
+    env = DialogueEnv(movie)
+    silent = "agent_act:confirm_answer kb_match:all filled:ticket"
+    played = acts(env, "kb_match:all filled:ticket", *[silent] * MOST_CONFIRMS)
+    assert played == ["confirm_answer"] * MOST_CONFIRMS + ["inform(taskcomplete)"]
+    over, denied = "agent_act:inform user_act:thanks kb_match:all", f"{OFFERED} user_act:deny"
+    assert acts(env, "", over, *[denied] * MOST_OFFERS)[1:] == (
+        ["inform(taskcomplete)"] * MOST_OFFERS + ["thanks"]
+    )
+
+
+def test_after_a_denial_every_filled_slot_is_asked_once(movie):
+    asked = [
+        f"{FILLED} kb_match:all filled:ticket agent_act:request agent_requested:{slot}"
+        for slot in ("city", "date")
+    ]
+    denied = f"{OFFERED} {FILLED} user_act:deny filled:ticket"
+    done = f"{FILLED} kb_match:all agent_act:inform user_act:thanks filled:ticket"
+    assert acts(DialogueEnv(movie), "", done, denied, *asked, denied)[1:] == [
+        *("inform(taskcomplete)", "request(city)", "request(date)"),
+        *("inform(taskcomplete)", "request(city)"),
+    ]
+
+
+def test_it_books_more_than_every_other_script(movie):
+    def rate(name, **errors):
+        env = DialogueEnv(movie, batch_size=(2000,), seed=0, **errors)
+        return evaluate(env, scripted_policy(name, env), 2000, seed=5).success.double().mean()
+
+    own = rate("repair")
+    assert own > 0.78
+    assert own > max(rate(name) for name in movie.policies if name != "repair") + 0.05
+    assert rate("repair", slot_error_prob=0.0) > 0.81
+
+
+def test_any_domain_can_have_it(restaurant):
+    spec = ScriptedPolicySpec("repair", ("cuisine", "area", "day", "hour", "party_size"))
+    domain = replace(restaurant, policies={**restaurant.policies, "asks": spec})
+    env = DialogueEnv(domain, batch_size=(500,), seed=0)
+    rates = [
+        evaluate(env, scripted_policy(name, env), 500).success.double().mean()
+        for name in ("rule", "careful", "asks")
+    ]
+    assert rates[2] > max(rates[:2])
+
+
+def test_it_plays_legal_actions_in_every_round_of_domain_extension(movie):
+    env = DialogueEnv(movie, batch_size=(2, 100), seed=0, schedule=ExtensionSchedule())
+    for entered in (0, 90, 200):
+        env.set_round(entered)
+        (rollout,) = evaluation_rollouts(env, scripted_policy("repair", env), 100)
+        assert rollout["action_mask"].gather(-1, rollout["action"][..., None]).all()
+        assert rollout["next", "success"].any(2).double().mean() > 0.7
+
+
+def test_it_decides_by_what_is_observed_alone_and_forgets_where_a_dialogue_begins(movie):
+    env = DialogueEnv(movie, batch_size=(50,), seed=0, slot_error_prob=0.2)
+    policy = scripted_policy("repair", env)
+    rollout = env.rollout(40, policy, break_when_any_done=False)  # several dialogues a place
+    begins = rollout["turns"].squeeze(-1) == 0
+    assert begins.sum(1).min() > 1
+    first = rollout[begins]["memory"]
+    assert not any(entry.any() for entry in first.values())
+    again = TensorDict(batch_size=[50])
+    for step in rollout.unbind(1):
+        again = policy(again.update(step.select("observation", "action_mask")))
+        assert torch.equal(again["action"], step["action"])
+
+
+def test_it_plays_one_dialogue_as_a_batch_of_one(movie):
+    actions = []
+    for batch in ((), (1,)):
+        env = DialogueEnv(movie, batch_size=batch, seed=0, slot_error_prob=0.3)
+        policy = scripted_policy("repair", env)
+        plays = [env.rollout(env.max_agent_turns, policy)["action"].flatten() for _ in range(10)]
+        actions.append(torch.cat(plays))
+    assert torch.equal(*actions)
+
+
+def test_a_memory_that_was_lost_on_the_way_is_missed(movie):
+    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+    policy = scripted_policy("repair", env)
+    after = env.step(policy(env.reset()))["next"]
+    with pytest.raises(ValueError, match="'memory' is missing in a dialogue that is under way"):
+        policy(after)
