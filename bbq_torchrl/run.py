@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl import interruption
+from bbq_torchrl.cli.checkout import checkout
 from bbq_torchrl.cli.final import final_result
 from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import result_of, save_config
@@ -65,7 +66,7 @@ def run(
 def _run(
     config: Config, folder: Path, callbacks: Sequence[RoundCallback], domain: Domain | None
 ) -> RunResult:
-    rounds = config.protocol.rounds
+    rounds, code = config.protocol.rounds, checkout()  # now: it may change while the run trains
     torch.set_num_threads(config.threads)
     keep_freed_memory()
     _quieten_torchrl()
@@ -86,7 +87,7 @@ def _run(
         interruption.check()
         trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
         _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
-        result = final_result(config, folder, domain, agent, trainer, trained)
+        result = final_result(config, folder, domain, agent, trainer, trained, code)
         write_json(result, folder / RESULT)
     if config.protocol.keep_checkpoints == "weights":
         trainer.checkpoints.keep_only("loss", "best")

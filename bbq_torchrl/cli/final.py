@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
 
+    from bbq_torchrl.cli.checkout import Checkout
     from bbq_torchrl.cli.training import Agent
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
@@ -45,6 +46,7 @@ def final_result(
     agent: Agent,
     trainer: RoundTrainer,
     trained: float,
+    code: Checkout,
 ) -> RunResult:
     """Plays the final evaluation, in the state of the domain in which training ended.
 
@@ -55,6 +57,7 @@ def final_result(
         agent: what has learned.
         trainer: what trained it.
         trained: seconds of the training.
+        code: what has trained it.
     """
     started = time.perf_counter()
     protocol = config.protocol
@@ -99,6 +102,8 @@ def final_result(
         rounds=protocol.rounds,
         wall_seconds=trained + time.perf_counter() - started,
         versions=_versions(),
+        commit=code.commit,
+        clean=code.clean,
         skipped=() if domain is None else domain.skipped,
         **_others(config, domain),
     )

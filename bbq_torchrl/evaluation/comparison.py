@@ -7,7 +7,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.figures import COLORS, draw_comparison
-from bbq_torchrl.evaluation.groups import references
+from bbq_torchrl.evaluation.groups import know_commits, references
 from bbq_torchrl.evaluation.learning import FIRST, LEVELS, WINDOW, reach
 from bbq_torchrl.evaluation.pairs import EARLY, difference, pair
 from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
@@ -95,6 +95,7 @@ def success_table(groups: Sequence[Group]) -> Table:
             "reward": group.reward,
             "turns": group.turns,
         }
+        | ({"commit": group.commit} if know_commits(groups) else {})
         for group in groups
     ]
     return Table("report", rows, words=2)

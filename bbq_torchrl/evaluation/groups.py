@@ -87,6 +87,11 @@ class Group:
         return [replica.member for replica in self.replicas]
 
     @property
+    def commit(self) -> str:
+        """The commits of the code of its runs, each once, as :attr:`RunResult.code` has them."""
+        return "; ".join(dict.fromkeys(replica.result.code for replica in self.replicas))
+
+    @property
     def round_dialogues(self) -> int:
         """Training dialogues of a round and seed."""
         return int(self.replicas[0].metrics["dialogues"][0, 0])
@@ -147,6 +152,11 @@ def read_groups(folders: Sequence[Path]) -> list[Group]:
         Group(label(*own, settings), tuple(replicas))
         for own, replicas in zip(settings, together, strict=True)
     ]
+
+
+def know_commits(groups: Sequence[Group]) -> bool:
+    """Whether any of the runs knows the commit of its code."""
+    return any(replica.result.commit for group in groups for replica in group.replicas)
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:

@@ -92,6 +92,9 @@ class RunResult:
             evaluation, by name; empty in results of versions without it.
         references: the same of the privileged policies, which read what no agent is shown.
         skipped: what of the corpus was left out, a sentence each.
+        commit: of the code, as a hash; None where it ran outside of a checkout, and in results of
+            versions without it. Of a training that was resumed, the last one.
+        clean: whether the code was as in the commit; None where that is not known.
     """
 
     agent: str
@@ -116,6 +119,15 @@ class RunResult:
     scripted: dict[str, float] = field(default_factory=dict)
     references: dict[str, float] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
+    commit: str | None = None
+    clean: bool | None = None
+
+    @property
+    def code(self) -> str:
+        """The commit in short: ``c33954a``, ``c33954a (changed)``, or ``unknown``."""
+        if self.commit is None:
+            return "unknown"
+        return self.commit[:7] + (" (changed)" if self.clean is False else "")
 
     @classmethod
     def of(cls, per_replica: Sequence[ReplicaResult], **described: Any) -> RunResult:
@@ -243,6 +255,10 @@ def _made(schema: type[Result], plain: dict[str, Any]) -> Result:
             raise ValueError(f"{item.name} must be a number, got {shown(value)}")
         if item.type == "str" and not isinstance(value, str):
             raise ValueError(f"{item.name} must be a text, got {shown(value)}")
+        if item.type == "str | None" and not isinstance(value, (str, type(None))):
+            raise ValueError(f"{item.name} must be a text or null, got {shown(value)}")
+        if item.type == "bool | None" and not isinstance(value, (bool, type(None))):
+            raise ValueError(f"{item.name} must be true, false or null, got {shown(value)}")
         if item.type == "dict[str, float]" and not (
             isinstance(value, dict)
             and all(isinstance(rate, (int, float)) for rate in value.values())

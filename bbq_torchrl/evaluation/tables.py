@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from bbq_torchrl import markdown
 from bbq_torchrl.evaluation.figures import save
+from bbq_torchrl.evaluation.groups import know_commits
 from bbq_torchrl.evaluation.learning import rounds_to_reach
 
 if TYPE_CHECKING:
@@ -94,8 +95,8 @@ class Report:
 
     @property
     def body(self) -> str:
-        """What is below the heading, as Markdown."""
-        return "\n\n".join(filter(None, map(str, self.parts)))
+        """What is below the heading, as Markdown; last the commits of the code, where known."""
+        return "\n\n".join(filter(None, map(str, (*self.parts, commits_text(self.groups)))))
 
     def __str__(self) -> str:
         return f"# {self.title}\n\n{self.body}\n"
@@ -117,6 +118,19 @@ class Report:
                 save(figure, folder / f"{name}.{kind}")
 
 
+def commits_text(groups: Sequence[Group]) -> str:
+    """Returns of which commits the runs are; empty where no run knows."""
+    if not know_commits(groups):
+        return ""
+    together: dict[str, list[str]] = {}
+    for group in groups:
+        together.setdefault(group.commit, []).append(group.label)
+    if len({replica.result.code for group in groups for replica in group.replicas}) == 1:
+        return f"All runs are of commit {groups[0].commit}."
+    lines = [f"- {commit}: {'; '.join(labels)}" for commit, labels in together.items()]
+    return "\n".join(["The runs are of different commits:\n", *lines])
+
+
 def replicas_table(groups: Sequence[Group], name: str = "replicas") -> Table:
     """Returns a row for each replica."""
     rows = [
@@ -134,6 +148,7 @@ def replicas_table(groups: Sequence[Group], name: str = "replicas") -> Table:
             "cumulative_success": replica.own.training_success,
             "rounds_to_60": f"{reached:.0f}".replace("inf", ""),
         }
+        | ({"commit": replica.result.code} if know_commits(groups) else {})
         for group in groups
         for replica, reached in zip(
             group.replicas, rounds_to_reach(group.success, 0.6).tolist(), strict=True

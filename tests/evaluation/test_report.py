@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from result_folders import metrics_text
 from scipy import stats
@@ -121,3 +123,31 @@ def test_a_run_that_is_not_finished_is_named_and_breaks_no_report(add, report, s
     text = report()
     assert f"\n\nLeft out, since not finished: {folder}.\n\n| agent |" in text
     assert "| BBQN-MAP | thompson | 5 |" in text
+
+
+def ran_by(folder, commit, *, clean):
+    """Says in a result which commit made it. Returns the folder."""
+    file = folder / "result.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"commit": commit, "clean": clean}))
+    return folder
+
+
+def test_a_report_says_which_commits_the_runs_are_of(add, report, tmp_path):
+    one, other = "c33954a" + 33 * "0", "5b76220" + 33 * "1"
+    assert "commit" not in report(runs=[add(GOOD, name="older")])
+    bbqn, again = (ran_by(add(GOOD, seed=seed), one, clean=True) for seed in (1, 2))
+    text = report(runs=[bbqn, again])
+    assert "All runs are of commit c33954a." in text
+    assert "| turns | commit |" in text
+    assert "| 8.00 | c33954a |" in text
+    dqn = ran_by(add(BAD, agent="dqn"), other, clean=False)
+    text = report("--out", str(tmp_path / "out"), runs=[bbqn, again, dqn])
+    assert text.endswith(
+        "The runs are of different commits:\n\n- c33954a: BBQN-MAP\n- 5b76220 (changed): DQN\n"
+    )
+    kept = rows(tmp_path / "out" / "replicas.csv")
+    assert [row["commit"] for row in kept] == ["c33954a"] * 10 + ["5b76220 (changed)"] * 5
+    for form in ("--table1", "--grid"):
+        assert "different commits:\n\n- c33954a: " in report(form, runs=[bbqn, dqn])
+    mixed = report(runs=[bbqn, add(GOOD, seed=3)])
+    assert mixed.endswith("The runs are of different commits:\n\n- c33954a; unknown: BBQN-MAP\n")

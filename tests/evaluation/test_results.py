@@ -81,6 +81,8 @@ DAMAGES = {
     "no text": lambda text: text.replace('"env": "full"', '"env": null'),
     "no mapping": lambda text: text.replace('"references": {}', '"references": null'),
     "no numbers": lambda text: text.replace('"values": {}', '"values": {"agent.lr": [1]}'),
+    "no commit": lambda text: text.replace('"commit": null', '"commit": 5'),
+    "neither clean nor not": lambda text: text.replace('"clean": null', '"clean": "yes"'),
     "a replica less": lambda text: text.replace('"replicas": 1', '"replicas": 2'),
 }
 
