@@ -61,7 +61,8 @@ def write_text(path: Path, text: str) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """Writes a file as :func:`write_text` does."""
     temporary = path.with_name(f".{path.name}.new")
-    with temporary.open("wb") as file:
+    temporary.unlink(missing_ok=True)  # what a killed process left, or a link to another place
+    with temporary.open("xb") as file:  # O_CREAT | O_EXCL, which follows no link
         file.write(content)
         file.flush()
         os.fsync(file.fileno())

@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.messages import key_of
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CONFIG, LOCK
+from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, HYDRA, LOCK
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -75,6 +75,23 @@ def quoted(path: Path | str) -> str:
     return f"'{text}'"
 
 
+def refuse_links(folder: Path) -> None:
+    """Refuses a folder in which a symbolic link stands where a run writes.
+
+    Whoever made the folder would choose by it which other file is overwritten or deleted.
+
+    Raises:
+        ConfigError: something in the folder, or in Hydra's or that of the checkpoints, is a link.
+    """
+    for place in (folder, folder / HYDRA, folder / CHECKPOINTS):
+        for path in sorted(place.iterdir()) if place.is_dir() else ():
+            if path.is_symlink():
+                raise ConfigError(
+                    f"{path} is a symbolic link, through which a run would write elsewhere: put "
+                    "what it stands for in its place, or remove it"
+                )
+
+
 @contextmanager
 def run_lock(folder: Path) -> Iterator[None]:
     """Holds the lock of a run folder; in a process that holds it already, it is held on.
@@ -82,10 +99,11 @@ def run_lock(folder: Path) -> Iterator[None]:
     The operating system lets the lock go when the process ends, however it ends.
 
     Raises:
-        ConfigError: another process holds it, or the folder cannot be written.
+        ConfigError: another process holds it, the folder cannot be written, or it has links.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        refuse_links(folder)
         lock = FileLock(folder.resolve() / LOCK, is_singleton=True)
         lock.acquire(timeout=0)
     except Timeout as error:

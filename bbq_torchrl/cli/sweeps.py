@@ -19,7 +19,7 @@ from hydra.errors import HydraException
 from omegaconf import open_dict, read_write
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.folders import named_folder, refuse_other_folder, reserve
+from bbq_torchrl.cli.folders import named_folder, refuse_links, refuse_other_folder, reserve
 from bbq_torchrl.cli.messages import LAUNCHER, explain, key_of
 from bbq_torchrl.cli.resume import NOT_SWEPT, is_finished, restarted_config, run_config
 from bbq_torchrl.cli.store import compose_raw, to_config
@@ -117,6 +117,8 @@ def prepare_sweep(hydra_session: Any, overrides: Sequence[str]) -> Sweep:
     if (folder / SWEEP_CONFIG).is_file():
         # Hydra writes into a job's folder before the job can refuse it.
         for config, subfolder in zip(configs, subfolders, strict=True):
+            for place in (Path(subfolder), *Path(subfolder).parents):
+                refuse_links(folder / place)
             restarted_config(config, folder / subfolder)
     return Sweep(folder, len(jobs), launcher)
 

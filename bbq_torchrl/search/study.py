@@ -18,6 +18,7 @@ import yaml
 from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 
+from bbq_torchrl.cli.folders import refuse_links
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.search.space import Choices, as_entry
@@ -71,6 +72,7 @@ def run_search(
     folder = search.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        refuse_links(folder)
         with FileLock(folder / ".search.lock"):
             _check_definition(search, folder / _DEFINITION)
             study = _study(search, folder)

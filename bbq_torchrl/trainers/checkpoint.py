@@ -207,7 +207,7 @@ class CheckpointFolder:
             return
         for path in self.folder.iterdir():
             if _LEFTOVER.fullmatch(path.name):
-                if path.is_dir():
+                if path.is_dir() and not path.is_symlink():
                     shutil.rmtree(path)
                 else:
                     path.unlink()

@@ -16,7 +16,7 @@ from bbq_torchrl.cli.resume import is_finished, load_config, run_config
 from bbq_torchrl.cli.train import REFUSED
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
-from bbq_torchrl.run_folder import LOCK
+from bbq_torchrl.run_folder import LOCK, write_text
 
 from .trusted import state_of
 
@@ -43,6 +43,34 @@ def test_neither_evaluate_nor_resume_runs_what_is_planted(copy, kept, tmp_path):
     ):
         assert "every checkpoint in" in refused(main, *arguments, cwd=tmp_path)
     assert not (tmp_path / "marker").exists()
+
+
+@pytest.mark.parametrize(
+    "name", [".config.yaml.new", ".metrics.csv.new", "train.log", ".lock", "checkpoint", ".hydra"]
+)
+def test_a_run_is_not_resumed_through_a_link(copy, kept, tmp_path, name):
+    folder, victim = copy(kept), tmp_path / "victim"
+    (folder / name).rename(victim) if (folder / name).is_dir() else victim.write_text("mine\n")
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).symlink_to(victim)
+    before = state_of(tmp_path)
+
+    line = refused(train.main, f"resume={folder}", "protocol.rounds=5", cwd=tmp_path)
+
+    assert f"{name} is a symbolic link" in line
+    assert state_of(tmp_path) == before
+
+
+def test_a_file_is_not_written_through_a_link_in_the_place_of_its_temporary_name(tmp_path):
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    (tmp_path / ".config.yaml.new").symlink_to(victim)
+
+    write_text(tmp_path / "config.yaml", "seed: 0")
+
+    assert victim.read_text() == "mine"
+    assert not (tmp_path / "config.yaml").is_symlink()
+    assert (tmp_path / "config.yaml").read_text() == "seed: 0"
 
 
 def test_an_evaluation_leaves_a_run_folder_as_it_is(copy, kept, capsys):
