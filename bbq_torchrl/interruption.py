@@ -12,6 +12,8 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
+import time
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, ClassVar, NoReturn
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_LOOKS_EVERY = 0.5  # seconds
+_ORPHANED = 1  # the exit code of a worker that nobody waits for any more
 
 
 class Interrupted(BaseException):
@@ -31,6 +35,7 @@ class _State:
 
     received: int | None = None
     stop: Callable[[], None] | None = None
+    ends_with_parent = False
 
     where: ClassVar[Callable[[], str]] = staticmethod(lambda: "while starting")
     how: ClassVar[Callable[[], str]] = staticmethod(lambda: "the same command begins again")
@@ -45,6 +50,25 @@ def listen() -> None:
     for number in _SIGNALS:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, _handle)
+
+
+def end_with_parent() -> None:
+    """Has a worker of a sweep end, at once, when the process that started it has ended.
+
+    A parent that is killed (SIGKILL, out of memory) stops no worker: it would train for nobody, and
+    keep the same command out of its run folder. Elsewhere, and once it is so, it does nothing.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None or _State.ends_with_parent:
+        return
+    _State.ends_with_parent = True
+
+    def watch() -> None:
+        while os.getppid() == parent.pid:
+            time.sleep(_LOOKS_EVERY)
+        os._exit(_ORPHANED)
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
 
 
 def tell(

@@ -36,6 +36,9 @@ OVERRIDES = f"{HYDRA}/overrides.yaml"
 LOCK = ".lock"
 """The file that is locked; the file stays, the lock ends with its process."""
 
+PROCESS = ".process"
+"""The process that holds the lock; a killed one leaves the file behind."""
+
 
 def folder_of(file: Path) -> Path:
     """Returns the run folder of a configuration or of metrics; Hydra's own lies a folder deeper."""

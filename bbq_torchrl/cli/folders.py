@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.cli.messages import key_of
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, HYDRA, LOCK
+from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -108,13 +109,28 @@ def run_lock(folder: Path) -> Iterator[None]:
         lock.acquire(timeout=0)
     except Timeout as error:
         raise ConfigError(
-            f"another process is at work in {folder}: wait until it has ended, or end it"
+            f"another process is at work in {folder}: wait until {_named(folder)} has ended, or "
+            "end it"
         ) from error
     except OSError as error:
         raise ConfigError(
             f"{folder} cannot be used as a run folder: {error.strerror or error}"
         ) from error
+    note = folder / PROCESS
+    with suppress(OSError):  # only the sentence for another process is poorer without
+        write_text(note, f"{os.getpid()} on {platform.node()}\n")
     try:
         yield
     finally:
+        if lock.lock_counter == 1:
+            with suppress(OSError):
+                note.unlink()
         lock.release()
+
+
+def _named(folder: Path) -> str:
+    """Returns the process that works in a folder, as it has noted itself; ``it`` without a note."""
+    with suppress(OSError, ValueError):
+        if noted := re.fullmatch(r"(\d+) on ([\w.-]+)\n", (folder / PROCESS).read_text("utf-8")):
+            return f"process {noted[1]} on {noted[2]}"
+    return "it"

@@ -101,6 +101,7 @@ def _job_of_a_sweep(composed: DictConfig) -> float:
     try:
         config = to_config(composed, Config)
         interruption.listen()
+        interruption.end_with_parent()
         interruption.check()
         config = restarted_config(config, folder)
         if is_finished(folder, config.protocol.rounds):

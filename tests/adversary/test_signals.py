@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from forked import ROOT, environment
 
+from bbq_torchrl.cli.folders import run_lock
+
 from .cases import CONFIGURATIONS, KILLS, TINY
 from .folders import assert_same
 
@@ -156,3 +158,19 @@ def test_the_jobs_of_a_sweep_end_in_good_order(tmp_path, number, launcher, at_on
         rounds = metrics.read_text().count("\n") - 1
         saved = max((metrics.parent / "checkpoint").glob("round-*.torchrl")).stem
         assert int(saved.removeprefix("round-")) == rounds
+
+
+def test_the_jobs_of_a_sweep_end_with_a_command_that_is_killed(tmp_path):
+    keys = (*TINY, "protocol.rounds=4000", "protocol.eval_every=0")
+    sweep = ("--multirun", "agent=dqn", "seed=0,1", "hydra.launcher.n_jobs=2")
+    started = process(*sweep, *keys, "hydra.sweep.dir=sweep", cwd=tmp_path)
+    wait_until(started, lambda: len(list((tmp_path / "sweep").glob("*/metrics.csv"))) == 2)
+
+    started.kill()
+    started.communicate()  # until nobody can write any more, the jobs neither
+
+    jobs = [metrics.parent for metrics in (tmp_path / "sweep").glob("*/metrics.csv")]
+    assert not [job for job in jobs if (job / "result.json").exists()]
+    for job in jobs:
+        with run_lock(job):
+            pass

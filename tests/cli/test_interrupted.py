@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
+from forked import environment
 from hydra.core.utils import JobReturn, JobStatus
 from tiny import rows
 
@@ -140,3 +143,31 @@ def test_a_disk_without_room_is_an_error_before_the_first_byte(kept, monkeypatch
     with pytest.raises(OSError, match="No space left on device"):
         folder.save(9, {})
     assert state_of(kept) == before
+
+
+ORPHAN = """
+import multiprocessing, time
+from bbq_torchrl import interruption
+
+def work():
+    interruption.end_with_parent()
+    print("begun", flush=True)
+    time.sleep(20)
+    print("survived", flush=True)
+
+worker = multiprocessing.get_context("fork").Process(target=work)
+worker.start()
+worker.join()
+"""
+
+
+def test_a_worker_ends_when_its_parent_is_killed():
+    parent = subprocess.Popen(
+        [sys.executable, "-c", ORPHAN], env=environment(), stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout.readline() == "begun\n"
+
+    parent.kill()
+    rest, _ = parent.communicate()  # until the worker cannot write any more
+
+    assert rest == ""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
+import platform
 
 import forked
 import pytest
@@ -16,7 +18,7 @@ from bbq_torchrl.cli.resume import is_finished, load_config, run_config
 from bbq_torchrl.cli.train import REFUSED
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
-from bbq_torchrl.run_folder import LOCK, write_text
+from bbq_torchrl.run_folder import LOCK, PROCESS, write_text
 
 from .trusted import state_of
 
@@ -127,3 +129,26 @@ def test_a_second_process_in_a_run_folder_is_refused_until_the_first_has_ended(
 
     with run_lock(folder), run_lock(folder):
         pass
+
+
+def test_a_second_process_is_told_which_one_is_at_work(copy, kept, tmp_path):
+    folder = copy(kept)
+    with run_lock(folder):
+        with run_lock(folder):
+            pass
+        # A child of this process would have its lock.
+        _, line = forked.python(forked.ROOT / "train.py", f"resume={folder}", cwd=tmp_path, code=2)
+        assert f": wait until process {os.getpid()} on {platform.node()} has ended" in line
+    assert not (folder / PROCESS).exists()
+
+
+@pytest.mark.parametrize("note", ["", "x" * 10_000, "7 on \x1b[31mhost\n", "7\n"])
+def test_what_is_no_note_of_a_process_is_not_shown(tmp_path, note):
+    (tmp_path / PROCESS).write_text(note)
+    with (tmp_path / LOCK).open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with (
+            pytest.raises(ConfigError, match="wait until it has ended, or end it"),
+            run_lock(tmp_path),
+        ):
+            pass
