@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 from contextlib import suppress
@@ -40,14 +41,13 @@ def kept_understander(
     lines = [] if labeled is None else read_lines(labeled, domain)
     kept = _cache_folder() / "bbq-torchrl" / f"{language_key(domain, labeled)}.npz"
     with suppress(OSError, ValueError):
+        _make_private(kept.parent)
         return Understander.load(kept, domain)
     tell("Learning the language of the domain, once; it takes about a minute ...")
     own = Understander.train(domain, labeled=lines)
     with suppress(OSError):  # without a cache folder it is made anew
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_suffix(f".{os.getpid()}")  # whole or not at all
-        own.save(part)
-        part.replace(kept)
+        _make_private(kept.parent)
+        own.save(kept)
     return own
 
 
@@ -59,6 +59,18 @@ def _cache_folder() -> Path:
         return Path.home() / ".cache"
     except RuntimeError:  # neither HOME nor a name of the user, as in some containers
         return Path(os.devnull)
+
+
+def _make_private(folder: Path) -> None:
+    """Makes a folder that only its user can enter, or makes it so: what it holds is believed.
+
+    Raises:
+        OSError: it cannot be made, or is another user's.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
+        raise PermissionError(errno.EPERM, "is another user's", os.fspath(folder))
+    folder.chmod(0o700)
 
 
 def language_key(domain: Domain, labeled: Path | None = None) -> str:

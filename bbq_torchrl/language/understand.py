@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
-import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,6 +18,7 @@ from bbq_torchrl.language.intents import IntentNet
 from bbq_torchrl.language.labeled import DRILLED_FILE, LEARNED_FILE, as_examples, lines_of, varied
 from bbq_torchrl.language.lexicon import Lexicon
 from bbq_torchrl.language.model import Model, fit
+from bbq_torchrl.language.model_file import read_model, write_model
 from bbq_torchrl.language.noise import DROPPED
 from bbq_torchrl.language.surfaces import Surfaces
 from bbq_torchrl.language.tagger import OUTSIDE, Tagger
@@ -40,7 +39,6 @@ SENTENCES = 7_200
 THRESHOLD = 0.75
 """The confidence below which to ask again: .8 of the sentences of unseen hands are above it."""
 
-_VERSION = 5
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
 _OWN = 4  # to so many sentences one of the grammar's own, at least
@@ -193,7 +191,6 @@ class Understander:
         """Writes the learned parts into one file, in numpy's format without pickles."""
         model = self._model
         about = {
-            "version": _VERSION,
             "domain": self.domain.name,
             "acts": self.domain.acts,
             "slots": self.domain.slots,
@@ -201,20 +198,19 @@ class Understander:
             "known": sorted(model.features.known),
             "threshold": self.threshold,
         }
-        text = json.dumps(about, ensure_ascii=False).encode()
-        arrays: dict[str, Any] = {
+        arrays = {
             **model.net.arrays(),
-            "about": np.frombuffer(text, dtype=np.uint8),
             "tagger": np.frombuffer(model.tagger.model, dtype=np.uint8),
             "calibration": self._calibration,
         }
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, allow_pickle=False, **arrays)
-        Path(path).write_bytes(buffer.getvalue())
+        write_model(Path(path), about, arrays)
 
     @classmethod
     def load(cls, path: str | Path, domain: Domain) -> Understander:
         """Returns the understander that :meth:`save` wrote.
+
+        Only for a file of your own, or of somebody whom you trust: its checksum finds damage, but a
+        file that was made to do harm reaches a library in C, which does not expect it.
 
         Args:
             path: the file.
@@ -224,7 +220,7 @@ class Understander:
             FileNotFoundError: if there is no such file.
             ValueError: if it is damaged, or of another version or domain.
         """
-        about, arrays = _read(Path(path))
+        about, arrays = read_model(Path(path))
         if (about["acts"], about["slots"]) != (list(domain.acts), list(domain.slots)):
             raise ValueError(
                 f"{path} understands the domain {about['domain']!r}, whose acts and slots differ "
@@ -236,22 +232,6 @@ class Understander:
         tagger = Tagger(arrays["tagger"].tobytes())
         model = Model(Features(lexicon, about["known"]), tagger, net.eval())
         return cls(lexicon, model, arrays["calibration"], about["threshold"])
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    try:
-        # Opened here, since numpy leaves a damaged file open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        about = json.loads(arrays["about"].tobytes())
-        version = about["version"]
-    except FileNotFoundError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{path} is no file of an understander, or damaged: {error}") from None
-    if version != _VERSION:
-        raise ValueError(f"{path} must be of version {_VERSION}, got {version!r}: train it anew")
-    return about, arrays
 
 
 def same_frame(left: Frame, right: Frame, lexicon: Lexicon) -> bool:

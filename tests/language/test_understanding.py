@@ -9,10 +9,19 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.language import ANY, MAX_CHARACTERS, Frame, TextError, Understander, read_lines
+from bbq_torchrl.language import (
+    ANY,
+    MAX_CHARACTERS,
+    Frame,
+    TextError,
+    Understander,
+    model_file,
+    read_lines,
+)
 from bbq_torchrl.language import __main__ as command
 from bbq_torchrl.language.assemble import assemble, chosen
 from bbq_torchrl.language.frames import OPENING
+from bbq_torchrl.language.kept import kept_understander
 from bbq_torchrl.language.model import Reading
 from bbq_torchrl.language.tagger import OUTSIDE
 from bbq_torchrl.language.words import tokenize
@@ -213,6 +222,113 @@ def test_a_file_that_is_damaged_or_of_another_domain_is_refused(understand, rest
         path.write_bytes(content)
         with pytest.raises(ValueError, match="damaged"):
             Understander.load(path, movie_domain())
+
+
+def changed(name, change):
+    """Changes one array of a file, whose ZIP checksums are then right; without one it is gone."""
+
+    def damage(arrays):
+        array = arrays.pop(name)
+        if change is not None:
+            arrays[name] = change(array)
+
+    return damage
+
+
+def told(key, value):
+    """Changes what a file says about itself, and gives it the right checksum."""
+
+    def damage(arrays):
+        about = json.loads(arrays["about"].tobytes())
+        about[key] = value
+        if value is None:
+            del about[key]
+        arrays["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
+        del arrays["checksum"]
+        arrays["checksum"] = model_file._checksum(arrays)
+
+    return damage
+
+
+def one_byte_else(array):
+    other = array.copy()
+    other[len(other) // 2] ^= 255
+    return other
+
+
+ARRAYS = ("tagger", "bag", "heads", "bias", "calibration", "checksum")
+FILES = {
+    **{f"no {name}": (changed(name, None), "it must have the arrays") for name in ARRAYS},
+    "no about": (changed("about", None), "about"),
+    "an array too many": (lambda arrays: arrays.update(more=np.ones(2)), "it must have the arrays"),
+    "another byte": (changed("tagger", one_byte_else), "its checksum is wrong"),
+    "a cut tagger": (changed("tagger", lambda array: array[:99]), "its checksum is wrong"),
+    "other weights": (changed("bias", lambda array: array + 1), "its checksum is wrong"),
+    "another type": (changed("tagger", lambda array: array.astype(float)), "tagger must be uint8"),
+    "another shape": (changed("tagger", lambda array: array[None]), "tagger must be uint8"),
+    "no features": (told("features", None), "features must be a list of texts"),
+    "features that are numbers": (told("features", [1]), "features must be a list of texts"),
+    "another number of features": (told("features", ["a"]), "bag must have a row for each"),
+    "no threshold": (told("threshold", None), "a threshold"),
+    "no name": (told("domain", 3), "the name of a domain"),
+    "another version": (told("version", 5), "must be of version 6, got 5: train it anew"),
+}
+
+
+@pytest.mark.parametrize(("damage", "says"), FILES.values(), ids=FILES)
+def test_a_file_that_was_changed_is_refused_before_anything_reads_it(
+    understand, tmp_path, monkeypatch, damage, says
+):
+    path = tmp_path / "u.npz"
+    understand.save(path)
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    damage(arrays)
+    np.savez(path, **arrays)
+    monkeypatch.setattr("bbq_torchrl.language.understand.Tagger", None)  # which crashes on some
+    with pytest.raises(ValueError, match=says):
+        Understander.load(path, movie_domain())
+
+
+def test_a_file_that_would_grow_is_refused_before_it_is_unpacked(understand, tmp_path, monkeypatch):
+    path = tmp_path / "u.npz"
+    understand.save(path)
+    monkeypatch.setattr(model_file, "_MOST_BYTES", 10_000)
+    with pytest.raises(ValueError, match="bytes, more than 10000"):
+        Understander.load(path, movie_domain())
+
+
+def test_an_understander_is_kept_where_only_its_user_can_write(understand, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = tmp_path / "bbq-torchrl"
+    folder.mkdir(mode=0o777)
+    folder.chmod(0o777)
+    trained = []
+    monkeypatch.setattr(Understander, "train", lambda *_, **__: trained.append(1) or understand)
+
+    kept_understander(movie_domain())
+    kept_understander(movie_domain())
+
+    assert trained == [1]
+    assert folder.stat().st_mode & 0o777 == 0o700
+    (kept,) = folder.iterdir()
+    kept.write_bytes(kept.read_bytes()[:50_000])
+    kept_understander(movie_domain())
+    assert trained == [1, 1]
+
+
+def test_a_kept_understander_in_a_folder_of_somebody_else_is_not_believed(
+    understand, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    trained = []
+    monkeypatch.setattr(Understander, "train", lambda *_, **__: trained.append(1) or understand)
+    kept_understander(movie_domain())
+    monkeypatch.setattr("os.getuid", lambda: (tmp_path / "bbq-torchrl").stat().st_uid + 1)
+
+    kept_understander(movie_domain())
+
+    assert trained == [1, 1]
 
 
 def test_measuring_leaves_a_trained_file_alone(understand, tmp_path, monkeypatch):
