@@ -54,7 +54,8 @@ from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, optio
 from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.pages import page
-from bbq_torchrl.text import shown
+from bbq_torchrl.plain_yaml import check_yaml
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -275,12 +276,12 @@ def load_yaml(file: Path, of: str) -> DictConfig | ListConfig:
         ConfigError: it cannot be read, or is none; says what it should be the file of.
     """
     try:
+        check_yaml(file.read_text(encoding="utf-8"))
         return OmegaConf.load(file)
     except OSError as error:
         raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
     except Exception as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
-        raise ConfigError(f"{file} is not a YAML file of {of}: {reason}") from error
+        raise ConfigError(f"{file} is not a YAML file of {of}: {sentence(error)}") from error
 
 
 def read_config(plain: DictConfig) -> Config:

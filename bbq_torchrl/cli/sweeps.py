@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import yaml
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -26,6 +25,7 @@ from bbq_torchrl.cli.store import compose_raw, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.run_folder import (
     CONFIG,
     LOG,
@@ -300,8 +300,9 @@ def _success_and_state(folder: Path) -> tuple[str, str]:
 
 
 def _overrides(folder: Path) -> list[str]:
-    """Returns the overrides of a run as Hydra noted them; none where it did not."""
-    file = folder / OVERRIDES
-    if not file.is_file():
+    """Returns the overrides of a run as Hydra noted them; none where they cannot be read."""
+    try:
+        noted = read_yaml((folder / OVERRIDES).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
         return []
-    return [str(item) for item in yaml.safe_load(file.read_text(encoding="utf-8")) or []]
+    return [item for item in noted if isinstance(item, str)] if isinstance(noted, list) else []

@@ -10,7 +10,8 @@ import yaml
 from bbq_torchrl.domains.domain import Action, ScriptedPolicySpec
 from bbq_torchrl.domains.faults import Source
 from bbq_torchrl.domains.validate import ACTION_KINDS
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.plain_yaml import read_yaml
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,22 +29,6 @@ _HARMLESS: dict[str, Any] = {
     "reference_slot_error_prob": 0.0,
 }
 """What stands in for a key that cannot be read, so that the rest of a domain can be checked."""
-
-
-class UniqueKeyLoader(yaml.SafeLoader):
-    """A safe loader that refuses a key given twice, where YAML would let the last one win."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Returns the mapping that a node writes."""
-        seen = set()
-        for key_node, _ in node.value:
-            if isinstance(key_node, yaml.ScalarNode) and key_node.value in seen:
-                raise ValueError(
-                    f"keys must be given once, got {shown(key_node.value)} again "
-                    f"in line {key_node.start_mark.line + 1}"
-                )
-            seen.add(key_node.value if isinstance(key_node, yaml.ScalarNode) else None)
-        return super().construct_mapping(node, deep=True)
 
 
 def read_specification(path: Path) -> Source:
@@ -65,24 +50,13 @@ def read_specification(path: Path) -> Source:
     if text is None:
         return found
     try:
-        content = yaml.load(text, Loader=UniqueKeyLoader)
+        content = read_yaml(text)
         found.lines = _lines(yaml.compose(text, Loader=yaml.SafeLoader))
-    except RecursionError:
-        found.fault("it is nested too deeply")
-    except yaml.YAMLError as error:
-        found.fault(f"it is not valid YAML: {_problem(error)}")
     except ValueError as error:
         found.fault(str(error))
     else:
         _read(found, content)
     return found
-
-
-def _problem(error: yaml.YAMLError) -> str:
-    """Returns what is wrong, and in which line."""
-    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
-        return sentence(error)
-    return f"{error.problem} in line {error.problem_mark.line + 1}"
 
 
 def _lines(node: yaml.Node | None, parent: Place = ()) -> dict[Place, int]:

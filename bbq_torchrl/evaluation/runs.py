@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT, folder_of, numbers_in_order
 from bbq_torchrl.text import sentence
 
@@ -182,8 +181,8 @@ def _is_extended(folder: Path) -> bool:
 def _readable(file: Path) -> Any:
     """Returns what a YAML file holds; None where that cannot be told: reading the run says why."""
     try:
-        return yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError, RecursionError):
+        return read_yaml(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
         return None
 
 
@@ -200,11 +199,9 @@ def read_run(folder: Path) -> list[Replica]:
             f"replicas, the result of {result.rounds} and {result.replicas}"
         )
     try:
-        config = yaml.safe_load((folder / CONFIG).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        deep = isinstance(error, RecursionError)
-        reason = "it is nested too deeply" if deep else sentence(error)
-        raise ValueError(f"{folder / CONFIG} cannot be read: {reason}") from error
+        config = read_yaml((folder / CONFIG).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{folder / CONFIG} cannot be read: {sentence(error)}") from error
     groups = [config.get(name) for name in _NAMED] if isinstance(config, dict) else [None]
     named = all(isinstance(group, dict) and "name" in group for group in groups)
     if not named or not isinstance(config.get("replicas", 1), int):

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.domains.specification import UniqueKeyLoader
 from bbq_torchrl.language.quantities import KINDS, Kind
 from bbq_torchrl.language.templates import Template, TemplateError, parse
+from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.text import FaultsError, shown
 
 if TYPE_CHECKING:
@@ -88,9 +88,9 @@ def load_phrases(domain: Domain) -> Phrases:
     if path is not None and path.is_file():
         source = str(path)
         try:
-            own = yaml.load(path.read_text(encoding="utf-8"), Loader=UniqueKeyLoader) or {}
-        except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-            raise PhrasesError(source, [f"it must be YAML in UTF-8: {error}"]) from None
+            own = read_yaml(path.read_text(encoding="utf-8")) or {}
+        except UnicodeDecodeError as error:
+            raise PhrasesError(source, [f"it must be UTF-8 text: {error}"]) from None
         except ValueError as error:
             raise PhrasesError(source, [str(error)]) from None
     reader = _Reader(domain)

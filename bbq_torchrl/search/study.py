@@ -20,6 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from bbq_torchrl.cli.folders import refuse_links
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.search.space import Choices, as_entry
 from bbq_torchrl.search.trials import (
@@ -110,8 +111,8 @@ def _check_definition(search: Search, file: Path) -> None:
     if not file.exists():
         return
     try:
-        begun = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        begun = read_yaml(file.read_text(encoding="utf-8"))
+    except ValueError as error:
         raise ConfigError(f"{file} is damaged: {sentence(error)}") from error
     if not isinstance(begun, dict):
         raise ConfigError(f"{file} is damaged: it must be a mapping, got {shown(begun)}")

@@ -8,8 +8,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
+from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.text import FaultsError, shown
 
 if TYPE_CHECKING:
@@ -116,9 +115,7 @@ def load_study(path: str | Path) -> Study:
     file = Path(expanduser(path))
     try:
         content = _content(file)
-    except RecursionError:
-        raise StudyError(str(file), ["it is nested too deeply"]) from None
-    except (ValueError, yaml.YAMLError) as error:
+    except ValueError as error:
         raise StudyError(str(file), [f"it cannot be read: {error}"]) from error
     given = {**_DEFAULTS, **content}
     agents = given["agents"] if _are_sources(given.get("agents")) else {}
@@ -159,9 +156,7 @@ def load_study(path: str | Path) -> Study:
 
 
 def _content(file: Path) -> dict[str, Any]:
-    from bbq_torchrl.domains.specification import UniqueKeyLoader
-
-    content = yaml.load(file.read_text(encoding="utf-8-sig"), Loader=UniqueKeyLoader)
+    content = read_yaml(file.read_text(encoding="utf-8-sig"))
     if not isinstance(content, dict):
         raise ValueError(f"it must be a mapping of keys to values, got {shown(content)}")
     return content

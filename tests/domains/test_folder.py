@@ -99,7 +99,11 @@ EDITED = {
     "unknown key": ("name: restaurant", "name: restaurant\nmood: good", "line 4:.*key 'mood'"),
     "truth": ("turn_width: 24", "turn_width: true", "turn_width must be an integer"),
     "action kind": ("  inform: [", "  tell: [", "unknown keys.*tell"),
-    "bomb": ("turn_width: 24", f"turn_width: [&a0 [x, x], {BOMB}]", "turn_width must be an int"),
+    "bomb": (
+        "turn_width: 24",
+        f"turn_width: [&a0 [x, x], {BOMB}]",
+        "its aliases make more than 10000",
+    ),
 }
 WRITTEN = {
     "line break": (CSV, 'area,day\n"no\nrth",today\n', "line 2: area must have one line"),
