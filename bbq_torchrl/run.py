@@ -54,6 +54,7 @@ def run(
 
     Raises:
         NonFiniteLossError: a loss is NaN or infinite.
+        RunFolderGoneError: the folder was moved or removed meanwhile.
         CheckpointDamagedError: a run to resume has no checkpoint any more that can be read.
         CheckpointMismatchError: its checkpoint is of another seed or configuration.
         ConfigError: another process is at work in the folder.

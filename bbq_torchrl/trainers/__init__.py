@@ -9,6 +9,7 @@ from bbq_torchrl.trainers.errors import (
     CheckpointDamagedError,
     CheckpointMismatchError,
     NonFiniteLossError,
+    RunFolderGoneError,
     SpikeError,
     TrainingError,
 )
@@ -38,6 +39,7 @@ __all__ = [
     "RoundEnv",
     "RoundProgress",
     "RoundTrainer",
+    "RunFolderGoneError",
     "Spike",
     "SpikeError",
     "TrainingError",

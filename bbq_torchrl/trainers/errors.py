@@ -32,5 +32,22 @@ class CheckpointMismatchError(TrainingError):
     """A checkpoint is one of another seed or configuration."""
 
 
+class RunFolderGoneError(TrainingError):
+    """A run folder was moved or removed while the run was at work in it."""
+
+    @classmethod
+    def check(cls, run_folder: Path) -> None:
+        """Raises the error where there is no such folder any more.
+
+        Raises:
+            RunFolderGoneError: always then.
+        """
+        if not run_folder.is_dir():
+            raise cls(
+                f"{run_folder} was moved or removed while the run was at work in it: "
+                "resume=<where it is now> goes on from its last checkpoint"
+            )
+
+
 class NonFiniteLossError(TrainingError):
     """A replica's loss became NaN or infinite; the state of the training has been saved."""

@@ -84,8 +84,9 @@ class MetricsFile:
         is_first = not self.rows
         self.rows.extend(rows)
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("w" if is_first else "a", encoding="utf-8", newline="") as file:
-            file.write(_csv(rows, header=is_first))
+        is_anew = is_first or not self.path.exists()  # somebody has removed it
+        with self.path.open("w" if is_anew else "a", encoding="utf-8", newline="") as file:
+            file.write(_csv(self.rows if is_anew else rows, header=is_anew))
         for logger in self.loggers:
             for row in rows:
                 _log(logger, row)

@@ -17,7 +17,12 @@ from bbq_torchrl.hooks import modules_with
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import collect_dialogues
-from bbq_torchrl.trainers.errors import CheckpointDamagedError, NonFiniteLossError, TrainingError
+from bbq_torchrl.trainers.errors import (
+    CheckpointDamagedError,
+    NonFiniteLossError,
+    RunFolderGoneError,
+    TrainingError,
+)
 from bbq_torchrl.trainers.hooks import enter_round
 from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
@@ -202,6 +207,7 @@ class RoundTrainer:
             CheckpointDamagedError: if there are checkpoints, but none can be read, or metrics
                 without one.
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
+            RunFolderGoneError: if the run folder is moved or removed meanwhile.
         """
         self.begin(resume=resume)
         bar = RoundProgress(
@@ -252,8 +258,11 @@ class RoundTrainer:
 
         Raises:
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
+            RunFolderGoneError: if the run folder is not there any more; nothing is saved.
         """
-        rows = self.metrics.append(self.rounds_done, self._round(self.rounds_done))
+        columns = self._round(self.rounds_done)
+        RunFolderGoneError.check(self.run_folder)
+        rows = self.metrics.append(self.rounds_done, columns)
         self.rounds_done += 1
         for callback in self.callbacks:
             callback(self, rows)
@@ -333,6 +342,8 @@ class RoundTrainer:
         self.replay.seed([derive_seed(seed, "replay", r, *path) for r in range(self.replicas)])
 
     def _save(self, *, name: str | None = None) -> Path:
+        if self.rounds_done or name is not None:  # the first checkpoint makes the folder
+            RunFolderGoneError.check(self.run_folder)
         saved = self.checkpoints.save(self.rounds_done, self.described, name=name)
         if name is None:
             self.rounds_saved = self.rounds_done

@@ -19,6 +19,7 @@ from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.sweeps import FULL_ERROR, Sweep, table_of_runs
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
+from bbq_torchrl.trainers import RunFolderGoneError
 
 from .trusted import DQN, resumed, state_of
 
@@ -50,6 +51,45 @@ def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):
 
     assert result.rounds == 6
     assert rows(folder / "metrics.csv") == rows(tmp_path / "uninterrupted" / "metrics.csv")
+
+
+@pytest.mark.parametrize("done", [1, 2, 6])
+def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(tmp_path, done):
+    longer = compose([*DQN, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
+    longer.protocol.checkpoint_every = 2
+    run(longer, tmp_path / "uninterrupted")
+    old, new = tmp_path / "old", tmp_path / "new"
+    played = []
+
+    def move(trainer, rows):
+        played.append(trainer.rounds_done)
+        if trainer.rounds_done == done:
+            if done == 6:  # so that what follows is the final evaluation
+                trainer.checkpoints.save(6, trainer.described)
+                trainer.rounds_saved = 6
+                trainer.checkpoint_every = 100
+            old.rename(new)
+
+    with pytest.raises(RunFolderGoneError, match=r"old was moved or removed .*resume=<where it is"):
+        run(longer, old, [move])
+
+    assert played[-1] == done
+    assert not old.exists()
+    resumed(new)
+    assert rows(new / "metrics.csv") == rows(tmp_path / "uninterrupted" / "metrics.csv")
+
+
+def test_metrics_that_are_removed_while_a_run_trains_are_written_again(tmp_path):
+    config = compose([*DQN, "protocol.rounds=3"])
+    run(config, tmp_path / "left alone")
+
+    def remove(trainer, rows):
+        if trainer.rounds_done == 2:
+            trainer.metrics.path.unlink()
+
+    run(config, tmp_path / "run", [remove])
+
+    assert rows(tmp_path / "run" / "metrics.csv") == rows(tmp_path / "left alone" / "metrics.csv")
 
 
 def test_a_run_killed_before_its_curve_is_drawn_is_finished_by_resume(copy, finished):
