@@ -168,13 +168,20 @@ def read_plain_pickle(path: str | Path) -> Any:
     """Returns the dicts, lists, texts and numbers that the pickle file ``path`` holds.
 
     Nothing is imported, called or built but those. Byte strings of Python 2 are read as UTF-8.
+    Some public copies went through Git or an editor on Windows, which ends every line with CRLF.
+    They are read as they were before.
 
     Raises:
         FileNotFoundError: if there is no such file.
         ValueError: if the file is no pickle, is truncated, has bytes after its end, or refers to
             any class, function or outside object.
     """
-    stream = io.BytesIO(Path(path).read_bytes())
+    raw = Path(path).read_bytes()
+    # A dict or list starts so in protocol 0 alone. That is text, in which a line end is never part
+    # of a value; a binary pickle may hold the same two bytes as a length or a text.
+    if raw.startswith((b"(d", b"(l")):
+        raw = raw.replace(b"\r\n", b"\n").rstrip(b"\n")
+    stream = io.BytesIO(raw)
     try:
         content = _PlainUnpickler(stream, encoding="utf-8").load()
     except Exception as error:  # a damaged pickle raises nearly anything, from KeyError to EOFError

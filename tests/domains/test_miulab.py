@@ -74,6 +74,43 @@ def test_a_pickle_that_calls_something_is_refused_and_calls_nothing(load, tmp_pa
     assert not (tmp_path / "victim").exists()
 
 
+WINDOWS = {
+    "unicode": pickle.dumps(CORPUS["goals"], 0),
+    "bytes of Python 2": b"(lp1\n(dp2\nS'city'\np3\nS'o\\'fallon\\r\\n'\np4\nsI7\nL8L\nsa.",
+    "a line end at the end": b"(dp0\nS'city'\nS'reno'\ns.\n",
+}
+
+
+@pytest.mark.parametrize("content", WINDOWS.values(), ids=WINDOWS)
+def test_a_text_pickle_with_the_line_ends_of_windows_holds_what_it_held(tmp_path, content):
+    unix, windows = tmp_path / "unix.p", tmp_path / "windows.p"
+    unix.write_bytes(content.rstrip(b"\n"))
+    windows.write_bytes(content.replace(b"\n", b"\r\n"))
+    assert read_plain_pickle(windows) == read_plain_pickle(unix)
+
+
+@pytest.mark.parametrize("protocol", range(1, 6))
+def test_the_bytes_of_a_binary_pickle_are_left_alone(tmp_path, protocol):
+    content = {"a\r\nb": 13 + 256 * 10, "x" * 13: ["y" * 10, "\r\n"]}
+    (tmp_path / "x.p").write_bytes(pickle.dumps(content, protocol))
+    assert read_plain_pickle(tmp_path / "x.p") == content
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_trap_with_the_line_ends_of_windows_calls_nothing(load, tmp_path, name):
+    trap = pickle.dumps([Trap(tmp_path / "victim")], 0).replace(b"\n", b"\r\n")
+    with pytest.raises(ValueError, match=rf"{FILES[name]} is not a pickle of plain data.*refers"):
+        load({name: trap})
+    assert not (tmp_path / "victim").exists()
+
+
+def test_the_public_corpus_with_the_line_ends_of_windows_is_the_same(miulab, tcbot, tmp_path):
+    """As DDQ and D3Q publish it."""
+    for file in tcbot.glob("*.p"):
+        (tmp_path / file.name).write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
+    assert load_miulab(tmp_path) == miulab
+
+
 def pickled(content):
     return pickle.dumps({"a": content}, 0)
 
