@@ -113,9 +113,11 @@ def _tell_of_evaluations(config: Config) -> None:
 
 
 def _tell_of_domain(domain: Domain, never: set[str]) -> None:
-    """Says what of the corpus is not played; some slots, it may be, in no round."""
+    """Says what of the corpus is not played, or looks odd; some slots, it may be, in no round."""
     for text in domain.skipped:
         _LOG.warning("left out of the domain %s: %s", domain.name, text)
+    for text in domain.doubts:
+        _LOG.warning("in the domain %s: %s", domain.name, text)
     cut = sum(bool(never & {*goal.constraints, *goal.requests}) for goal in domain.goals)
     if cut:
         named = {slot for goal in domain.goals for slot in (*goal.constraints, *goal.requests)}

@@ -108,6 +108,7 @@ class Domain:
         error_values: slot to the values that an error can put in its place, drawn uniformly
             (a value listed twice is drawn twice as often).
         skipped: what a loader left out of a corpus, a sentence each; for whoever reads results.
+        doubts: what a loader takes for slips of a corpus and leaves as it is, a sentence each.
         folder: where it was loaded from, with phrases and measured errors beside it; ``None`` for
             a domain of no folder. Where a domain lies makes it no other one.
 
@@ -133,6 +134,7 @@ class Domain:
     goals: tuple[Goal, ...]
     error_values: Mapping[str, tuple[str, ...]]
     skipped: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     folder: Path | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:

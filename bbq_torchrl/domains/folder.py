@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.domains.domain import Domain
 from bbq_torchrl.domains.faults import DomainError, Fault
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
+from bbq_torchrl.domains.spelling import DIFFERENCE, misspellings, plain
 from bbq_torchrl.domains.tables import (
     GOALS_FILE,
     RECORDS_FILE,
@@ -29,7 +30,7 @@ from bbq_torchrl.domains.tables import (
     read_records,
     read_values,
 )
-from bbq_torchrl.domains.values import RESERVED_TEXT, fold
+from bbq_torchrl.domains.values import RESERVED_TEXT
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -74,6 +75,13 @@ def load_domain(path: str | Path) -> Domain:
             found += [fault for fault in error.found if fault.place not in unread]
         if not (tables["records"].faults or tables["error_values"].faults):
             found += _unheard_of(specification.content["slots"], **content)
+        found += [
+            Fault(
+                item.place,
+                f"it has {item}: they differ {DIFFERENCE}, write both alike",
+            )
+            for item in misspellings(**content)
+        ]
     for place, text, *_ in found:
         source = tables.get(str(place[0]), specification)
         faults.append(Fault(place, text, source.name, "line", source.line(place)))
@@ -142,12 +150,13 @@ def _unheard_of(
 ) -> list[Fault]:
     """Finds goals that constrain a slot to a value that neither list nor record has.
 
-    Such a value is a slip of the pen in a corpus that people wrote as a whole.
+    Such a value is a slip of the pen in a corpus that people wrote as a whole. One that is only
+    spelled otherwise is found as such.
     """
     # Reserved values are refused, or mean something.
-    known = {(slot, fold(text)) for slot in slots for text in RESERVED_TEXT.values()}
-    known |= {(slot, fold(text)) for slot, texts in error_values.items() for text in texts}
-    known |= {(slot, fold(text)) for record in records for slot, text in record.items()}
+    known = {(slot, plain(text)) for slot in slots for text in RESERVED_TEXT.values()}
+    known |= {(slot, plain(text)) for slot, texts in error_values.items() for text in texts}
+    known |= {(slot, plain(text)) for record in records for slot, text in record.items()}
     return [
         Fault(
             ("goals", number),
@@ -156,5 +165,5 @@ def _unheard_of(
         )
         for number, goal in enumerate(goals)
         for slot, value in goal.constraints.items()
-        if slot in slots and isinstance(value, str) and (slot, fold(value)) not in known
+        if slot in slots and isinstance(value, str) and (slot, plain(value)) not in known
     ]

@@ -14,16 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from bbq_torchrl.domains.domain import Domain, Goal
-from bbq_torchrl.domains.faults import DomainError, tell
+from bbq_torchrl.domains.faults import DomainError, Fault, tell
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
+from bbq_torchrl.domains.spelling import DIFFERENCE, misspellings
 from bbq_torchrl.domains.tables import NEEDS_VALUES
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from bbq_torchrl.domains.faults import Fault
 
 REFERENCE_SLOT_ERROR_PROB = 0.0581
 """The slot error probability (mode ``value``) at which the rule policy succeeds in 18.3 % of the
@@ -65,7 +64,8 @@ def load_miulab(
 
     Some of the public files hold a few entries that are none: goals that constrain and request the
     same slot, slots that no list of slots has. They are left out, and ``skipped`` of the domain
-    says how many and which. The default files have none.
+    says how many and which. The default files have none. Values that differ only in blanks and the
+    like stay as they are, and never match; ``doubts`` says where.
 
     Args:
         path: the folder that holds the three files.
@@ -110,6 +110,7 @@ def load_miulab(
                 goals=tuple(usable["goals"].values()),
                 error_values=usable["error_values"],
                 skipped=(*_changes(files, whole, usable), *tell(faults)) if faults else (),
+                doubts=tuple(tell(dict.fromkeys(_misspelled(files, usable)))),
             )
         except DomainError as error:
             for fault in error.found:
@@ -162,6 +163,19 @@ def _changes(files: Mapping[str, str], whole: _Corpus, left: _Corpus) -> Iterato
         if unlike:
             entries = f"{unlike} of {len(before)} {_UNITS[name]}s"
             yield f"{files[name]}: {entries} are left out or in part"
+
+
+def _misspelled(files: Mapping[str, str], corpus: _Corpus) -> Iterator[Fault]:
+    """Yields where values never match others; an example for each file."""
+    texts: dict[str, str] = {}
+    for item in misspellings(
+        tuple(corpus["records"].values()), tuple(corpus["goals"].values()), corpus["error_values"]
+    ):
+        field, *which = item.place
+        name = str(field)
+        text = f"some values differ from others of their slot {DIFFERENCE}, such as {item}"
+        text = texts.setdefault(name, text)
+        yield Fault(item.place[:2], text, files[name], _UNITS[name], _key(corpus, name, which))
 
 
 def read_plain_pickle(path: str | Path) -> Any:

@@ -62,7 +62,7 @@ def load_errors(domain: Domain) -> MeasuredErrors:
             f"makes {ERRORS_FILE} in the folder of a domain"
         )
     try:
-        counts = json.loads(file.read_text(encoding="utf-8"))
+        counts = json.loads(file.read_text(encoding="utf-8-sig"))
         counted = {slot for row in counts["requests"].values() for slot in row}
         if counted != {*domain.slots}:  # in every turn each slot is asked for or not
             raise ValueError(f"its slots are {', '.join(sorted(counted))}")

@@ -68,7 +68,7 @@ def read_metrics(folder: Path) -> Metrics:
     if not file.is_file():
         raise ValueError(f"{folder} has no {METRICS}: it is no run folder")
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"{file} must be UTF-8 text: {error}") from error
     head, *lines = text[: text.rfind("\n") + 1].splitlines() or [""]

@@ -222,7 +222,7 @@ def read_result(folder: Path) -> RunResult:
     if not file.is_file():
         raise ValueError(f"{folder} has no {RESULT}: it is no run folder, or not finished")
     try:
-        plain = json.loads(file.read_text(encoding="utf-8"))
+        plain = json.loads(file.read_text(encoding="utf-8-sig"))
         if not isinstance(plain, dict) or not isinstance(plain.get("per_replica"), list):
             raise ValueError("it must be a mapping with the list per_replica")
         of_replicas = tuple(_made(ReplicaResult, item) for item in plain["per_replica"])

@@ -52,6 +52,28 @@ def test_a_result_says_what_of_a_corpus_was_left_out(played, tcbot, tmp_path_fac
     assert all(any(text in told for told in caplog.messages) for text in result.skipped)
 
 
+def test_whoever_trains_or_evaluates_is_told_of_values_that_never_match(
+    played, tmp_path_factory, caplog, capsys
+):
+    corpus = tmp_path_factory.mktemp("corpus")
+    goal = {"diaact": "request", "inform_slots": {"city": "seattle"}, "request_slots": {}}
+    for name, content in (
+        ("user_goals_first_turn_template.v2.p", [goal]),
+        ("movie_kb.1k.p", {0: {"city": "seattle "}, 1: {"city": "boston"}}),
+        ("dicts.v3.p", {"city": ["seattle", "boston"]}),
+    ):
+        (corpus / name).write_bytes(pickle.dumps(content, 0))
+    of = ["domain=miulab", f"domain.path={corpus}"]
+    with caplog.at_level(logging.WARNING):
+        result, _ = played(*of)
+    doubt = "city = 'seattle ', which never matches 'seattle'"
+    assert result.skipped == ()
+    assert any("movie_kb.1k.p, row 0: " in text and doubt in text for text in caplog.messages)
+    assert evaluate.main(["policy=rule", "dialogues=10", *of]) == 0
+    (told,) = json.loads(capsys.readouterr().out)["doubts"]
+    assert doubt in told
+
+
 def test_the_public_corpus_is_evaluated_with_files_and_difficulty_of_choice(capsys, tcbot):
     goals = "user_goals_first_turn_template.part.movie.v1.p"
     corpus = f"domain=miulab domain.path={tcbot} domain.kb=movie_kb.1k.p domain.goals={goals}"

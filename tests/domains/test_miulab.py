@@ -201,3 +201,31 @@ def test_what_cannot_be_used_is_left_out_and_named_or_refused(load, contents, fa
 
 def test_a_record_is_left_without_its_unknown_slots(load):
     assert load({"kb": {0: {"city": "seattle", "area": "x"}}}).records == ({"city": "seattle"},)
+
+
+def test_values_that_never_match_their_like_stay_and_are_told_by_file(load):
+    kb = {
+        4: {"date": "today"},
+        7: {"city": "seattle\u00a0", "date": "today "},
+        9: {"date": "today"},
+    }
+    values = {"city": ["seattle", " seattle"], "date": ["to\u200bday"]}
+    domain = load({"kb": kb, "values": values})
+    assert domain.records[1] == kb[7]
+    assert domain.error_values == {slot: tuple(texts) for slot, texts in values.items()}
+    some = "some values differ from others of their slot only in blanks, quotes, dashes or how"
+    assert domain.doubts == (
+        f"kb.p, row 7: {some} letters are encoded, such as date = 'today ', which never matches "
+        "'today'",
+        f"values.p, slots city, date: {some} letters are encoded, such as city = ' seattle', "
+        "which never matches 'seattle'",
+    )
+    assert load().doubts == ()
+
+
+def test_the_public_corpus_has_such_values_in_each_of_its_files(miulab):
+    assert [text.partition(",")[0] for text in miulab.doubts] == [
+        "movie_kb.1k.p",
+        "dicts.v3.p",
+        "user_goals_first_turn_template.v2.p",
+    ]

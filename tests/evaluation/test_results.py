@@ -96,6 +96,16 @@ def test_a_damaged_result_is_refused_by_name(tmp_path, damage):
         read_result(tmp_path)
 
 
+def test_files_that_an_editor_gave_a_byte_order_mark_are_read(tmp_path):
+    written = run_result([0.5])
+    write_json(written, tmp_path / "result.json")
+    (tmp_path / "metrics.csv").write_text(metrics_text([0.2, 0.6], rounds=3))
+    for file in (tmp_path / "result.json", tmp_path / "metrics.csv"):
+        file.write_text(file.read_text(), encoding="utf-8-sig")
+    assert read_result(tmp_path) == written
+    assert len(read_metrics(tmp_path)["round"]) == 3
+
+
 @pytest.fixture
 def read(tmp_path):
     """Reads metrics with this text."""

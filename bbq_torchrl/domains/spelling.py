@@ -1,0 +1,115 @@
+"""Values that people take for the same, and that never match: a stray blank, another quote."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections import Counter, defaultdict
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+from bbq_torchrl.domains.values import RESERVED_TEXT, fold
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from bbq_torchrl.domains.domain import Goal
+    from bbq_torchrl.domains.faults import Place
+
+_ALIKE = {
+    **dict.fromkeys("\u2018\u2019\u201a\u201b\u02bc\u2032\u00b4\u0060", "'"),
+    **dict.fromkeys("\u201c\u201d\u201e\u201f\u2033\u00ab\u00bb", '"'),
+    **dict.fromkeys("\u2010\u2011\u2012\u2013\u2014\u2015\u2212", "-"),
+}
+DIFFERENCE = "only in blanks, quotes, dashes or how letters are encoded"
+"""In what values differ that are :func:`plain` alike."""
+
+_LETTERS = str.maketrans(_ALIKE)
+_RESERVED = {fold(text): text for text in RESERVED_TEXT.values()}
+
+
+class Misspelling(NamedTuple):
+    """A value that never matches another one of its slot, from which it seems not to differ.
+
+    Attributes:
+        place: where it is in the domain.
+        slot: whose value it is.
+        text: as it is written there.
+        usual: as most places write it, or a reserved value.
+    """
+
+    place: Place
+    slot: str
+    text: str
+    usual: str
+
+    def __str__(self) -> str:
+        # In ASCII, where a no-break space and a letter of two characters can be seen.
+        return f"{self.slot} = {self.text!a}, which never matches {self.usual!a}"
+
+
+@lru_cache(maxsize=50_000)
+def plain(text: str) -> str:
+    r"""Returns what a person reads of a value: without case, and with one kind of blank and quote.
+
+    Compatibility forms of letters (NFKC), quotes and dashes become one each. Blanks at the ends,
+    repeated blanks and characters without width go.
+
+    Examples:
+        >>> plain(" Freddy\u2019s\u00a0 Pizza") == plain("freddy's pizza")
+        True
+    """
+    folded = fold(text)
+    if not folded.isascii():
+        folded = unicodedata.normalize("NFKC", fold(folded.translate(_LETTERS)))
+        folded = "".join(letter for letter in folded if unicodedata.category(letter) != "Cf")
+    return " ".join(folded.translate(_LETTERS).split())
+
+
+def misspellings(
+    records: Sequence[Mapping[str, str]],
+    goals: Sequence[Goal],
+    error_values: Mapping[str, Iterable[str]],
+) -> list[Misspelling]:
+    """Finds values of a slot that are :func:`plain` alike and do not match.
+
+    Args:
+        records: slot to value.
+        goals: the users' goals.
+        error_values: slot to values.
+    """
+    written: dict[tuple[str, str], list[tuple[Place, str]]] = defaultdict(list)
+    for place, slot, text in _places(records, goals, error_values):
+        if isinstance(text, str):
+            written[slot, plain(text)].append((place, text))
+    found = []
+    for (slot, key), items in written.items():
+        spellings = Counter(fold(text) for _, text in items)
+        reserved = _RESERVED.get(key)
+        if len(spellings) == 1 and (reserved is None or fold(reserved) in spellings):
+            continue
+        most = spellings.most_common(1)[0][0]
+        usual = reserved or next(text for _, text in items if fold(text) == most)
+        found += [
+            Misspelling(place, slot, text, usual)
+            for place, text in items
+            if fold(text) != fold(usual)
+        ]
+    return found
+
+
+def _places(
+    records: Sequence[Mapping[str, str]],
+    goals: Sequence[Goal],
+    error_values: Mapping[str, Iterable[str]],
+) -> Iterator[tuple[Place, str, str]]:
+    """Yields every value with its place and slot."""
+    for name, entries in (
+        ("records", records),
+        ("goals", [goal.constraints for goal in goals]),
+    ):
+        for number, entry in enumerate(entries):
+            for slot, text in entry.items():
+                yield (name, number), slot, text
+    for slot, texts in error_values.items():
+        for text in texts:
+            yield ("error_values", slot, text), slot, text
