@@ -14,7 +14,7 @@ from bbq_torchrl.cli.checkout import checkout
 from bbq_torchrl.cli.final import final_result
 from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import result_of, save_config
-from bbq_torchrl.cli.training import build_trainer, make_domain
+from bbq_torchrl.cli.training import build_trainer, make_domain, spike_policy
 from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import read_groups
@@ -73,7 +73,8 @@ def _run(
     _quieten_torchrl()
     save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
     domain = make_domain(config) if domain is None else domain
-    trainer, agent = build_trainer(config, folder, callbacks, domain=domain)
+    spiking = spike_policy(config, domain) if config.spike.dialogues else None
+    trainer, agent = build_trainer(config, folder, callbacks, domain=domain, spiking=spiking)
     # There is one where the run was killed before its last file, the curve.
     result = None if config.resume is None else result_of(folder, rounds)
     if result is None:
@@ -83,6 +84,8 @@ def _run(
         _tell_of_evaluations(config)
         if domain is not None:
             _tell_of_domain(domain, config.env.never(domain))
+        if spiking is not None and config.spike.policy is None and config.resume is None:
+            _LOG.info("spiking with the policy %s, the first that succeeds", spiking)
         with interruption.gently(trainer.stop):
             rows = trainer.train(resume=config.resume is not None)
         interruption.check()
@@ -92,7 +95,7 @@ def _run(
         write_json(result, folder / RESULT)
     if config.protocol.keep_checkpoints == "weights":
         trainer.checkpoints.keep_only("loss", "best")
-    _draw(config, folder, result, domain)  # last: the run is finished
+    _draw(config, folder, result, domain, spiking)  # last: the run is finished
     _LOG.info("%s", _result_line(config, result))
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     return result
@@ -163,20 +166,21 @@ def _quieten_torchrl() -> None:
         logging.getLogger("torchrl").setLevel(logging.WARNING)
 
 
-def _draw(config: Config, folder: Path, result: RunResult, domain: Domain | None) -> None:
+def _draw(
+    config: Config, folder: Path, result: RunResult, domain: Domain | None, spiking: str | None
+) -> None:
     try:
         groups = read_groups([folder])
     except ValueError as error:
         raise ConfigError(f"the curve cannot be drawn: {error}") from error
-    spike = config.spike
     named = {"explore": result.explore, "env": result.env, "domain": result.domain}
     draw_run(
         folder / CURVE,
         groups,
         title="Success: " + ", ".join(f"{key}={name}" for key, name in named.items() if name),
-        spiked=f"spiked with {spike.dialogues} {spike.policy} dialogues"
-        if spike.dialogues
-        else None,
+        spiked=None
+        if spiking is None
+        else f"spiked with {config.spike.dialogues} {spiking} dialogues",
         extensions=config.env.additions(domain),
         references=result.references,
     )

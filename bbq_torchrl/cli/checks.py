@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.cli.resume import description, result_of
-from bbq_torchrl.cli.training import make_domain
+from bbq_torchrl.cli.training import make_domain, spike_policy
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.text import shown
@@ -40,19 +40,18 @@ def check(config: Config) -> Domain | None:
     config.logger.check_package()
     domain = make_domain(config)
     spike, policies = config.spike, config.env.policies(domain)
-    if spike.dialogues and spike.policy not in policies:
-        if not policies:
-            raise ConfigError(
-                f"spike must be none with env={config.env.name}, where there are no scripted "
-                f"policies, got {spike.name!r}"
-            )
+    if spike.dialogues and not policies:
         raise ConfigError(
-            f"spike.policy must be one of {', '.join(policies)}, got {shown(spike.policy)}"
+            f"spike must be none with env={config.env.name}, where there are no scripted "
+            f"policies, got {spike.name!r}"
+        )
+    if spike.policy not in (None, *policies):
+        raise ConfigError(
+            f"spike.policy must be one of {', '.join(policies)} or null, got {shown(spike.policy)}"
         )
     config.env.check_domain(domain)
-    if spike.dialogues and config.env.extends:  # a script may need a slot that comes later
-        config.env.make_policy(spike.policy, config.env.make(domain, (1,)))
-    _check_spike(config, domain)
+    if spike.dialogues:
+        _check_spike(config, domain, spike_policy(config, domain))
     if config.resume is not None:
         _check_resumable(Path(config.resume), config)
     return domain
@@ -67,9 +66,14 @@ def _check_resumable(folder: Path, config: Config) -> None:
         raise CheckpointDamagedError.gone(folder)
 
 
-def _check_spike(config: Config, domain: Domain | None) -> None:
-    """Refuses a capacity that the spike fills: by playing it, where that is not plain."""
+def _check_spike(config: Config, domain: Domain | None, name: str) -> None:
+    """Refuses a policy that needs a slot that comes later, and a capacity that the spike fills.
+
+    The spike is played where the number of its transitions is not plain.
+    """
     spike, capacity = config.spike, config.protocol.capacity
+    if config.env.extends:
+        config.env.make_policy(name, config.env.make(domain, (1,)))
     if spike.dialogues * config.env.steps() < capacity:
         return
     count, seed = spike.dialogues, config.seed
@@ -79,7 +83,7 @@ def _check_spike(config: Config, domain: Domain | None) -> None:
         )
         torch.manual_seed(derive_seed(seed, "torch", "spike", 0))
         env.set_seed(derive_seed(seed, "env", "spike", 0))
-        policy, steps = config.env.make_policy(spike.policy, env), config.env.steps()
+        policy, steps = config.env.make_policy(name, env), config.env.steps()
         played = rollouts(env, policy, spike.dialogues, max_steps=steps)
         count = sum(int(rollout["valid"].sum((-2, -1)).max()) for rollout in played)
     if count >= capacity:

@@ -125,6 +125,8 @@ def load_config(file: Path) -> Config:
 
 def _rename(plain: DictConfig) -> None:
     """Says what our strategies of 0.1.0 did by the keys and words of today."""
+    if OmegaConf.select(plain, "spike.dialogues") == 0:
+        plain.spike.policy = None  # which said "rule", of no dialogues
     explore, rounds = plain.get("explore"), OmegaConf.select(plain, "protocol.rounds")
     if not OmegaConf.is_dict(explore):
         return

@@ -17,7 +17,7 @@ from bbq_torchrl.evaluation.while_training import RoundEvaluator
 from bbq_torchrl.options import ConfigError, Task
 from bbq_torchrl.options.task import action_mask_key, check_env
 from bbq_torchrl.options.values import replica_values
-from bbq_torchrl.trainers import RoundTrainer, derive_seed
+from bbq_torchrl.trainers import RoundTrainer, derive_seed, episode_stats, rollouts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config, EvaluateConfig, Option
     from bbq_torchrl.trainers import ReplicaOptimizer
     from bbq_torchrl.trainers.hooks import RoundCallback
+
+TRIED = 500
+"""How many dialogues a scripted policy plays at most before it is said never to succeed."""
 
 
 class Agent(NamedTuple):
@@ -64,6 +67,37 @@ def make_domain(config: Config | EvaluateConfig) -> Domain | None:
         ValueError or OSError: the corpus is damaged or not there.
     """
     return config.domain.make() if config.env.has_domain else None
+
+
+def spike_policy(config: Config, domain: Domain | None) -> str:
+    """Returns the scripted policy that spikes: the one given, else the first that succeeds.
+
+    Each plays with the same seed until a dialogue succeeds, whatever the run's seed, so that all
+    runs of a setting are spiked alike. A script that cannot be played in the first round is left
+    out.
+
+    Raises:
+        ConfigError: none succeeds in :data:`TRIED` dialogues.
+    """
+    if config.spike.policy is not None:
+        return config.spike.policy
+    names = config.env.policies(domain)
+    env = config.env.make(domain, (1, TRIED // 5), device=config.device)
+    for name in names:
+        try:
+            policy = config.env.make_policy(name, env)
+        except ValueError:  # a script that needs a slot which comes later
+            continue
+        torch.manual_seed(derive_seed(0, "torch", "spike tried"))
+        env.set_seed(derive_seed(0, "env", "spike tried"))
+        played = rollouts(env, policy, TRIED, max_steps=config.env.steps())
+        if any(bool(episode_stats(rollout).success.any()) for rollout in played):
+            return name
+    raise ConfigError(
+        f"spike.policy must be a scripted policy that succeeds, and none of {', '.join(names)} "
+        f"does in {TRIED} dialogues: mend the policies of the domain, make it easier (fewer "
+        "errors, more turns), or learn without them by spike=none"
+    )
 
 
 def make_agent(config: Config, env: EnvBase) -> Agent:
@@ -112,16 +146,19 @@ def build_trainer(
     callbacks: Sequence[RoundCallback] = (),
     *,
     domain: Domain | None = None,
+    spiking: str | None = None,
 ) -> tuple[RoundTrainer, Agent]:
     """Makes the trainer of a run, and its agent; callbacks are called after every round.
 
-    The domain is loaded unless it is given.
+    The domain is loaded, and the policy that spikes is found, unless they are given.
     """
     protocol, spike = config.protocol, config.spike
     domain = make_domain(config) if domain is None else domain
     batch = (config.replicas, protocol.dialogues)
     env = config.env.make(domain, batch, seed=config.seed, device=config.device)
     check_env(env, config.env.name, batch)
+    if spike.dialogues and spiking is None:
+        spiking = spike_policy(config, domain)
     agent = make_agent(config, env)
     made = config.logger.make(run_folder, resume=config.resume is not None)
     (loggers,) = _checked(config.logger, (made,), "a list of loggers", Iterable)
@@ -150,7 +187,7 @@ def build_trainer(
         lr_share=None if protocol.lr_final == 1 else protocol.lr_share,
         max_steps=config.env.steps(),
         seed=config.seed,
-        spike=spike.make(config.env.make_policy(spike.policy, env)) if spike.dialogues else None,
+        spike=spike.make(config.env.make_policy(spiking, env)) if spiking else None,
         loggers=loggers,
         callbacks=callbacks,
         evaluator=_evaluator(config, domain, agent),

@@ -60,7 +60,7 @@ class Spike:
     def fill(self, replay: ReplicaReplay, env: EnvBase, *, max_steps: int) -> None:
         """Stores the dialogues, each replica's buffer its own, protected if so set.
 
-        A replica without a success among them is named in a warning.
+        The log says how many of them succeed, and warns of a replica without a success.
 
         Args:
             replay: the buffers.
@@ -79,6 +79,11 @@ class Spike:
         if self.protect:
             replay.protect()
         rates = played["success_rate"].tolist()
+        _LOG.info(
+            "%.1f %% of the %d dialogues that spike the buffer succeed",
+            100 * fmean(rates),
+            self.dialogues,
+        )
         without = [str(replica) for replica, rate in enumerate(rates) if not rate]
         if without:
             _LOG.warning(

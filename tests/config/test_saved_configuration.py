@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,14 @@ def test_what_0_1_0_saved_is_read_as_what_it_did(agent):
         assert config.explore.per == "episode"
     else:  # over 100 rounds; the training had 2
         assert config.explore.anneal_fraction == 1
+
+
+def test_a_run_without_a_spike_is_read_whose_version_named_the_rule_all_the_same(tmp_path):
+    file = tmp_path / "config.yaml"
+    save_config(compose(["spike=none"]), file)
+    file.write_text(re.sub(r"(spike:\n(?:  .*\n)*?  policy:) null", r"\1 rule", file.read_text()))
+    assert yaml.safe_load(file.read_text())["spike"]["policy"] == "rule"
+    assert load_config(file).spike == compose(["spike=none"]).spike
 
 
 def resumed(folder, *overrides):

@@ -33,7 +33,11 @@ class SpikeOption(Option):
     group: ClassVar[str] = "spike"
 
     dialogues: int = setting(100, NON_NEGATIVE_INTEGER, "scripted dialogues put into the buffer")
-    policy: str = setting("rule", ANY_TEXT, "scripted policy of the domain that plays them")
+    policy: str | None = setting(
+        None,
+        optional(ANY_TEXT, "the domain's first that succeeds"),
+        "scripted policy of the domain that plays them",
+    )
     protect: bool = setting(True, BOOLEAN, "spiked transitions are never evicted")
     drop_above: float | None = setting(
         None,
