@@ -14,12 +14,17 @@ from bbq_torchrl.cli.checkout import checkout
 from bbq_torchrl.cli.final import final_result
 from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import result_of, save_config
-from bbq_torchrl.cli.training import build_trainer, make_domain, spike_policy
+from bbq_torchrl.cli.training import (
+    build_trainer,
+    make_domain,
+    opened_loggers,
+    spike_policy,
+)
 from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name
-from bbq_torchrl.evaluation.results import RunResult, write_json
+from bbq_torchrl.evaluation.results import RunResult, flat_numbers, write_json
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 from bbq_torchrl.trainers import keep_freed_memory
@@ -27,6 +32,8 @@ from bbq_torchrl.trainers import keep_freed_memory
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
@@ -60,12 +67,19 @@ def run(
         ConfigError: another process is at work in the folder.
         Interrupted: a signal came (see :mod:`bbq_torchrl.interruption`); all rounds are saved.
     """
-    with run_lock(folder):
-        return _run(config, folder, callbacks, domain)
+    with run_lock(folder), opened_loggers(config, folder) as loggers:
+        result = _run(config, folder, callbacks, domain, loggers)
+        numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
+        config.logger.log_result(loggers, numbers, rounds=result.rounds)
+    return result
 
 
 def _run(
-    config: Config, folder: Path, callbacks: Sequence[RoundCallback], domain: Domain | None
+    config: Config,
+    folder: Path,
+    callbacks: Sequence[RoundCallback],
+    domain: Domain | None,
+    loggers: Sequence[Logger],
 ) -> RunResult:
     rounds, code = config.protocol.rounds, checkout()  # now: it may change while the run trains
     torch.set_num_threads(config.threads)
@@ -74,7 +88,9 @@ def _run(
     save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
     domain = make_domain(config) if domain is None else domain
     spiking = spike_policy(config, domain) if config.spike.dialogues else None
-    trainer, agent = build_trainer(config, folder, callbacks, domain=domain, spiking=spiking)
+    trainer, agent = build_trainer(
+        config, folder, callbacks, domain=domain, spiking=spiking, loggers=loggers
+    )
     # There is one where the run was killed before its last file, the curve.
     result = None if config.resume is None else result_of(folder, rounds)
     if result is None:

@@ -30,14 +30,14 @@ def check(config: Config) -> Domain | None:
     Returns the domain, which it has to load; None where the environment has none.
 
     Raises:
-        ConfigError: the device is absent, the logger's package is not installed, the domain has
+        ConfigError: the device is absent, the logger cannot be used here, the domain has
             no such scripted policy, or the spike would fill the replay buffer.
         TrainingError: the run to resume has nothing that it can go on from.
         ValueError or OSError: the corpus is damaged or not there, or the spike cannot be played
             in the first round.
     """
     check_device(config.device)
-    config.logger.check_package()
+    config.logger.check_ready()
     domain = make_domain(config)
     spike, policies = config.spike, config.env.policies(domain)
     if spike.dialogues and not policies:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -15,12 +16,13 @@ from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.while_training import RoundEvaluator
 from bbq_torchrl.options import ConfigError, Task
+from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.task import action_mask_key, check_env
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.trainers import RoundTrainer, derive_seed, episode_stats, rollouts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from tensordict import NestedKey
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase, Transform
     from torchrl.modules import QValueActor
     from torchrl.objectives import LossModule
+    from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config, EvaluateConfig, Option
@@ -147,10 +150,13 @@ def build_trainer(
     *,
     domain: Domain | None = None,
     spiking: str | None = None,
+    loggers: Sequence[Logger] = (),
 ) -> tuple[RoundTrainer, Agent]:
     """Makes the trainer of a run, and its agent; callbacks are called after every round.
 
-    The domain is loaded, and the policy that spikes is found, unless they are given.
+    The domain is loaded, and the policy that spikes is found, unless they are given. Loggers are
+    those of :func:`opened_loggers`; without them the metrics are logged nowhere but in the run
+    folder.
     """
     protocol, spike = config.protocol, config.spike
     domain = make_domain(config) if domain is None else domain
@@ -160,8 +166,6 @@ def build_trainer(
     if spike.dialogues and spiking is None:
         spiking = spike_policy(config, domain)
     agent = make_agent(config, env)
-    made = config.logger.make(run_folder, resume=config.resume is not None)
-    (loggers,) = _checked(config.logger, (made,), "a list of loggers", Iterable)
     trainer = RoundTrainer(
         env,
         agent.policy,
@@ -195,6 +199,26 @@ def build_trainer(
         described=description(config),
     )
     return trainer, agent
+
+
+@contextmanager
+def opened_loggers(config: Config, run_folder: Path) -> Iterator[Sequence[Logger]]:
+    """Loggers of a run, which have its configuration. They are closed however the run ends.
+
+    Raises:
+        ConfigError: the option has made no list of loggers, or they cannot be used.
+    """
+    option = config.logger
+    made = option.make(run_folder, resume=config.resume is not None)
+    (loggers,) = _checked(option, (made,), "a list of loggers", Iterable)
+    finished = False
+    try:
+        flat = {key: value for key, _, value in walk(config) if key != "resume"}
+        option.log_config(loggers, flat)
+        yield tuple(loggers)
+        finished = True
+    finally:
+        option.close(loggers, finished=finished)
 
 
 def _checked(option: Option, made: Any, what: str, *kinds: type | tuple[type, ...]) -> Any:

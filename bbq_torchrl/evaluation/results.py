@@ -13,7 +13,7 @@ from bbq_torchrl.run_folder import RESULT, write_text
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
 LAST = 5
@@ -204,6 +204,31 @@ def _mean_evaluation(
     if len(found) < len(of_replicas):
         return None
     return TrainingEvaluation(**{name: fmean(item[name] for item in found) for name in found[0]})
+
+
+def flat_numbers(result: RunResult) -> dict[str, float]:
+    """Returns the numbers of a result by name, for a logger.
+
+    Such as ``success_rate``, ``success_rate/replica_0``, ``while_training/best`` and
+    ``scripted/rule``; seed, rounds and replicas are the configuration's.
+    """
+    plain = asdict(result)
+    of_replicas = plain.pop("per_replica")
+    for key in ("seed", "rounds", "replicas"):
+        del plain[key]
+    numbers = dict(_leaves(plain))
+    for item in of_replicas:
+        replica = item.pop("replica")
+        numbers |= {f"{name}/replica_{replica}": value for name, value in _leaves(item)}
+    return numbers
+
+
+def _leaves(plain: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+    for name, value in plain.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{name}/")
+        elif isinstance(value, (int, float)):
+            yield f"{prefix}{name}", value
 
 
 def write_json(content: RunResult | dict[str, Any], file: Path) -> None:

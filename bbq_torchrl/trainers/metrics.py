@@ -35,7 +35,8 @@ class MetricsFile:
     Args:
         path: the file; its folder is made if it is missing.
         replicas: the number of replicas.
-        loggers: TorchRL loggers, which get ``<metric>/replica_<r>`` at the step of the round.
+        loggers: TorchRL loggers, which get ``<metric>/replica_<r>`` of all replicas at once, at the
+            step of the round.
 
     Attributes:
         rows: those of all rounds, one for each round and replica.
@@ -87,9 +88,9 @@ class MetricsFile:
         is_anew = is_first or not self.path.exists()  # somebody has removed it
         with self.path.open("w" if is_anew else "a", encoding="utf-8", newline="") as file:
             file.write(_csv(self.rows if is_anew else rows, header=is_anew))
+        logged = _logged(rows)
         for logger in self.loggers:
-            for row in rows:
-                _log(logger, row)
+            logger.log_metrics(dict(logged), step=round_number)
         return rows
 
     def state_dict(self) -> dict[str, Any]:
@@ -132,10 +133,14 @@ def _of_each(name: str, value: float | Tensor | Sequence[float], replicas: int) 
     return of_each
 
 
-def _log(logger: Logger, row: MetricRow) -> None:
-    for name, value in row.items():
-        if name not in ("round", "replica") and value == value:
-            logger.log_scalar(f"{name}/replica_{row['replica']}", float(value), step=row["round"])
+def _logged(rows: Sequence[MetricRow]) -> dict[str, float]:
+    """Returns a round by the names that loggers have for its metrics."""
+    return {
+        f"{name}/replica_{row['replica']}": float(value)
+        for row in rows
+        for name, value in row.items()
+        if name not in ("round", "replica") and value == value
+    }
 
 
 def _csv(rows: Sequence[MetricRow], *, header: bool) -> str:

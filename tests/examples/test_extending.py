@@ -9,7 +9,6 @@ import forked
 import pytest
 import torch
 from extended import PACKAGE, SHRUNKEN
-from torch import nn
 from torchrl.data import Composite, Unbounded
 
 from bbq_torchrl import evaluate
@@ -97,11 +96,6 @@ THOMPSON = "make of explore=thompson must return a policy and a dict of metrics,
             "intrinsic",
             lambda self, loss, task: loss,
             "make of intrinsic=none must return a loss and a list of transforms, got BBQNLoss",
-        ),
-        (
-            "logger",
-            lambda self, run_folder, *, resume: nn.Identity(),
-            "make of logger=csv must return a list of loggers, got Identity",
         ),
     ],
 )

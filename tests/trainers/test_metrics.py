@@ -30,14 +30,12 @@ def test_loggers_get_what_the_file_gets_but_for_what_a_round_has_not(tmp_path):
     metrics.append(0, {"loss": [0.5, math.nan], "buffer": [3, 4]})
     metrics.append(1, {"loss": 0.25, "buffer": torch.tensor([5, 6])})
 
-    assert logger.log_scalar.mock_calls == [
-        call("loss/replica_0", 0.5, step=0),
-        call("buffer/replica_0", 3.0, step=0),
-        call("buffer/replica_1", 4.0, step=0),
-        call("loss/replica_0", 0.25, step=1),
-        call("buffer/replica_0", 5.0, step=1),
-        call("loss/replica_1", 0.25, step=1),
-        call("buffer/replica_1", 6.0, step=1),
+    first = {"loss/replica_0": 0.5, "buffer/replica_0": 3.0, "buffer/replica_1": 4.0}
+    second = {"loss/replica_0": 0.25, "buffer/replica_0": 5.0}
+    second |= {"loss/replica_1": 0.25, "buffer/replica_1": 6.0}
+    assert logger.mock_calls == [
+        call.log_metrics(first, step=0),
+        call.log_metrics(second, step=1),
     ]
     table = "round,replica,loss,buffer\n0,0,0.5,3\n0,1,,4\n1,0,0.25,5\n1,1,0.25,6\n"
     assert metrics.path.read_text() == table
@@ -116,7 +114,7 @@ def test_a_missing_package_is_named_with_how_to_install_it(monkeypatch, option, 
     monkeypatch.setattr(importlib.util, "find_spec", lambda module: None)
 
     with pytest.raises(ConfigError, match=f"needs the package {option.package}: {command}"):
-        option().check_package()
+        option().check_ready()
 
 
 def test_a_resumed_run_goes_on_as_the_same_wandb_run(tmp_path, monkeypatch):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options import LoggerOption, register
 from bbq_torchrl.options.settings import option
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from torchrl.record.loggers import Logger
@@ -27,3 +28,9 @@ class TensorBoard(LoggerOption):
         from torchrl.record.loggers.tensorboard import TensorboardLogger
 
         return [TensorboardLogger("tensorboard", str(run_folder.resolve()))]
+
+    def log_config(self, loggers: Iterable[Logger], config: Mapping[str, Any]) -> None:
+        """Adds the configuration as a text; as hyper-parameters it would be another run."""
+        text = "\n".join(f"    {key}: {value}" for key, value in config.items())
+        for logger in loggers:
+            logger.experiment.add_text("config", text)
