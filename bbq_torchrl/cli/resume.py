@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 
 NOT_SWEPT = "resume cannot be combined with --multirun"
 
+ANOTHER_SWEEP = (
+    "a sweep goes on by the same command; give another hydra.sweep.dir, or a hydra.sweep.subdir "
+    "with a folder of its own for each job"
+)
+
 CHANGEABLE = (
     "protocol.rounds",
     "protocol.keep_checkpoints",
@@ -204,10 +209,15 @@ def resumed(folder: Path, overrides: Sequence[str]) -> tuple[DictConfig, Config]
     return composed, config
 
 
-def restarted_config(config: Config, folder: Path) -> Config:
-    """The configuration of a job of a sweep: it goes on with what its folder holds already.
+def restarted_config(config: Config, folder: Path, *, way: str = ANOTHER_SWEEP) -> Config:
+    """The configuration of a job of a sweep or a trial of a search: it resumes what is there.
 
     Launchers start a job again whose worker died (Ray) or that ran out of time (SLURM).
+
+    Args:
+        config: of the job, as if it were new.
+        folder: the job's run folder.
+        way: what to do where the folder holds another run. Defaults to that of a sweep.
 
     Raises:
         ConfigError: the folder holds a run of another configuration.
@@ -215,10 +225,7 @@ def restarted_config(config: Config, folder: Path) -> Config:
     if not (folder / CONFIG).is_file():
         return config
     if run_config(folder) != dataclasses.replace(config, resume=None):
-        raise ConfigError(
-            f"{folder} already holds another run: a sweep goes on by the same command; give "
-            "another hydra.sweep.dir, or a hydra.sweep.subdir with a folder of its own for each job"
-        )
+        raise ConfigError(f"{folder} already holds another run: {way}")
     return dataclasses.replace(config, resume=str(folder))
 
 

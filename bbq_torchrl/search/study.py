@@ -9,19 +9,21 @@ from __future__ import annotations
 
 import logging
 import warnings
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from math import prod
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import optuna
 import yaml
 from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.pool import NullPool
 
 from bbq_torchrl.cli.folders import refuse_links
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.run_folder import write_text
+from bbq_torchrl.run_folder import CONFIG, write_text
 from bbq_torchrl.search.space import Choices, as_entry
 from bbq_torchrl.search.trials import (
     Outcome,
@@ -30,6 +32,7 @@ from bbq_torchrl.search.trials import (
     trial_name,
     write_tables,
 )
+from bbq_torchrl.sqlite import sqlite_url
 from bbq_torchrl.text import sentence, shown
 from bbq_torchrl.trainers import TrainingError, derive_seed
 
@@ -44,7 +47,9 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 _DEFINITION = "search.yaml"
-_DEFINED = "definition"
+_DATABASE = "study.db"
+_TIE = ".study"
+_DEFINED, _TIED = "definition", "tie"
 
 
 def run_search(
@@ -68,22 +73,23 @@ def run_search(
             fails, and the search goes on.
 
     Raises:
-        ConfigError: the folder holds another search, or it or the storage cannot be used.
+        ConfigError: the folder holds another search, its trials are not those of the storage, or
+            one of the two cannot be used.
     """
-    folder = search.folder
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        refuse_links(folder)
-        with FileLock(folder / ".search.lock"):
-            _check_definition(search, folder / _DEFINITION)
-            study = _study(search, folder)
-            if not (folder / _DEFINITION).exists():
-                text = yaml.safe_dump(search.definition(), sort_keys=False)
-                write_text(folder / _DEFINITION, text)
+    with _opened(search) as study:
         if (most := _most_trials(search)) < search.settings.trials:
             _LOG.info("search.trials=%d: the space has %d settings", search.settings.trials, most)
-    except OSError as error:
-        raise ConfigError(f"search.folder={folder} cannot be used: {sentence(error)}") from error
+        _run_trials(search, study, runner, check)
+        return best_trial(search, study)
+
+
+def _run_trials(
+    search: Search,
+    study: optuna.Study,
+    runner: Callable[..., RunResult],
+    check: Callable[[Config], Domain | None],
+) -> None:
+    folder = search.folder
     while True:
         with _claimed(search, study, folder) as trial:
             if trial is None:
@@ -103,7 +109,28 @@ def run_search(
                 _tell(study, trial, outcome)
         with FileLock(folder / ".tables.lock"):
             write_tables(search, study)
-    return best_trial(search, study)
+
+
+@contextmanager
+def _opened(search: Search) -> Iterator[optuna.Study]:
+    """Opens the study of a search, new or to go on with, and closes its database in the end."""
+    folder = search.folder
+    with ExitStack() as opened:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            refuse_links(folder)
+            with FileLock(folder / ".search.lock"):
+                _check_definition(search, folder / _DEFINITION)
+                study = _study(search, opened)
+                _tie(study, folder, _database(search))
+                if not (folder / _DEFINITION).exists():
+                    text = yaml.safe_dump(search.definition(), sort_keys=False)
+                    write_text(folder / _DEFINITION, text)
+        except OSError as error:
+            raise ConfigError(
+                f"search.folder={folder} cannot be used: {sentence(error)}"
+            ) from error
+        yield study
 
 
 def _check_definition(search: Search, file: Path) -> None:
@@ -129,7 +156,38 @@ def _refuse_another(search: Search, begun: Mapping[str, Any], place: str, choice
             )
 
 
-def _study(search: Search, folder: Path) -> optuna.Study:
+def _tie(study: optuna.Study, folder: Path, database: str) -> None:
+    """Ties a database to the folder that has the runs of its trials, by a mark that both have.
+
+    Raises:
+        ConfigError: the folder's trials are not in the database, or the database's not in the
+            folder: values would be reported that were never trained there.
+    """
+    file = folder / _TIE
+    of_folder = file.read_text(encoding="utf-8") if file.is_file() else None
+    of_study = study.user_attrs.get(_TIED)
+    runs = any(folder.glob(f"trial_*/{CONFIG}"))
+    if of_study is None and bool(study.get_trials(deepcopy=False)) == runs:
+        # Both are new, or of a version that had no marks.
+        of_study = of_folder = of_folder or uuid4().hex
+        write_text(file, of_folder)
+        study.set_user_attr(_TIED, of_study)
+    if of_folder != of_study:
+        told = (
+            f"{folder} holds trials that {database} does not know"
+            if of_study is None
+            else f"{database} holds the search of another folder than {folder}"
+        )
+        raise ConfigError(f"{told}: choose another search.folder")
+
+
+def _database(search: Search) -> str:
+    """Returns what the database of a search is called where it is refused."""
+    url = search.settings.storage
+    return f"search.storage={url}" if url else str(search.folder / _DATABASE)
+
+
+def _study(search: Search, opened: ExitStack) -> optuna.Study:
     settings = search.settings
     rounds = search.corners[0].protocol.rounds
     pruner: optuna.pruners.BasePruner = optuna.pruners.NopPruner()
@@ -138,12 +196,18 @@ def _study(search: Search, folder: Path) -> optuna.Study:
             n_startup_trials=settings.startup_trials,
             n_warmup_steps=int(settings.prune_after * rounds),
         )
-    url = settings.storage or f"sqlite:///{folder / 'study.db'}"
-    # Several processes write to the file: each waits up to a minute for the others.
-    options = {"connect_args": {"timeout": 60}} if url.startswith("sqlite") else {}
+    url = settings.storage or sqlite_url(search.folder / _DATABASE)
+    options: dict[str, Any] = {}
+    if url.startswith("sqlite"):
+        # Several processes write to the file: each waits up to a minute for the others. A pool
+        # would leave connections open where Optuna refuses the database.
+        options = {"connect_args": {"timeout": 60}, "poolclass": NullPool}
     try:
+        storage = optuna.storages.RDBStorage(url, engine_kwargs=options)
+        opened.callback(storage.engine.dispose)
+        opened.callback(storage.remove_session)
         study = optuna.create_study(
-            storage=optuna.storages.RDBStorage(url, engine_kwargs=options),
+            storage=storage,
             study_name=search.name,
             direction="maximize",
             load_if_exists=True,
@@ -151,8 +215,7 @@ def _study(search: Search, folder: Path) -> optuna.Study:
         )
     # A URL that is none, a database that is not there or is none, a driver that is not installed.
     except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, RuntimeError) as error:
-        given = f"search.storage={settings.storage}" if settings.storage else url
-        raise ConfigError(f"{given} cannot be used: {sentence(error)}") from error
+        raise ConfigError(f"{_database(search)} cannot be used: {sentence(error)}") from error
     # A database may be that of a search in another folder.
     definition = search.definition()
     begun = study.user_attrs.get(_DEFINED, definition)

@@ -6,17 +6,17 @@ import csv
 import math
 import shlex
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import optuna
 
 from bbq_torchrl.cli.messages import train_command
-from bbq_torchrl.cli.resume import is_finished
+from bbq_torchrl.cli.resume import is_finished, restarted_config
 from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.evaluation.statistics import interquartile_mean
-from bbq_torchrl.run_folder import CONFIG, write_text
+from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.text import sentence
 from bbq_torchrl.trainers import TrainingError
 
@@ -67,11 +67,13 @@ def play_trial(
         settings: of the search.
         runner: trains it.
         domain: the configuration's, loaded.
+
+    Raises:
+        ConfigError: the folder holds a run of another configuration, such as other values.
     """
     states = optuna.trial.TrialState
     folder.mkdir(parents=True, exist_ok=True)
-    if (folder / CONFIG).is_file():
-        config = replace(config, resume=str(folder))
+    config = restarted_config(config, folder, way="choose another search.folder")
     try:
         if is_finished(folder, config.protocol.rounds):
             result = read_result(folder)

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import shlex
+import sqlite3
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,6 +27,9 @@ from bbq_torchrl.trainers import TrainingError
 
 optuna = pytest.importorskip("optuna", reason="needs the extra search")
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+from sqlalchemy import event  # noqa: E402
+from sqlalchemy.pool import Pool  # noqa: E402
 
 from bbq_torchrl.search.study import run_search  # noqa: E402
 
@@ -252,6 +256,102 @@ def test_a_folder_or_database_is_not_used_for_another_search(tmp_path, changed, 
     with pytest.raises(ConfigError, match="choose another search") as refused:
         search(tmp_path / folder, shared, changed, trials=2)
     assert sentence in str(refused.value)
+
+
+def test_a_database_that_does_not_know_the_folders_trials_is_refused(tmp_path):
+    whole = tmp_path / "whole"
+    search(whole, trials=2)
+    before, again = (whole / "trials.csv").read_text(), Training()
+    (whole / "study.db").unlink()
+    gone = (
+        r"whole holds trials that .*whole/study\.db does not know: choose another search\.folder$"
+    )
+    with pytest.raises(ConfigError, match=gone):
+        search(whole, trials=2, training=again)
+    new = f"search.storage=sqlite:///{tmp_path / 'new.db'}"
+    with pytest.raises(ConfigError, match=r"holds trials that search\.storage=.* does not know"):
+        search(whole, new, trials=2, training=again)
+    assert not again.played
+    assert (whole / "trials.csv").read_text() == before
+
+
+def test_a_database_of_another_folder_is_refused(tmp_path):
+    shared, again = f"search.storage=sqlite:///{tmp_path / 'shared.db'}", Training()
+    search(tmp_path / "a", shared, trials=1)
+    search(tmp_path / "b", trials=1)
+    for folder in ("b", "new"):
+        refusal = r"holds the search of another folder than .*: choose another search\.folder$"
+        with pytest.raises(ConfigError, match=refusal):
+            search(tmp_path / folder, shared, trials=2, training=again)
+    assert not again.played
+    search(tmp_path / "a", shared, trials=2, training=again)
+    assert again.trials == {1}
+
+
+def test_a_search_whose_folder_and_database_have_no_mark_goes_on(tmp_path):
+    search(tmp_path, trials=1)
+    (tmp_path / ".study").unlink()
+    with sqlite3.connect(tmp_path / "study.db") as database:
+        database.execute("DELETE FROM study_user_attributes WHERE key = 'tie'")
+    database.close()
+    again = Training()
+    search(tmp_path, trials=2, training=again)
+    assert again.trials == {1}
+
+
+def test_a_trials_folder_with_a_run_of_other_values_is_refused(tmp_path, plain):
+    search(tmp_path, trials=1)
+    other = tmp_path / "trial_0001"
+    other.mkdir()
+    save_config(plain, other / "config.yaml")
+    training = Training()
+    with pytest.raises(ConfigError, match="trial_0001 already holds another run: choose another"):
+        search(tmp_path, trials=2, training=training)
+    assert not training.played
+    assert [row["trial"] for row in table(tmp_path)] == ["0"]
+
+
+@pytest.mark.parametrize("name", ["a%23b", "a#b", "a?b", "a{b} é"])
+def test_the_database_lies_in_the_folder_whatever_its_name(tmp_path, name):
+    search(tmp_path / name, trials=1)
+    assert (tmp_path / name / "study.db").is_file()
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.fixture
+def connections():
+    """The connections that SQLAlchemy opens to SQLite: kept, so that none is closed by chance."""
+    opened = []
+
+    def keep(connection, record):
+        opened.append(connection)
+
+    event.listen(Pool, "connect", keep)
+    yield opened
+    event.remove(Pool, "connect", keep)
+
+
+@pytest.mark.parametrize("ends", ["well", "refused", "error", "no database"])
+@pytest.mark.parametrize("storage", [[], ["search.storage=sqlite:///{folder}/other.db"]])
+def test_every_connection_to_the_database_is_closed(tmp_path, connections, storage, ends):
+    given = [text.format(folder=tmp_path) for text in storage]
+    if ends == "well":
+        search(tmp_path, *given, trials=1)
+    elif ends == "refused":
+        search(tmp_path, *given, trials=1)
+        with pytest.raises(ConfigError):
+            search(tmp_path, *given, "replicas=2", trials=2)
+    elif ends == "error":
+        with pytest.raises(KeyError):
+            search(tmp_path, *given, trials=1, training=Training({(0, 1): KeyError}))
+    else:
+        (tmp_path / ("other.db" if storage else "study.db")).write_text("no database")
+        with pytest.raises(ConfigError, match="cannot be used"):
+            search(tmp_path, *given, trials=1)
+    assert connections
+    for connection in connections:
+        with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+            connection.execute("SELECT 1")
 
 
 def test_a_full_disk_ends_the_command_in_a_sentence(tmp_path, monkeypatch, capsys):
