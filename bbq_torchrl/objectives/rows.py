@@ -61,6 +61,30 @@ def rows_that_count(
     return counts
 
 
+def weights_of_rows(
+    loss: LossModule, tensordict: TensorDictBase, rows: torch.Size
+) -> Tensor | None:
+    """Returns the weight of each row, [*rows, 1]; None if all rows count the same.
+
+    Floating-point where prioritized replay gave the rows weights, else bool.
+
+    Args:
+        loss: whose keys for masks and for the weights of prioritized replay are read.
+        tensordict: a batch.
+        rows: the batch's shape.
+
+    Raises:
+        ValueError: for a mask or weights of another shape.
+    """
+    counts = rows_that_count(loss, tensordict, rows)
+    if loss.use_prioritized_weights not in (True, "auto"):
+        return counts
+    priority = row_entry(tensordict, loss.tensor_keys.priority_weight, rows)
+    if priority is None or counts is None:
+        return counts if priority is None else priority
+    return priority.where(counts, 0)
+
+
 def row_weights(loss: OneStepQLoss, tensordict: TensorDictBase, reward: Tensor) -> Tensor | None:
     """Returns weights [*replicas, *batch, 1] that add up to 1; None if all rows count the same.
 
@@ -72,12 +96,7 @@ def row_weights(loss: OneStepQLoss, tensordict: TensorDictBase, reward: Tensor) 
     Raises:
         ValueError: for a mask or weights of another shape.
     """
-    rows = reward.shape[:-1]
-    weight = rows_that_count(loss, tensordict, rows)
-    if loss.use_prioritized_weights in (True, "auto"):
-        priority = row_entry(tensordict, loss.tensor_keys.priority_weight, rows)
-        if priority is not None:
-            weight = priority if weight is None else priority.where(weight, 0)
+    weight = weights_of_rows(loss, tensordict, reward.shape[:-1])
     if weight is None:
         return None
     weight = weight.to(torch.result_type(reward, 1.0))  # rewards may be whole numbers

@@ -14,7 +14,7 @@ from torchrl.objectives import LossModule
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
 from bbq_torchrl.bayes.settings import checked_number
 from bbq_torchrl.objectives.num_data import NumData
-from bbq_torchrl.objectives.rows import rows_that_count
+from bbq_torchrl.objectives.rows import weights_of_rows
 
 if TYPE_CHECKING:
     from tensordict.utils import NestedKey
@@ -35,7 +35,8 @@ class DynamicsLoss(NumData, LossModule):
     terminated transition nothing is predicted: it adds 0 to the sum and counts as a row, so that
     N is the length of the buffer and data and KL weigh as Bayes' rule has it. Rows can be left
     out altogether: ``loss_mask_key`` (TorchRL's attribute, here "valid" by default, an optional
-    entry) names a bool [*replicas, *batch] entry that is True for the rows that count.
+    entry) names a bool [*replicas, *batch] entry that is True for the rows that count. The weights
+    that prioritized replay gives the rows weigh them here as in the Q-learning losses.
 
     Reads a TensorDict [*replicas, *batch] with the observation, the action, and under "next" the
     observation and terminated [*replicas, *batch, 1]. Each replica has a loss of its
@@ -78,11 +79,13 @@ class DynamicsLoss(NumData, LossModule):
             observation: the state, at the root and under "next".
             action: an index, or a vector such as one-hot.
             terminated: read under "next".
+            priority_weight: how much a row counts, as prioritized replay writes it; may be absent.
         """
 
         observation: NestedKey = "observation"
         action: NestedKey = "action"
         terminated: NestedKey = "terminated"
+        priority_weight: NestedKey = "priority_weight"
 
     default_keys = _AcceptedKeys
     tensor_keys: _AcceptedKeys
@@ -138,9 +141,10 @@ class DynamicsLoss(NumData, LossModule):
         observation, action, following, terminated = (tensordict[key] for key in self.in_keys)
         rows = observation.shape[:-1]
         predicted = ~terminated.bool().reshape(*rows, 1)
-        counts = rows_that_count(self, tensordict, rows)
+        weight = weights_of_rows(self, tensordict, rows)
         inputs = self.dynamics.inputs(observation, action)
-        if counts is not None:
+        if weight is not None:
+            counts = weight != 0
             predicted = predicted & counts
             # Select before anything is multiplied: a row that does not count may hold anything.
             inputs = torch.where(counts, inputs, 0)
@@ -149,9 +153,13 @@ class DynamicsLoss(NumData, LossModule):
             output = self.dynamics.network(inputs)
         error = output - self.dynamics.standardize(following)
         square = torch.where(predicted, error, 0).square().sum(-1)
+        number: float | Tensor = max(1, rows[len(self.replicas) :].numel())
+        if weight is not None:
+            weight = weight.squeeze(-1).to(square.dtype)
+            square = square * weight
+            # 0 / tiny where no row counts at all
+            number = self._flat(weight).sum(-1).clamp_min(torch.finfo(weight.dtype).tiny)
         sums = self._flat(square).sum(-1) * (0.5 / self.dynamics.noise_std**2)
-        batch = self._flat(predicted if counts is None else counts)
-        number = max(1, batch.shape[-1]) if counts is None else batch.sum(-1).clamp_min(1)
         kl = kl_sum.total()
         loss = sums / number + kl * (self.kl_temperature / self.num_data)
         return TensorDict(

@@ -188,6 +188,16 @@ class VIMELoss(LossModule):
         self.dynamics_loss.loss_mask_key = value  # type: ignore[assignment]
 
     @property
+    def use_prioritized_weights(self) -> bool | str:
+        """Whether the weights of prioritized replay are read, by both losses."""
+        return self.q_loss.use_prioritized_weights
+
+    @use_prioritized_weights.setter
+    def use_prioritized_weights(self, value: bool | str) -> None:
+        self.q_loss.use_prioritized_weights = value
+        self.dynamics_loss.use_prioritized_weights = value
+
+    @property
     def value_estimator(self) -> ValueEstimatorBase:
         """The Q-loss's value estimator."""
         return self.q_loss.value_estimator

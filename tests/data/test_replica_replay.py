@@ -116,7 +116,7 @@ ACTS = st.one_of(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(ACTS, max_size=8))
 def test_each_replica_keeps_what_is_protected_and_the_newest_of_the_rest(acts):
     """Against two lists for each replica, whatever is done to them in whatever order."""

@@ -65,7 +65,7 @@ RECORD = st.dictionaries(st.sampled_from(SLOTS), VALUE, min_size=1)
 @given(
     records=st.lists(RECORD, min_size=1, max_size=5), extra=st.lists(VALUE, min_size=1, max_size=3)
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_records_goals_and_values_survive_the_files(restaurant_folder, records, extra):
     goals = tuple(Goal(record, ("phone",)) for record in records)
     values = {"hour": tuple(extra)}

@@ -46,9 +46,20 @@ def test_torchrls_masks_count_together_with_valid_unless_one_is_named(make):
 def test_a_mask_and_priority_weights_multiply(make):
     loss, td = make(dtype=torch.double), transitions(dtype=torch.double)
     td["priority_weight"] = torch.rand(32).double().where(torch.arange(32) > 3, 0.0)
-    expected = result(loss, td[4:16])["loss_value"]
+    expected = everything(loss, td[4:16])
     td["valid"] = torch.arange(32) < 16
-    torch.testing.assert_close(result(loss, td)["loss_value"], expected)
+    torch.testing.assert_close(everything(loss, td), expected)
+
+
+def test_priority_weights_count_unless_they_are_switched_off(make):
+    loss, td = make(dtype=torch.double), transitions(dtype=torch.double)
+    plain = result(loss, td)
+    td["priority_weight"] = torch.rand(32).double()
+    weighted = result(loss, td)
+    for key in ("loss_value", *({"dynamics_loss"} & set(plain.keys()))):
+        assert not torch.allclose(weighted[key], plain[key])
+    loss.use_prioritized_weights = False
+    torch.testing.assert_close(result(loss, td), plain)
 
 
 def test_rewards_may_be_whole_numbers_and_ends_and_masks_too(make):

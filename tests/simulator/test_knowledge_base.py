@@ -33,7 +33,7 @@ def looked_up(draw):
     return records, held | draw(st.dictionaries(st.sampled_from(SLOTS[:6]), other, max_size=1))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(drawn=looked_up(), slot=st.sampled_from(INFORMED))
 def test_look_ups_are_those_of_the_oracle(drawn, slot):
     records, held = drawn

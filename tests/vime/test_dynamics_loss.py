@@ -17,12 +17,17 @@ from bbq_torchrl.vime import DynamicsLoss
 
 @pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize(
-    ("batch", "share", "settings"),
-    [((32,), 1.0, {}), ((4, 8), 0.7, {"kl_temperature": 0.4}), ((0,), 1.0, {})],
-    ids=["all rows", "some rows", "no rows"],
+    ("batch", "share", "weighted", "settings"),
+    [
+        ((32,), 1.0, False, {}),
+        ((4, 8), 0.7, False, {"kl_temperature": 0.4}),
+        ((4, 8), 0.7, True, {}),
+        ((0,), 1.0, False, {}),
+    ],
+    ids=["all rows", "some rows", "some rows, weighted", "no rows"],
 )
 def test_value_and_gradient_are_those_of_the_definition(
-    drawn_noise, replicas, batch, share, settings
+    drawn_noise, replicas, batch, share, weighted, settings
 ):
     dynamics = model(replicas, torch.double, noise_std=0.7, prior_std=0.3)
     loss = DynamicsLoss(dynamics, **settings)
@@ -34,6 +39,10 @@ def test_value_and_gradient_are_those_of_the_definition(
     if share < 1:
         counts.view(count, -1)[1:2] = False  # a replica without rows
         given["valid"] = counts
+    weight = torch.ones(td.shape, dtype=torch.double)
+    if weighted:
+        given["priority_weight"] = weight.uniform_()
+    weight = weight * counts
     # what does not count, and the state after an end, may be anything
     predicted = counts & ~td["next", "terminated"].squeeze(-1)
     given["observation"][~counts] = torch.nan
@@ -51,9 +60,9 @@ def test_value_and_gradient_are_those_of_the_definition(
     found = dynamics.network(torch.cat([z, one_hot], -1), weights=weights)
     # the constant of the density is left out
     greatest = Normal(0.0, 0.7).log_prob(torch.zeros(1).double())
-    rows = (greatest - Normal(found, 0.7).log_prob(following)).sum(-1) * predicted
+    rows = (greatest - Normal(found, 0.7).log_prob(following)).sum(-1) * predicted * weight
     temperature = settings.get("kl_temperature", 1.0)
-    number = counts.reshape(*replicas, -1).sum(-1).clamp_min(1)
+    number = weight.reshape(*replicas, -1).sum(-1).clamp_min(1e-300)
     kl = kl_divergence(q, Normal(0.0, 0.3)).sum(-1)
     expected = rows.reshape(*replicas, -1).sum(-1) / number + temperature * kl / num_data
     torch.testing.assert_close(out["dynamics_loss"], expected.detach())
