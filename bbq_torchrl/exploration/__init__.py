@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.exploration.base import ActorPolicy
 from bbq_torchrl.exploration.boltzmann import Boltzmann
 from bbq_torchrl.exploration.bootstrap import BootstrapSampling, MajorityVote
 from bbq_torchrl.exploration.egreedy import BatchedEGreedy
@@ -11,6 +12,7 @@ from bbq_torchrl.exploration.noisy import NoisySampling
 from bbq_torchrl.exploration.thompson import ThompsonSampling
 
 __all__ = [
+    "ActorPolicy",
     "BatchedEGreedy",
     "Boltzmann",
     "BootstrapSampling",

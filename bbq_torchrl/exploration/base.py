@@ -13,11 +13,11 @@ from bbq_torchrl.exploration.hooks import Resampled
 from bbq_torchrl.hooks import provides
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
-    from torch import Tensor
+    from torch import Tensor, nn
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
     from typing_extensions import Self
@@ -71,13 +71,44 @@ def fit_posteriors(held: Mapping[GaussianPosterior, Tensor]) -> bool:
     )
 
 
+def weight_sums(weights: Iterable[Tensor]) -> list[float]:
+    """Returns the sum of each tensor of weights: other numbers once they were learned or synced.
+
+    What is drawn for a round is drawn anew then. A collector's process is told of no round: new
+    weights are copied into its policy's in place, past every hook and version counter.
+    """
+    sums = [weight.detach().sum() for weight in weights]
+    if any(total.is_meta for total in sums):
+        return []
+    return list(torch.stack(sums).tolist()) if sums else []
+
+
+def posterior_sums(found: Iterable[GaussianPosterior]) -> list[float]:
+    """Returns :func:`weight_sums` of posteriors."""
+    return weight_sums(weight for posterior in found for weight in posterior.parameters())
+
+
 def forget_draws(policy: Resampled, _: object = None) -> None:
     """Has a policy whose state was loaded draw anew; a hook of ``load_state_dict``."""
     policy.resample()
 
 
+def rename_older_keys(
+    policy: nn.Module, state_dict: dict[str, Any], prefix: str, *_: object
+) -> None:
+    """Renames entries of when an actor's were below ``actor``; a hook of ``load_state_dict``."""
+    older = f"{prefix}actor."
+    if "actor" not in policy._modules:
+        for key in [key for key in state_dict if key.startswith(older)]:
+            state_dict[prefix + key.removeprefix(older)] = state_dict.pop(key)
+
+
 class ActorPolicy(TensorDictModuleBase):
     """A policy that reads and writes what its actor does.
+
+    The actor's modules are the policy's own, under the same names. So ``state_dict`` and
+    ``TensorDict.from_module`` name the weights of both alike, and weights of an actor are synced
+    into a policy by name, as TorchRL's trainers and collectors do.
 
     What it has drawn and holds is drawn anew once the policy is moved or cast (:meth:`to`).
 
@@ -91,6 +122,8 @@ class ActorPolicy(TensorDictModuleBase):
         ValueError: for another ``per``, or an actor that is no TensorDict module.
     """
 
+    actor: QValueActor
+
     def __init__(
         self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
     ) -> None:
@@ -101,7 +134,14 @@ class ActorPolicy(TensorDictModuleBase):
                 f"{type(actor).__name__}"
             )
         super().__init__()
-        self.actor = actor
+        # Not as a submodule: its weights would have a second name.
+        self.__dict__["actor"] = actor
+        for name, module in actor.named_children():
+            self.add_module(name, module)
+        for own in ("_parameters", "_buffers"):
+            if vars(actor)[own]:  # an actor that is a layer itself
+                self.__dict__[own] = vars(actor)[own]
+        self.register_load_state_dict_pre_hook(rename_older_keys)
         self.per = per
         self.init_key = init_key
         self.in_keys = [*actor.in_keys, init_key] if per == "episode" else actor.in_keys
@@ -123,6 +163,11 @@ class ActorPolicy(TensorDictModuleBase):
                 "per='round'"
             )
         return found.reshape(tensordict.batch_size)
+
+    def train(self, mode: bool = True) -> Self:
+        """Sets the training mode of the policy and its actor. Returns itself."""
+        self.actor.train(mode)
+        return super().train(mode)
 
     def _apply(self, *args: Any, **kwargs: Any) -> Self:
         if provides(type(self), Resampled):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 import torch
 
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.exploration.base import ActorPolicy, Per, explores
+from bbq_torchrl.exploration.base import ActorPolicy, Per, explores, weight_sums
 from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.networks.vote import VoteModule
 
@@ -102,8 +102,9 @@ class BootstrapSampling(_OnHeads):
 
     Keyword Args:
         per: how long a head is acted on. "step": one action. "episode" (the paper): until the
-            row's next ``init_key``. "round": until :meth:`resample`, which does not reach the
-            copies of a collector with processes of its own. Defaults to "episode".
+            row's next ``init_key``. "round": until :meth:`resample`, or until the weights change: a
+            collector with processes of its own draws anew whenever it syncs new weights. Defaults
+            to "episode".
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
             ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to
             "is_init".
@@ -136,6 +137,7 @@ class BootstrapSampling(_OnHeads):
     ) -> None:
         super().__init__(actor, per, init_key)
         self._held: Tensor | None = None
+        self._drawn_from: list[float] | None = None
 
     @property
     def heads(self) -> Tensor | None:
@@ -160,8 +162,10 @@ class BootstrapSampling(_OnHeads):
         rows = values.shape[:-2]
         new = self._begins(tensordict)
         held = self._held
-        if held is not None and held.shape != rows:
+        now = weight_sums(self.parameters()) if self.per == "round" else None
+        if held is not None and (held.shape != rows or self._drawn_from != now):
             held = None
+        self._drawn_from = now
         if held is not None and self.per == "round":
             return held
         drawn = torch.randint(values.shape[-2], rows, device=values.device)

@@ -10,7 +10,12 @@ from bbq_torchrl.bayes.layers import own_weights_of_rows
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.bayes.settings import check_choice
-from bbq_torchrl.exploration.base import ActorPolicy, fit_posteriors, forget_draws
+from bbq_torchrl.exploration.base import (
+    ActorPolicy,
+    fit_posteriors,
+    forget_draws,
+    posterior_sums,
+)
 from bbq_torchrl.networks.q_actor import split_actor
 
 if TYPE_CHECKING:
@@ -39,9 +44,9 @@ class EvaluationPolicy(ActorPolicy):
             ``num_draws`` weight draws; "draw", Q at one weight draw; "thompson", Q at new draws at
             every call, for each row its own, as ThompsonSampling(per="step") trains. The draws of
             "average" and "draw" are made at the first call, for each replica, and
-            stay until :meth:`resample`: call it after learning, for an evaluation of what was
-            learned. What else the network writes, such as a recurrent state,
-            is the mean over the draws too.
+            stay until :meth:`resample`, or until the weights change: learned, synced by a collector
+            or loaded. What else the network writes, such as a recurrent state, is the mean over the
+            draws too.
         num_draws: number of draws for "average". Defaults to 10.
 
     Raises:
@@ -74,6 +79,7 @@ class EvaluationPolicy(ActorPolicy):
         self.mode = mode
         self.num_draws = num_draws if mode == "average" else 1
         self._held: list[dict[GaussianPosterior, Tensor]] = []
+        self._drawn_from: list[float] = []
         self.register_load_state_dict_post_hook(forget_draws)
 
     def resample(self) -> None:
@@ -89,9 +95,11 @@ class EvaluationPolicy(ActorPolicy):
             scope = weight_scope("mean") if is_mean else own_weights_of_rows(self.actor, batch)
             with scope:
                 return self.actor(tensordict)
-        if not self._held or not fit_posteriors(self._held[0]):
-            found = posteriors(self.actor)
+        found = posteriors(self.actor)
+        now = posterior_sums(found)
+        if not self._held or self._drawn_from != now or not fit_posteriors(self._held[0]):
             self._held = [{p: p.sample() for p in found} for _ in range(self.num_draws)]
+            self._drawn_from = now
         network, choice = split_actor(self.actor)
         inputs = tensordict.select(*network.in_keys, strict=False)
         totals: dict[NestedKey, Tensor] = {}

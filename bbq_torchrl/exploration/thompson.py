@@ -15,6 +15,7 @@ from bbq_torchrl.exploration.base import (
     explores,
     fit_posteriors,
     forget_draws,
+    posterior_sums,
 )
 
 if TYPE_CHECKING:
@@ -37,8 +38,10 @@ class ThompsonSampling(ActorPolicy):
 
     Keyword Args:
         per: how long a draw is acted on. "step" (the paper): one action. "episode": until the
-            row's next ``init_key``. "round": until :meth:`resample`, which does not reach the
-            copies of a collector with processes of its own. Defaults to "step".
+            row's next ``init_key``; an episode under way keeps its draw while the weights are
+            learned or synced. "round": until :meth:`resample`, or until the weights change: a
+            collector with processes of its own draws anew whenever it syncs new weights. Defaults
+            to "step".
         shared: whether the rows of a batch act on one draw (each replica has its
             own) or each on its own. One shared draw makes 50 episodes side by side one
             experiment; with per="episode" it is redrawn for all as soon as one of them begins.
@@ -85,13 +88,14 @@ class ThompsonSampling(ActorPolicy):
         self.shared = per == "round" if shared is None else shared
         self._held: dict[GaussianPosterior, Tensor] = {}
         self._held_rows: torch.Size | None = None
+        self._drawn_from: list[float] | None = None
         posteriors(actor)
         self.register_load_state_dict_post_hook(forget_draws)
 
     def resample(self) -> None:
         """Forgets the draws: the next call acts on new ones."""
         self._held = {}
-        self._held_rows = None
+        self._held_rows = self._drawn_from = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that is greedy on the drawn weights, and the values."""
@@ -114,10 +118,12 @@ class ThompsonSampling(ActorPolicy):
         replicas = found[0].replicas
         rows = tensordict.batch_size[len(replicas) :]
         new = self._begins(tensordict)
-        if self._held_rows != rows or not fit_posteriors(self._held):
+        now = posterior_sums(found) if self.per == "round" else None
+        fits = self._held_rows == rows and self._drawn_from == now
+        if not fits or not fit_posteriors(self._held):
             drawn = () if self.shared else tuple(rows)
             self._held = {posterior: posterior.sample(drawn) for posterior in found}
-            self._held_rows = rows
+            self._held_rows, self._drawn_from = rows, now
         elif new is not None:
             if self.shared and rows:
                 new = new.flatten(len(replicas)).any(-1)

@@ -84,8 +84,11 @@ class BestWeights:
         """Restores what :meth:`state_dict` returned."""
         self.round = state_dict["round"].clone()
         self.success_rate = state_dict["success_rate"].clone()
+        saved = state_dict["weights"]
+        # Saved before a policy had its actor's names: then they were below "actor".
+        saved = {name.removeprefix("actor."): weight for name, weight in saved.items()} | saved
         for name, kept in self._weights.items():
-            kept.copy_(state_dict["weights"][name])
+            kept.copy_(saved[name])
 
 
 def _weights(policy: nn.Module) -> dict[str, Tensor]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+from bbq_torchrl.exploration import ActorPolicy
 from bbq_torchrl.objectives import OneStepQLoss
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ INDEX = "index"
 """Entry that holds the index, [*batch, index_size]."""
 
 
-class IndexSampling(TensorDictModuleBase):
+class IndexSampling(ActorPolicy):
     """Acts greedily with one index, drawn for each row and kept until its episode ends.
 
     Explores under RANDOM and outside of any context (as TorchRL's ``EGreedyModule``), else acts
@@ -48,12 +48,10 @@ class IndexSampling(TensorDictModuleBase):
     """
 
     def __init__(self, actor: QValueActor, index_size: int, *, explores: bool = True) -> None:
-        super().__init__()
-        self.actor = actor
+        super().__init__(actor)
         self.index_size = index_size
         self.explores = explores
         self.in_keys = [key for key in actor.in_keys if key != INDEX]
-        self.out_keys = actor.out_keys
         self._held: Tensor | None = None
 
     def resample(self) -> None:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 from bbq_torchrl.bayes import weight_scope
+from bbq_torchrl.exploration import ActorPolicy
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torchrl.modules import QValueActor
 
 
-class UpperConfidence(TensorDictModuleBase):
+class UpperConfidence(ActorPolicy):
     """Takes the action of the highest mean + coefficient · std over draws of the weights.
 
     Explores under RANDOM and outside of any context (as TorchRL's ``EGreedyModule``), else acts on
@@ -44,11 +44,8 @@ class UpperConfidence(TensorDictModuleBase):
     def __init__(
         self, actor: QValueActor, *, coefficient: float | torch.Tensor = 1.0, draws: int = 10
     ) -> None:
-        super().__init__()
-        self.actor = actor
+        super().__init__(actor)
         self.draws = draws
-        self.in_keys = actor.in_keys
-        self.out_keys = actor.out_keys
         values = torch.as_tensor(coefficient, dtype=torch.get_default_dtype())
         self.register_buffer("coefficient", values, persistent=False)
 

@@ -1,0 +1,212 @@
+"""Weights of an actor that reach its policies as TorchRL's trainers and collectors send them."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import pytest
+import torch
+from q_actor import ACTIONS, SPEC, bayes_actor, heads_actor, noisy_actor, observations, values
+from still_env import StillEnv
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch import nn
+from torchrl.collectors import Collector, MultiSyncCollector
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import InitTracker, TransformedEnv
+from torchrl.objectives import HardUpdate
+from torchrl.trainers.algorithms import DQNTrainer
+
+from bbq_torchrl.exploration import (
+    BatchedEGreedy,
+    Boltzmann,
+    BootstrapSampling,
+    EvaluationPolicy,
+    Greedy,
+    MajorityVote,
+    NoisySampling,
+    ThompsonSampling,
+)
+from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, NoisyDQNLoss
+
+POLICIES = {
+    "greedy": (bayes_actor, Greedy),
+    "vote": (heads_actor, MajorityVote),
+    "heads": (heads_actor, lambda actor: BootstrapSampling(actor, per="round")),
+    "noisy": (noisy_actor, NoisySampling),
+    **{
+        f"thompson {per}": (bayes_actor, lambda actor, per=per: ThompsonSampling(actor, per=per))
+        for per in ("step", "episode", "round")
+    },
+    **{
+        f"evaluation {mode}": (
+            bayes_actor,
+            lambda actor, mode=mode: EvaluationPolicy(actor, mode=mode),
+        )
+        for mode in ("mean", "average", "draw", "thompson")
+    },
+}
+LOSSES = {bayes_actor: BBQNLoss, noisy_actor: NoisyDQNLoss, heads_actor: BootstrapDQNLoss}
+EXPLORING = {
+    "epsilon": lambda: BatchedEGreedy(SPEC, 0.5, 0.1, 100),
+    "boltzmann": lambda: Boltzmann(2.0, 0.5, 100),
+}
+made = pytest.mark.parametrize(("make", "wrap"), POLICIES.values(), ids=POLICIES)
+
+
+def weights(module: nn.Module) -> TensorDict:
+    """Copies of a module's weights by name."""
+    return TensorDict.from_module(module).data.clone()
+
+
+class Layer(TensorDictModuleBase):
+    """An actor that has a weight itself, not in a part of it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = ["observation"], ["action_value"]
+        self.weight = nn.Parameter(torch.zeros(ACTIONS))
+
+    def forward(self, tensordict):
+        return tensordict.set("action_value", self.weight.expand(*tensordict.batch_size, ACTIONS))
+
+
+@made
+def test_a_policy_names_its_weights_as_its_actor_does(make, wrap):
+    actor = make((2,))
+    policy = wrap(actor)
+    assert [*policy.state_dict()] == [*actor.state_dict()]
+    names = [name for name, _ in actor.named_parameters()]
+    assert [name for name, _ in policy.named_parameters()] == names
+    ours, theirs = (TensorDict.from_module(module) for module in (policy, actor))
+    assert set(ours.keys(True, True)) == set(theirs.keys(True, True))
+
+
+def test_an_actor_that_has_weights_itself_shares_them():
+    policy = Greedy(Layer())
+    copy = deepcopy(policy)
+    TensorDict(weight=torch.ones(ACTIONS)).to_module(copy)
+    assert values(copy, observations(3)).tolist() == [1.0] * 3
+    assert values(policy, observations(3)).tolist() == [0.0] * 3
+
+
+@pytest.mark.parametrize("inside", [lambda policy: policy, lambda p: TensorDictSequential(p)])
+def test_a_state_of_when_the_actors_names_were_below_actor_is_read(inside):
+    policy, other = (inside(ThompsonSampling(bayes_actor())) for _ in range(2))
+    with torch.no_grad():
+        next(other.parameters()).fill_(3.0)
+    before = "module.0." if isinstance(policy, TensorDictSequential) else ""
+    state = other.state_dict()
+    older = {f"{before}actor.{key.removeprefix(before)}": value for key, value in state.items()}
+    policy.load_state_dict(older)
+    assert (weights(policy) == weights(other)).all()
+
+
+def test_a_policy_and_its_actor_train_and_evaluate_together():
+    policy = Greedy(bayes_actor())
+    policy.eval()
+    assert not policy.actor.training
+    assert policy.train().actor.training
+
+
+@pytest.mark.parametrize("name", ["thompson round", "evaluation average", "evaluation draw"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda actor, new: TensorDict.from_module(actor).data.update_(new),
+        lambda actor, new: new.to_module(actor),
+    ],
+    ids=["in place", "replaced"],
+)
+def test_draws_of_weights_that_were_synced_are_made_anew(name, change):
+    make, wrap = POLICIES[name]
+    actor, td = make(), observations(6)
+    policy = wrap(actor)
+    first = values(policy, td)
+    assert torch.equal(values(policy, td), first)
+    new = weights(actor).apply(lambda weight: weight + 1e-3)
+    change(policy, new)
+    second = values(policy, td)
+    assert not (second == first).any()
+    assert torch.equal(values(policy, td), second)
+
+
+def test_heads_of_a_round_are_drawn_anew_once_weights_were_synced():
+    policy, td = BootstrapSampling(heads_actor(heads=1000), per="round"), observations(40)
+    values(policy, td)
+    heads = policy.heads
+    values(policy, td)
+    assert torch.equal(policy.heads, heads)
+    TensorDict.from_module(policy).data.apply_(lambda weight: weight.mul_(1.01))
+    values(policy, td)
+    assert (policy.heads != heads).sum() > 30
+
+
+def test_an_episode_under_way_keeps_its_draw_while_weights_are_learned():
+    policy, td = ThompsonSampling(bayes_actor(), per="episode"), observations(6)
+    first = values(policy, td)
+    TensorDict.from_module(policy).data.apply_(lambda weight: weight.add_(1.0))
+    assert torch.equal(values(policy, td), first)
+    td["is_init"] = ~td["is_init"]
+    assert not (values(policy, td) == first).any()
+
+
+@pytest.mark.filterwarnings("ignore:DQNTrainer is an experimental")
+@pytest.mark.filterwarnings("ignore:The '.*' hook stage:FutureWarning")
+@pytest.mark.parametrize(
+    ("name", "explore"),
+    [*((name, None) for name in POLICIES), *(("greedy", explore) for explore in EXPLORING)],
+)
+def test_torchrls_dqn_trainer_sends_what_it_learns_to_the_policy(name, explore):
+    make, wrap = POLICIES[name]
+    actor = make()
+    loss = LOSSES[make](actor, action_space="categorical")
+    if hasattr(loss, "set_num_data"):
+        loss.set_num_data(100)
+    greedy = None if explore is None else EXPLORING[explore]()
+    policy = wrap(deepcopy(actor))  # as that of another device is
+    if greedy is not None:
+        policy = TensorDictSequential(policy, deepcopy(greedy))
+    before = weights(policy)
+    env = TransformedEnv(StillEnv(), InitTracker())
+    DQNTrainer(
+        collector=Collector(env, policy, frames_per_batch=20, total_frames=60),
+        total_frames=60,
+        frame_skip=1,
+        optim_steps_per_batch=2,
+        loss_module=loss,
+        optimizer=torch.optim.Adam(loss.parameters(), lr=1e-2),
+        replay_buffer=TensorDictReplayBuffer(storage=LazyTensorStorage(100), batch_size=16),
+        target_net_updater=HardUpdate(loss, value_network_update_interval=1),
+        greedy_module=greedy,
+        log_rewards=False,
+        progress_bar=False,
+    ).train()
+    learned = weights(actor if greedy is None else TensorDictSequential(actor, greedy))
+    assert (weights(policy) == learned).all()
+    assert not (before == learned).all()
+
+
+@pytest.mark.slow
+def test_workers_of_a_multi_sync_collector_draw_anew_for_every_round():
+    actor = bayes_actor()
+    policy = ThompsonSampling(actor, per="round")
+    collector = MultiSyncCollector(
+        [StillEnv] * 2, policy, frames_per_batch=20, total_frames=80, cat_results="stack"
+    )
+    found = []
+    try:
+        for number, batch in enumerate(collector):
+            found.append(batch["action_value"][..., 2].reshape(2, -1))
+            if number > 0:
+                with torch.no_grad():
+                    actor[0].module.posterior.mu.add_(1e-3)
+                collector.update_policy_weights_(TensorDict.from_module(actor))
+    finally:
+        collector.shutdown()
+    for drawn in found:  # one draw a worker
+        assert (drawn == drawn[:, :1]).all()
+    first, second, third, fourth = (drawn[:, 0] for drawn in found)
+    assert torch.equal(first, second)
+    assert not (second == third).any()
+    assert not (third == fourth).any()
