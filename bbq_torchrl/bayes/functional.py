@@ -114,7 +114,8 @@ class _FlatMLP(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
         depth = len(ctx.layout.shapes)
-        inputs, matrices = ctx.saved_tensors[:depth], ctx.saved_tensors[depth:]
+        saved = ctx.saved_tensors  # once: under activation checkpointing a second time is an error
+        inputs, matrices = saved[:depth], saved[depth:]
         grad_flat = grad.new_empty(ctx.shape)
         grads = ctx.layout.unflatten(grad_flat.view(-1, ctx.layout.numel))
         for k in range(depth - 1, -1, -1):
