@@ -19,7 +19,7 @@ from bbq_torchrl.evaluation.results import (
 )
 from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.options.values import replica_values
-from bbq_torchrl.trainers import RunFolderGoneError
+from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
 from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ def final_result(
     places = protocol.places(protocol.eval_dialogues, config.replicas)
     env = _last_env(config, domain, config.replicas, places)
     name, policy = config.agent.make_evaluation(agent.actor)
+    NonFiniteWeightsError.check(policy, folder)
     played = _played(config, env, policy, protocol.eval_dialogues)
     RunFolderGoneError.check(folder)
     metrics = read_metrics(folder)

@@ -11,7 +11,7 @@ from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.shipped import is_shipped, run_folder
-from bbq_torchrl.trainers import BestWeights, CheckpointFolder
+from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
 from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
@@ -100,7 +100,8 @@ def trained_policy(
 
     Raises:
         ConfigError: a mode that the agent lacks, or no checkpoint of such weights.
-        TrainingError: no checkpoint that can be read, or one of another configuration.
+        TrainingError: no checkpoint that can be read, one of another configuration, or weights
+            that are not finite.
     """
     config.agent.check_mode(mode)
     check_choice("weights", weights, ("last", "best"))
@@ -128,4 +129,5 @@ def trained_policy(
         if bool((best.round < 0).any()):
             raise not_evaluated
         best.put_back()
+    NonFiniteWeightsError.check(policy, folder)
     return policy, name

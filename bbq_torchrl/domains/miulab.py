@@ -19,7 +19,7 @@ from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
 from bbq_torchrl.domains.spelling import DIFFERENCE, misspellings
 from bbq_torchrl.domains.tables import NEEDS_VALUES
-from bbq_torchrl.text import shown
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -199,7 +199,11 @@ def read_plain_pickle(path: str | Path) -> Any:
     try:
         content = _PlainUnpickler(stream, encoding="utf-8").load()
     except Exception as error:  # a damaged pickle raises nearly anything, from KeyError to EOFError
-        raise ValueError(f"{path} is not a pickle of plain data: {error or repr(error)}") from error
+        is_memory = isinstance(error, MemoryError)
+        reason = "it asks for more memory than there is" if is_memory else sentence(error)
+        raise ValueError(
+            f"{path} is not a pickle of plain data: {reason or type(error).__name__}"
+        ) from error
     if rest := len(stream.getbuffer()) - stream.tell():
         raise ValueError(f"{path} is not a pickle of plain data: {rest} bytes follow its end")
     return content

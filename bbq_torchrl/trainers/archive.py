@@ -18,6 +18,8 @@ from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint, StateDictCheckpointAdapter
 from torchrl.checkpoint._checkpoint import _decode_state_dict_value
 
+from bbq_torchrl.text import shown
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -56,12 +58,16 @@ def read_archive(path: Path) -> dict[str, Any]:
             for what they cannot read, and ``ValueError``.
     """
     with zipfile.ZipFile(path) as archive:
+        size, most = sum(info.file_size for info in archive.infolist()), path.stat().st_size
+        if size > most:  # ours are not compressed
+            raise ValueError(f"unpacked it would take {size} bytes, and it has {most}")
         broken = archive.testzip()
         if broken is not None:
             raise ValueError(f"{broken} in it does not match its checksum")
         manifest = Checkpoint.manifest(path)
-        if type(manifest["metadata"]["round"]) is not int:
-            raise ValueError("its metadata name no round")
+        rounds = manifest["metadata"]["round"]
+        if type(rounds) is not int or rounds < 0:
+            raise ValueError(f"its metadata name no round, but {shown(rounds)}")
         listed = ["manifest.json"]
         for name, record in manifest["components"].items():
             root, files = record["path"], record["files"]

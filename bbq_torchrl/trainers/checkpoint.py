@@ -29,6 +29,7 @@ import torch
 from torch.utils import _pytree as pytree
 from torchrl.checkpoint import Checkpoint, CheckpointError
 
+from bbq_torchrl.text import shown
 from bbq_torchrl.trainers.archive import TensorFiles, read_archive
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
 
@@ -221,6 +222,8 @@ class CheckpointFolder:
             # An archive can be damaged in more ways than there are errors to name.
             try:
                 manifest = read_archive(path)
+                if (rounds := manifest["metadata"]["round"]) != _rounds_of(path):
+                    raise ValueError(f"it is of round {shown(rounds)}")
             except Exception as error:
                 if isinstance(error, FileNotFoundError) and not os.path.lexists(path):
                     return self._newest(components)  # the process that writes has saved a newer one
@@ -246,12 +249,13 @@ class CheckpointFolder:
         """Returns the checkpoints of finished rounds, the newest first."""
         if not self.folder.is_dir():
             return []
-        numbered = [
-            (int(match[1]), path)
-            for path in self.folder.iterdir()
-            if (match := _NAME.fullmatch(path.name)) is not None
-        ]
-        return [path for _, path in sorted(numbered, reverse=True)]
+        named = [path for path in self.folder.iterdir() if _NAME.fullmatch(path.name)]
+        return sorted(named, key=_rounds_of, reverse=True)
+
+
+def _rounds_of(path: Path) -> int:
+    """Returns how many rounds are done, as the name of a checkpoint says."""
+    return int(path.name.removeprefix("round-").removesuffix(_SUFFIX))
 
 
 def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any]) -> None:

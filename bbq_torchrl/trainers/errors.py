@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from torch import nn
+
 
 class TrainingError(ValueError):
     """What stops a training, or keeps one from going on; its text is enough for a person."""
@@ -47,6 +49,28 @@ class RunFolderGoneError(TrainingError):
                 f"{run_folder} was moved or removed while the run was at work in it: "
                 "resume=<where it is now> goes on from its last checkpoint"
             )
+
+
+class NonFiniteWeightsError(TrainingError):
+    """Weights are NaN or infinite: whatever acts by them tells nothing of an agent."""
+
+    @classmethod
+    def check(cls, policy: nn.Module, where: object) -> None:
+        """Raises the error if a policy has such weights.
+
+        Args:
+            policy: what acts by them.
+            where: they are from: a folder, for the sentence.
+
+        Raises:
+            NonFiniteWeightsError: always then.
+        """
+        for name, weight in policy.named_parameters():
+            if not bool(weight.isfinite().all()):
+                raise cls(
+                    f"{where} has weights that are NaN or infinite ({name}), by which no agent can "
+                    "act: train anew, with a smaller agent.lr where that was the cause"
+                )
 
 
 class NonFiniteLossError(TrainingError):

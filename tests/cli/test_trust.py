@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import os
 import platform
+import struct
 
 import forked
 import pytest
-from planted import plant
+from planted import plant, rewritten
 
 import train
 from bbq_torchrl import evaluate
 from bbq_torchrl.cli.folders import run_lock
 from bbq_torchrl.cli.resume import is_finished, load_config, run_config
+from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.train import REFUSED
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
 from bbq_torchrl.run_folder import LOCK, PROCESS, write_text
+from bbq_torchrl.trainers import NonFiniteWeightsError
 
-from .trusted import state_of
+from .trusted import DQN, state_of
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 
@@ -73,6 +77,34 @@ def test_a_file_is_not_written_through_a_link_in_the_place_of_its_temporary_name
     assert victim.read_text() == "mine"
     assert not (tmp_path / "config.yaml").is_symlink()
     assert (tmp_path / "config.yaml").read_text() == "seed: 0"
+
+
+@pytest.mark.parametrize("last", [math.nan, math.inf])
+def test_weights_that_are_not_finite_are_not_evaluated(copy, kept, tmp_path, last):
+    folder = copy(kept)
+    value = struct.pack("<f", last)
+
+    def spoil(members):
+        for name, content in members.items():
+            if "-loss/" in name and name.endswith(".memmap"):
+                members[name] = content[:-4] + value
+
+    for archive in (folder / "checkpoint").iterdir():
+        rewritten(archive, spoil)
+
+    line = refused(evaluate.main, f"policy={folder}", "dialogues=2", cwd=tmp_path)
+
+    assert f"{folder} has weights that are NaN or infinite (" in line
+
+
+def test_a_run_whose_last_step_spoils_the_weights_reports_no_result(tmp_path):
+    def spoil(trainer, rows):
+        if trainer.rounds_done == trainer.rounds:
+            next(trainer.policy.parameters()).data.flatten()[0] = math.nan
+
+    with pytest.raises(NonFiniteWeightsError, match="NaN or infinite"):
+        run(compose(DQN), tmp_path / "run", [spoil])
+    assert not (tmp_path / "run" / "result.json").exists()
 
 
 def test_an_evaluation_leaves_a_run_folder_as_it_is(copy, kept, capsys):

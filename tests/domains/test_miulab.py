@@ -128,6 +128,10 @@ DAMAGED = {
     "something after it": (pickle.dumps([GOAL], 0) + b"x", "1 bytes follow its end"),
     "an empty stack": (b".", ""),
     "no UTF-8": (b"S'\\xff'\n.", ""),
+    "a huge text": (
+        b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f",
+        "it asks for more memory than there is",
+    ),
     "a huge frame": (b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.", ""),
 }
 

@@ -105,6 +105,20 @@ def with_file(name, *, is_listed=False):
     return add
 
 
+def of_round(number):
+    return changed("manifest.json", lambda found: {**found, "metadata": {"round": number}})
+
+
+def compressed(path):
+    """What is small as a file can be as large as anybody likes once it is unpacked."""
+    with zipfile.ZipFile(path) as old:
+        members = {name: old.read(name) for name in old.namelist()}
+    members[f"{NETWORK}/state/tensor_00000001.memmap"] = bytes(10_000_000)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
+        for name, content in members.items():
+            new.writestr(name, content)
+
+
 FOREIGN = ("state.pt", "state/notes.txt")
 DAMAGES = {
     **{f"cut to {share}": (cut(share), "") for share in (0.0, 0.5, 0.999)},
@@ -115,6 +129,9 @@ DAMAGES = {
     },
     "no tensors": (changed(META, lambda meta: {**meta, "_type": "x"}), "describes no tensors"),
     "no round": (changed("manifest.json", lambda found: {**found, "metadata": {}}), "round"),
+    "a round below 0": (of_round(-5), "its metadata name no round, but -5"),
+    "another round": (of_round(10**30), "it is of round 1000000000"),
+    "compressed": (compressed, "unpacked it would take 1000"),
     "a list": (changed("manifest.json", lambda manifest: [manifest]), "list"),
     **{
         f"with {name}": (with_file(name), f"{name} is missing in it, or belongs to no checkpoint")
