@@ -23,7 +23,7 @@ def sqlite_url(file: Path) -> str:
         >>> sqlite_url(Path("/runs/a?b.db"))  # doctest: +ELLIPSIS
         'sqlite+pysqlite:///file...uri=true'
     """
-    from sqlalchemy import URL  # comes with Optuna and with MLflow
+    from sqlalchemy.engine import URL  # comes with Optuna and with MLflow
 
     # The driver is named because MLflow makes folders of an address that begins with "sqlite:///".
     url = URL.create("sqlite+pysqlite", database=file.as_uri(), query={"uri": "true"})

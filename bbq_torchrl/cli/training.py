@@ -210,12 +210,12 @@ def opened_loggers(config: Config, run_folder: Path) -> Iterator[Sequence[Logger
     """
     option = config.logger
     made = option.make(run_folder, resume=config.resume is not None)
-    (loggers,) = _checked(option, (made,), "a list of loggers", Iterable)
-    finished = False
+    (given,) = _checked(option, (made,), "a list of loggers", Iterable)
+    loggers, finished = tuple(given), False
     try:
         flat = {key: value for key, _, value in walk(config) if key != "resume"}
         option.log_config(loggers, flat)
-        yield tuple(loggers)
+        yield loggers
         finished = True
     finally:
         option.close(loggers, finished=finished)

@@ -164,7 +164,7 @@ def _tie(study: optuna.Study, folder: Path, database: str) -> None:
             folder: values would be reported that were never trained there.
     """
     file = folder / _TIE
-    of_folder = file.read_text(encoding="utf-8") if file.is_file() else None
+    of_folder = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else None
     of_study = study.user_attrs.get(_TIED)
     runs = any(folder.glob(f"trial_*/{CONFIG}"))
     if of_study is None and bool(study.get_trials(deepcopy=False)) == runs:
