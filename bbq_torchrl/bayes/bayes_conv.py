@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from math import prod
-from typing import TYPE_CHECKING
+from operator import index
+from typing import TYPE_CHECKING, SupportsIndex
 
 import torch.nn.functional as F
 
@@ -61,7 +62,9 @@ class BayesConv2d(BayesLayer):
         padding: int | tuple[int, int] = 0,
         **settings: Unpack[LayerSettings],
     ) -> None:
-        kernel = (kernel_size, kernel_size) if isinstance(kernel_size, int) else tuple(kernel_size)
+        if isinstance(kernel_size, SupportsIndex):
+            kernel_size = (index(kernel_size), index(kernel_size))
+        kernel = tuple(kernel_size)
         if min(in_channels, out_channels, *kernel) < 1:
             raise ValueError(
                 "in_channels, out_channels and kernel_size must be positive, got "

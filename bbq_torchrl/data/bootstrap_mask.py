@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from bbq_torchrl.bayes.replicas import replica_shape
+from bbq_torchrl.seeds import checked_seed, own_seed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,7 +86,8 @@ class BootstrapMask(Transform):
         self.register_buffer(
             "generator_state", torch.empty(*self.replicas, *size, dtype=torch.uint8)
         )
-        self.set_seeds(torch.randint(2**63 - 1, (prod(self.replicas),)).tolist())
+        drawn = torch.randint(2**63 - 1, (prod(self.replicas),)).tolist()
+        self.set_seeds([own_seed(seed) for seed in drawn])
 
     @property
     def mask_key(self) -> NestedKey:
@@ -109,7 +111,7 @@ class BootstrapMask(Transform):
             )
         generator = torch.Generator()
         for state, seed in zip(self._states(), seeds, strict=True):
-            state.copy_(generator.manual_seed(int(seed)).get_state())
+            state.copy_(generator.manual_seed(checked_seed(seed)).get_state())
 
     def _states(self) -> Tensor:
         return self.generator_state.view(prod(self.replicas), -1)

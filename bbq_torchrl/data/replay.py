@@ -21,6 +21,7 @@ from bbq_torchrl.data.rows import (
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.hooks import modules_with
+from bbq_torchrl.seeds import checked_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -145,7 +146,7 @@ class ReplicaReplay:
             # The sampler draws the next permutation as soon as one is used up. A fresh sampler
             # forgets it, so that an epoch depends on this seed alone, not on the epochs before.
             buffer.set_sampler(SamplerWithoutReplacement(drop_last=False))
-            buffer.set_rng(generator.manual_seed(seed))
+            buffer.set_rng(generator.manual_seed(checked_seed(seed)))
         for part in modules_with(self.transform, Seeded):
             part.set_seeds(seeds)
 

@@ -12,11 +12,13 @@ from bbq_torchrl.envs.policies import (
 )
 from bbq_torchrl.envs.repair import RepairPolicy
 from bbq_torchrl.envs.schedule import ExtensionSchedule
+from bbq_torchrl.envs.state import EnvState
 
 __all__ = [
     "CarefulPolicy",
     "ClairvoyantPolicy",
     "DialogueEnv",
+    "EnvState",
     "ExtensionSchedule",
     "RepairPolicy",
     "SequencePolicy",

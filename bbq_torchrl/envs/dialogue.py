@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import os
+from operator import index
+from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import torch
 from tensordict import TensorDict
@@ -10,10 +12,12 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.envs.actions import action_indices, check_range
+from bbq_torchrl.seeds import checked_seed, own_seed, seed_of_process
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from tensordict import TensorDictBase
 
@@ -30,7 +34,8 @@ class DialogueEnv(EnvBase):
     ================  =============  =======================================================
     ``observation``   ``*B, F``      float32 features; ``env.layout`` says which is where
     ``action_mask``   ``*B, N``      bool, the legal actions
-    ``action``        ``*B``         int64, index of one of ``env.domain.actions``
+    ``action``        ``*B``         int64, index of one of ``env.domain.actions``; other integers
+                                     are taken too
     ``reward``        ``*B, 1``      float32
     ``done``          ``*B, 1``      bool; always ``terminated``, never ``truncated``
     ``success``       ``*B, 1``      bool, the dialogue has ended in success
@@ -40,10 +45,12 @@ class DialogueEnv(EnvBase):
 
     The environment keeps the state of its dialogues (``env.dialogues``) and the generator of all
     its random choices; its ``state_dict`` holds both (that of a ``TransformedEnv`` around it does
-    not: save and load its ``base_env``). A dialogue that has ended stays as it is until it is
-    reset. An action that the mask forbids is played all the same. Each turn draws numbers for the
-    whole batch, and so does each reset: what one dialogue does in a turn never shifts the random
-    numbers of another.
+    with :class:`~bbq_torchrl.envs.EnvState` among the transforms). ``reset(resume=True)`` tells
+    where the dialogues are, such as after loading, and leaves them as they are. A dialogue that
+    has ended stays as it is until it is reset, and so does for a turn one whose entry ``_step`` is
+    False, with a reward of 0 (TorchRL's ``ConditionalSkip``). An action that the mask forbids is
+    played all the same. Each turn draws numbers for the whole batch, and so does each reset: what
+    one dialogue does in a turn never shifts the random numbers of another.
 
     Args:
         domain: what the dialogues are about.
@@ -57,7 +64,8 @@ class DialogueEnv(EnvBase):
         failure_reward: reward of the turn that ends a dialogue otherwise.
         turn_reward: reward of every other turn.
         schedule: domain extension; ``None`` for all slots from the start.
-        seed: seed of the generator; ``None`` takes one from torch's global generator.
+        seed: seed of the generator; ``None`` takes one from torch's global generator, and in each
+            process another one.
         device: where the dialogues are.
         compile_turns: whether turns run as code that ``torch.compile`` makes of them, at the first
             turn and in up to a minute. (TorchRL's ``compile`` is another thing: the whole of
@@ -97,11 +105,7 @@ class DialogueEnv(EnvBase):
         compile_turns: bool = False,
         channel: Channel | None = None,
     ) -> None:
-        if isinstance(batch_size, int) or any(size < 1 for size in batch_size):
-            raise ValueError(
-                f"batch_size must be a sequence of numbers above 0, such as (50,), got {batch_size}"
-            )
-        super().__init__(device=_present(device), batch_size=torch.Size(batch_size))
+        super().__init__(device=_present(device), batch_size=_checked_batch(batch_size))
         if slot_error_prob is None:
             slot_error_prob = domain.reference_slot_error_prob
         tensors = tensorize(domain)
@@ -176,11 +180,15 @@ class DialogueEnv(EnvBase):
         Raises:
             ValueError: if the round is below 0.
         """
-        if round < 0:
+        try:
+            self._round = index(round)
+        except TypeError:
+            self._round = -1
+        if self._round < 0:
             raise ValueError(f"round must be 0 or later, got {round}")
-        self._round = round
         slots = self.domain.slots
-        active = slots if self.schedule is None else self.schedule.active(self.domain, round)
+        schedule = self.schedule
+        active = slots if schedule is None else schedule.active(self.domain, self._round)
         self._active = torch.tensor([slot in active for slot in slots], device=self.device)
         legal = self.simulator.action_mask(self._active)
         self._action_mask = legal.expand(*self.batch_size, -1)
@@ -214,12 +222,35 @@ class DialogueEnv(EnvBase):
             done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=batch
         )
 
-    def _set_seed(self, seed: int | None) -> None:
-        if seed is None:
-            seed = int(torch.randint(1 << 62, ()))
-        self._generator.manual_seed(seed)
+    def set_seed(self, seed: SupportsIndex | None = None, static_seed: bool = False) -> int | None:
+        """Seeds the generator. Returns a seed for another environment, as TorchRL's do.
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
+        Args:
+            seed: an integer; ``None`` takes one from torch's global generator.
+            static_seed: whether to return the same seed instead.
+
+        Raises:
+            ValueError: unless it is an integer from 0 to 2**63 - 1.
+        """
+        number = None if seed is None else checked_seed(seed)
+        following: int | None = super().set_seed(number, static_seed)
+        return following
+
+    def _set_seed(self, seed: SupportsIndex | None) -> None:
+        # The process that numbers which nobody chose are for, None where somebody did.
+        self._unseeded_in = os.getpid() if seed is None else None
+        if seed is None:
+            seed = own_seed(int(torch.randint(1 << 62, ())))
+        self._generator.manual_seed(checked_seed(seed))
+
+    def _reset(
+        self, tensordict: TensorDictBase | None = None, *, resume: bool = False, **_: Any
+    ) -> TensorDict:
+        if resume:
+            return self._resumed()
+        if self._unseeded_in not in (None, os.getpid()):  # a copy, by fork or by pickle
+            self._generator.manual_seed(seed_of_process(self._draw_seed()))
+            self._unseeded_in = os.getpid()
         draws = self.simulator.draw_reset(self.batch_size, self._generator)
         started = self.simulator.reset(draws, self._active)
         which = None if tensordict is None else tensordict.get("_reset", None)
@@ -228,11 +259,33 @@ class DialogueEnv(EnvBase):
         self._dialogues = started
         return self._emit(started, self.simulator.observe(started, self._active))
 
+    def _draw_seed(self) -> int:
+        generator = self._generator
+        return int(torch.randint(1 << 62, (), generator=generator, device=generator.device))
+
+    def _resumed(self) -> TensorDict:
+        dialogues = self.dialogues
+        if bool(dialogues["done"].any()):
+            raise ValueError("resume=True needs dialogues that are all under way, got ended ones")
+        return self._emit(dialogues, self.simulator.observe(dialogues, self._active))
+
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        before, count = self.dialogues, len(self.domain.actions)
+        action = action_indices(tensordict["action"], self.batch_size, count)
         draws = self.simulator.draw_turn(self.batch_size, self._generator)
-        self._dialogues, observation = self._play(
-            self.dialogues, tensordict["action"], draws, self._active
-        )
+        try:
+            after, observation = self._play(before, action, draws, self._active)
+        except IndexError:
+            check_range(action, count)
+            raise
+        which = tensordict.get("_step", None)
+        if which is not None:
+            is_played = which.view(self.batch_size) | before["done"]  # what is over stays anyway
+            if not bool(is_played.all()):
+                reward = torch.where(is_played, after["reward"], 0.0)
+                after = after.where(is_played, before).set("reward", reward)
+                observation = self.simulator.observe(after, self._active)
+        self._dialogues = after
         emitted = self._emit(self._dialogues, observation)
         emitted["reward"] = self._dialogues["reward"][..., None].clone()
         return emitted
@@ -266,11 +319,9 @@ class DialogueEnv(EnvBase):
         """
         device = _present(device)
         if device != self.device:
-            seed = torch.randint(
-                1 << 62, (), generator=self._generator, device=self._generator.device
-            )
+            seed = self._draw_seed()
             super().to(device)
-            self._generator = torch.Generator(self.device).manual_seed(int(seed))
+            self._generator = torch.Generator(self.device).manual_seed(seed)
             self._use(self.simulator)
             if self._dialogues is not None:
                 self._dialogues = self._dialogues.to(self.device)
@@ -311,7 +362,21 @@ class DialogueEnv(EnvBase):
             saved = TensorDict(added | saved, batch_size=batch).to(self.device).clone()
         self._dialogues = saved
         self._generator.set_state(state["generator"].cpu())
+        self._unseeded_in = None
         self.set_round(state["round"])
+
+    def load_state_dict(self, state_dict: Mapping[str, Any], *args: Any, **kwargs: Any) -> Any:
+        """Loads what ``state_dict`` returned.
+
+        Raises:
+            ValueError: if it holds no dialogues, such as the one that a ``Collector`` saves.
+        """
+        if not state_dict:
+            raise ValueError(
+                "the state to load must be that of the environment, got an empty one: a Collector "
+                "saves that of TransformedEnv(env, EnvState()) alone"
+            )
+        return super().load_state_dict(state_dict, *args, **kwargs)
 
 
 class _CompiledPlay:
@@ -334,6 +399,23 @@ class _CompiledPlay:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _CompiledPlay, (self._simulator,)
+
+
+def _checked_batch(batch_size: Sequence[int]) -> torch.Size:
+    """Returns the batch size.
+
+    Raises:
+        ValueError: if it is no sequence of positive integers.
+    """
+    try:
+        shape = torch.Size([index(size) for size in batch_size])
+    except TypeError:
+        shape = torch.Size([0])
+    if any(size < 1 for size in shape):
+        raise ValueError(
+            f"batch_size must be a sequence of numbers above 0, such as (50,), got {batch_size}"
+        )
+    return shape
 
 
 def _present(device: torch.device | str) -> torch.device:

@@ -6,6 +6,7 @@ Importing this module registers ``bbq_torchrl/MovieDialogue-v0``. It needs the p
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import Domain, load_domain, movie_domain
 from bbq_torchrl.envs.dialogue import DialogueEnv
+from bbq_torchrl.seeds import LARGEST_SEED, checked_seed, seed_of_process
 from bbq_torchrl.simulator import Transcript
 from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
 
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
 
 ENV_ID = "bbq_torchrl/MovieDialogue-v0"
 """What ``gymnasium.make`` knows the environment as."""
-
-_LARGEST_SEED = 2**63 - 1
 
 
 class GymnasiumDialogue(gymnasium.Env[Any, Any]):
@@ -86,7 +86,8 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         self.render_mode = render_mode
         self._dialogue = DialogueEnv(domain, batch_size=(), **settings)
         self._transcript = Transcript(self._dialogue.simulator.domain)
-        self._is_seeded = settings.get("seed") is not None
+        # The process that numbers which nobody chose are for, None where somebody did.
+        self._unseeded_in = 0 if settings.get("seed") is None else None
         self._is_over = True
         self.action_space = Discrete(len(domain.actions))
         self.observation_space = _observation_space(self._dialogue)
@@ -118,14 +119,14 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         Raises:
             ValueError: if the seed is not from 0 to 2**63 - 1.
         """
-        if seed is not None and not 0 <= seed <= _LARGEST_SEED:
-            raise ValueError(f"seed must be an integer from 0 to 2**63 - 1, got {seed}")
+        if seed is not None:
+            seed, self._unseeded_in = checked_seed(seed), None
         super().reset(seed=seed)
-        if seed is None and not self._is_seeded:
-            seed = int(self.np_random.integers(_LARGEST_SEED))
+        if self._unseeded_in not in (None, os.getpid()):
+            seed = seed_of_process(int(self.np_random.integers(LARGEST_SEED)))
+            self._unseeded_in = os.getpid()
         if seed is not None:
             self._dialogue.set_seed(seed)
-            self._is_seeded = True
         begun = self._dialogue.reset()
         self._is_over = False
         return begun["observation"].cpu().numpy(), self._info(begun)

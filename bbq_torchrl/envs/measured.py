@@ -16,6 +16,7 @@ from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.envs.text import text_channel
+from bbq_torchrl.seeds import checked_seed
 from bbq_torchrl.simulator import MeasuredErrors
 from bbq_torchrl.simulator.measured_errors import (
     CONTEXTS,
@@ -99,6 +100,7 @@ def count_errors(
     halves: list[tuple[Iterable[str | TensorDictModuleBase], float]] = [(names, _RANDOM)]
     if trained:
         halves.append((trained.values(), 0.0))
+    seed = checked_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     number = 0
     for half, (policies, random) in enumerate(halves, 1):

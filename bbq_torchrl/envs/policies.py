@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import index
 from typing import TYPE_CHECKING
 
 import torch
@@ -29,7 +30,7 @@ class SequencePolicy(TensorDictModuleBase):
         action_key: where the action is written, int64 ``[*batch]``.
 
     Raises:
-        ValueError: if there is no action.
+        ValueError: if there is no action, or one that is no integer.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -50,9 +51,13 @@ class SequencePolicy(TensorDictModuleBase):
         super().__init__()
         if len(actions) == 0:
             raise ValueError("actions must have at least one action, got none")
+        try:
+            indices = [index(action) for action in actions]
+        except TypeError:
+            raise ValueError(f"actions must be indices, integers, got {actions!r}") from None
         self.turns_key, self.action_key = turns_key, action_key
         self.in_keys, self.out_keys = [turns_key], [action_key]
-        self.register_buffer("actions", torch.tensor(actions, dtype=torch.int64))
+        self.register_buffer("actions", torch.tensor(indices, dtype=torch.int64))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action whose turn it is."""

@@ -249,7 +249,8 @@ class OneStepQLoss(DQNLoss):
         """Returns the reward and the index of the action, both [*replicas, *batch, 1].
 
         Raises:
-            ValueError: if the shape of one of them, or of terminated, does not fit.
+            ValueError: if the shape of one of them, or of terminated, does not fit, or an index is
+                no integer.
         """
         keys = self.tensor_keys
         reward, terminated = (tensordict["next", key] for key in (keys.reward, keys.terminated))
@@ -268,7 +269,9 @@ class OneStepQLoss(DQNLoss):
                 f"{keys.action!r} must be {self.action_space} with batch "
                 f"{list(reward.shape[:-1])}, as action_space says, got {list(action.shape)}"
             )
-        return reward, index
+        if index.is_floating_point() or index.dtype == torch.bool:
+            raise ValueError(f"{keys.action!r} must be of an integer dtype, got {action.dtype}")
+        return reward, index.long()
 
     def _td_target(
         self, tensordict: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]

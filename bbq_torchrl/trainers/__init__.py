@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.seeds import derive_seed
 from bbq_torchrl.trainers.best_weights import BestWeights
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import EpisodeStats, Policy, episode_stats, rollout, rollouts
@@ -20,7 +21,6 @@ from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimizer import ReplicaAdam, ReplicaOptimizer
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.round_trainer import RoundTrainer
-from bbq_torchrl.trainers.seeding import derive_seed
 from bbq_torchrl.trainers.spiking import Spike
 
 __all__ = [

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from bbq_torchrl.exploration.hooks import Annealed, Resampled
 from bbq_torchrl.hooks import modules_with
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
+from bbq_torchrl.seeds import derive_seed
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import collect_dialogues
 from bbq_torchrl.trainers.errors import (
@@ -27,7 +28,6 @@ from bbq_torchrl.trainers.hooks import enter_round
 from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
-from bbq_torchrl.trainers.seeding import derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

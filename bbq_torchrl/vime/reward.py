@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.bayes.settings import check_choice, checked_number
+from bbq_torchrl.seeds import checked_seed
 from bbq_torchrl.vime.information_gain import information_gain
 from bbq_torchrl.vime.running_median import RunningMedian
 
@@ -191,7 +192,9 @@ class VIMEReward(Transform):
         if len(seeds) != count:
             raise ValueError(f"seeds must be {count}, one for each replica, got {len(seeds)}")
         device = self.dynamics.mean.device
-        self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
+        self._generators = [
+            torch.Generator(device).manual_seed(checked_seed(seed)) for seed in seeds
+        ]
 
     # -- storing ----------------------------------------------------------------------------
 

@@ -1,0 +1,92 @@
+"""Seeds: for every phase of a training, and for every process, from one seed."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+from operator import index
+from typing import SupportsIndex
+
+import torch
+
+LARGEST_SEED = 2**63 - 1
+
+# The last fork of this process or of the one that it comes from: who forked, and torch's seed.
+_at_fork: tuple[int, int] | None = None
+_imported_in = os.getpid()
+
+
+def _note_seed() -> None:
+    global _at_fork
+    _at_fork = os.getpid(), torch.initial_seed()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_note_seed)
+
+
+def checked_seed(seed: SupportsIndex) -> int:
+    """Returns a seed as a Python integer, which NumPy's and torch's may be as well.
+
+    Raises:
+        ValueError: unless it is an integer from 0 to 2**63 - 1.
+
+    Examples:
+        >>> import numpy as np
+        >>> checked_seed(np.int64(3))
+        3
+        >>> checked_seed(0.5)
+        Traceback (most recent call last):
+        ValueError: seed must be an integer from 0 to 2**63 - 1, got 0.5
+    """
+    try:
+        number = index(seed)
+    except TypeError:
+        number = -1
+    if not 0 <= number <= LARGEST_SEED:
+        raise ValueError(f"seed must be an integer from 0 to 2**63 - 1, got {seed!r}")
+    return number
+
+
+def derive_seed(seed: SupportsIndex, *path: str | SupportsIndex) -> int:
+    """Returns the seed of one phase of a run, in [0, 2**63): a hash of the run's seed and a path.
+
+    A phase that starts from a seed of its own does not depend on how many random numbers the
+    phases before it used: a replica whose dialogues or epochs are shorter shifts nobody's draws,
+    and a resumed run needs no generator's state.
+
+    Args:
+        seed: the seed of the run.
+        *path: what the seed is for, for example ``("collect", round)``.
+
+    Examples:
+        >>> derive_seed(0, "collect", 1) == derive_seed(0, "collect", 1)
+        True
+        >>> len({derive_seed(0, "collect", r) for r in range(1000)})
+        1000
+    """
+    # The type is part of the text, so that ("a", 1) and ("a", "1") are different paths.
+    parts = (part if isinstance(part, str) else index(part) for part in path)
+    text = repr((index(seed), *parts)).encode()
+    return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big") >> 1
+
+
+def own_seed(drawn: int) -> int:
+    """Returns a seed that torch's global generator has drawn, or another one in a forked process.
+
+    Forked processes have copies of one generator, which draw the same, until they seed it
+    (``torch.manual_seed``).
+    """
+    is_copy = (
+        _at_fork is not None and os.getpid() != _at_fork[0] and torch.initial_seed() == _at_fork[1]
+    )
+    return seed_of_process(drawn) if is_copy else drawn
+
+
+def seed_of_process(seed: int) -> int:
+    """Returns what this process has in the place of a seed that several have."""
+    process = multiprocessing.current_process().name
+    if multiprocessing.parent_process() is None and os.getpid() != _imported_in:
+        process = str(os.getpid())  # forked by hand, under the name that its parent has
+    return derive_seed(seed, process)

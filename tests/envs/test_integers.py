@@ -1,0 +1,122 @@
+"""Integers of NumPy and of other widths, as seeds, counts and actions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.bayes import BayesConv2d
+from bbq_torchrl.data import BootstrapMask, ReplicaReplay
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, SequencePolicy
+from bbq_torchrl.envs.measured import count_errors
+from bbq_torchrl.trainers import derive_seed
+from bbq_torchrl.vime import DynamicsModel, VIMEReward
+
+INTEGERS = [np.int64, np.uint8, np.int32, torch.tensor]
+
+
+def first_goals(env):
+    return env.reset()["goal_id"].flatten().tolist()
+
+
+@pytest.mark.parametrize("of", INTEGERS)
+def test_any_integer_is_a_seed_a_size_and_a_round(movie, of):
+    schedule = ExtensionSchedule(start=of(1), every=of(2))
+    plain = DialogueEnv(movie, batch_size=(5,), seed=3, schedule=ExtensionSchedule(1, 2))
+    env = DialogueEnv(movie, batch_size=(of(5),), seed=of(3), schedule=schedule)
+    goals = first_goals(plain)
+    assert first_goals(env) == goals
+    env.set_seed(of(3))
+    env.set_round(of(4))
+    plain.set_round(4)
+    assert first_goals(env) == goals
+    assert torch.equal(env.active_slots, plain.active_slots)
+
+
+@pytest.mark.parametrize("of", INTEGERS)
+def test_other_parts_take_any_integer_as_a_seed(restaurant, of):
+    assert derive_seed(of(3), "collect", of(1)) == derive_seed(3, "collect", 1)
+    mask, plain = BootstrapMask(4), BootstrapMask(4)
+    mask.set_seeds([of(3)])
+    plain.set_seeds([3])
+    assert torch.equal(mask.generator_state, plain.generator_state)
+    ReplicaReplay(8).seed([of(3)])
+    VIMEReward(DynamicsModel(3, 2), eta=0.5).set_seeds([of(3)])
+    assert BayesConv2d(of(2), of(3), of(3)).kernel_size == (3, 3)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 0.5, "three", np.float64(3)])
+def test_what_is_no_seed_is_refused(movie, seed):
+    env = DialogueEnv(movie)
+    calls = (
+        lambda: DialogueEnv(movie, seed=seed),
+        lambda: env.set_seed(seed),
+        lambda: ReplicaReplay(8).seed([seed]),
+        lambda: BootstrapMask(4).set_seeds([seed]),
+        lambda: VIMEReward(DynamicsModel(3, 2), eta=0.5).set_seeds([seed]),
+        lambda: count_errors(movie, 1, seed=seed),
+    )
+    for call in calls[: None if env.domain.folder else -1]:
+        with pytest.raises(ValueError, match=r"seed must be an integer from 0 to 2\*\*63 - 1, got"):
+            call()
+
+
+def test_a_round_that_is_no_integer_is_refused(movie):
+    with pytest.raises(ValueError, match=r"round must be 0 or later, got 1\.5"):
+        DialogueEnv(movie).set_round(1.5)
+
+
+# -- actions ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [torch.int8, torch.uint8, torch.int16, torch.int32])
+def test_an_action_of_any_integer_dtype_is_played(movie, dtype):
+    told = []
+    for kind in (dtype, torch.int64):
+        env = DialogueEnv(movie, batch_size=(3,), seed=0)
+        env.reset()
+        action = torch.tensor([0, 7, 20], dtype=kind)
+        told.append(env.step(TensorDict(action=action, batch_size=[3]))["next"])
+    assert (told[0] == told[1]).all()
+
+
+ONE_HOT = torch.eye(39)[:3]
+
+
+@pytest.mark.parametrize(
+    ("action", "got"),
+    [
+        (ONE_HOT.long(), r"torch.int64 of shape \[3, 39\]"),
+        (ONE_HOT.bool(), r"torch.bool of shape \[3, 39\]"),
+        (torch.zeros(3), r"torch.float32 of shape \[3\]"),
+        (torch.zeros(3, dtype=torch.bool), r"torch.bool of shape \[3\]"),
+        (torch.zeros(3, 1, dtype=torch.int64), r"torch.int64 of shape \[3, 1\]"),
+    ],
+    ids=["one-hot", "bool one-hot", "float", "bool", "column"],
+)
+def test_an_action_that_is_no_index_is_refused(movie, action, got):
+    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+    env.reset()
+    with pytest.raises(ValueError, match=rf"Categorical: indices from 0 to 38, .*got {got}"):
+        env.step(TensorDict(action=action, batch_size=[3]))
+
+
+@pytest.mark.parametrize("action", [-1, 39])
+def test_an_index_of_no_action_is_refused(movie, action):
+    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+    env.reset()
+    state = env.dialogues.clone()
+    with pytest.raises(ValueError, match=rf"action must be from 0 to 38, got {action}"):
+        env.step(TensorDict(action=torch.tensor([0, action, 1]), batch_size=[3]))
+    assert (env.dialogues == state).all()
+
+
+def test_a_script_takes_any_integers_and_refuses_others():
+    turns = TensorDict(turns=torch.tensor([[0], [1]]), batch_size=[2])
+    for actions in ([np.int32(4), np.uint8(2)], np.array([4, 2]), torch.tensor([4, 2])):
+        assert SequencePolicy(actions)(turns.clone())["action"].tolist() == [4, 2]
+    for actions in ([1.5], ["thanks"], [[0, 1], [1, 0]]):
+        with pytest.raises(ValueError, match="actions must be indices, integers, got"):
+            SequencePolicy(actions)

@@ -1,0 +1,73 @@
+"""Turns in which some dialogues wait: TorchRL's entry ``_step``."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import ConditionalSkip, TransformedEnv
+
+from bbq_torchrl.envs import DialogueEnv, scripted_policy
+
+
+def make(movie, batch_size, seed=0):
+    return DialogueEnv(
+        movie, batch_size=batch_size, seed=seed, slot_error_prob=0.5, intent_error_prob=0.5
+    )
+
+
+@pytest.mark.parametrize("batch_size", [(6,), (2, 3)])
+@pytest.mark.parametrize("last", [(), (1,)])
+def test_dialogues_that_wait_stay_as_they_are_and_the_others_play_on(movie, batch_size, last):
+    which = torch.tensor([True, False, True, False, False, True]).view(batch_size)
+    env, whole = (make(movie, batch_size) for _ in range(2))
+    for one in (env, whole):
+        told = one.reset()
+        torch.manual_seed(0)
+        for _ in range(2):
+            told = one.rand_step(told)["next"]
+    before, state = told.clone(), env.dialogues.clone()
+    action = torch.full(batch_size, movie.action_index("request(city)"))
+    step = TensorDict(action=action, batch_size=batch_size)
+    after = env.step(step.clone().set("_step", which.view(*batch_size, *last)))["next"]
+    expected = whole.step(step)["next"]
+
+    waits = ~which
+    assert (env.dialogues[waits].exclude("reward") == state[waits].exclude("reward")).all()
+    assert (env.dialogues[which] == whole.dialogues[which]).all()
+    assert (after[which] == expected[which]).all()
+    assert (after[waits].exclude("reward") == before[waits].exclude("reward")).all()
+    assert (after["reward"][waits] == 0).all()
+
+
+def test_a_transform_can_have_dialogues_wait(movie):
+    def plays(td):
+        return (td["turns"].squeeze(-1) == 2) & (td["goal_id"].squeeze(-1) % 2 == 0)
+
+    env = TransformedEnv(make(movie, (40,)), ConditionalSkip(plays))
+    rollout = env.rollout(6, scripted_policy("rule", env), break_when_any_done=False)
+    even = rollout["goal_id"][:, 0, 0] % 2 == 0
+    assert even.any()
+    assert not even.all()
+    turns = rollout["turns"].squeeze(-1)
+    assert (turns[even] == torch.tensor([0, 1, 2, 2, 2, 2])).all()
+    assert (turns[~even] == torch.arange(6)).all()
+
+
+def test_a_rollout_to_the_last_dialogues_end_is_as_without_waiting(movie):
+    """TorchRL has those wait that are over, which the environment leaves as they are anyway."""
+    rollouts = []
+    for breaks in (True, False):
+        env = make(movie, (20,))
+        torch.manual_seed(1)
+        td, played = env.reset(), []
+        over = torch.zeros(20, dtype=torch.bool)
+        for _ in range(env.max_agent_turns):
+            step = env.rand_action(td)
+            if breaks and over.any() and not over.all():
+                step["_step"] = ~over
+            td = env.step(step)["next"]
+            over = td["done"].squeeze(-1)
+            played.append(td.clone())
+        rollouts.append(torch.stack(played))
+    assert (rollouts[0] == rollouts[1]).all()

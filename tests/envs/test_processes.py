@@ -1,0 +1,98 @@
+"""Environments in several processes: those without a seed play different dialogues."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from torchrl.envs import ParallelEnv
+
+from bbq_torchrl.data import BootstrapMask
+from bbq_torchrl.envs import DialogueEnv
+
+FORK = pytest.mark.skipif(
+    "fork" not in multiprocessing.get_all_start_methods(), reason="processes cannot be forked here"
+)
+pytestmark = [FORK, pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")]
+
+
+def goals(env):
+    return env.reset()["goal_id"].flatten().tolist()
+
+
+def parallel(make):
+    env = ParallelEnv(2, make, mp_start_method="fork")
+    try:
+        return env.reset()["goal_id"].flatten(1).tolist()
+    finally:
+        env.close()
+
+
+def in_forked(count, call):
+    """What a function returns in each of several forked processes."""
+    context = multiprocessing.get_context("fork")
+    queues = [context.SimpleQueue() for _ in range(count)]
+    workers = [context.Process(target=lambda q=queue: q.put(call())) for queue in queues]
+    for worker in workers:
+        worker.start()
+    found = [queue.get() for queue in queues]
+    for worker in workers:
+        worker.join()
+    return found
+
+
+def test_workers_without_a_seed_play_different_dialogues(movie):
+    one, other = parallel(partial(DialogueEnv, movie, batch_size=(8,)))
+    assert one != other
+
+
+def test_copies_of_an_environment_without_a_seed_play_different_dialogues(movie):
+    env = DialogueEnv(movie, batch_size=(8,))
+    env.reset()
+    copied = pickle.dumps(env)
+    for call in (lambda: goals(env), lambda: goals(pickle.loads(copied))):
+        one, other = in_forked(2, call)
+        assert one != other
+
+
+@pytest.mark.parametrize(
+    "seeded", [lambda env: env.set_seed(5), lambda env: env.load_state_dict(env.state_dict())]
+)
+def test_copies_of_what_was_seeded_or_loaded_play_the_same(movie, seeded):
+    env = DialogueEnv(movie, batch_size=(8,))
+    seeded(env)
+    found = in_forked(2, lambda: goals(env))
+    assert found == [goals(env)] * 2
+
+
+def test_a_process_that_seeds_torch_itself_plays_by_that_seed(movie):
+    def played():
+        torch.manual_seed(123)
+        return goals(DialogueEnv(movie, batch_size=(8,)))
+
+    assert in_forked(2, played) == [played()] * 2
+
+
+def test_what_draws_its_own_seed_draws_another_one_in_every_process():
+    one, other = in_forked(2, lambda: BootstrapMask(4).generator_state.sum().item())
+    assert one != other
+
+
+def test_copies_of_a_gymnasium_environment_without_a_seed_differ(restaurant):
+    pytest.importorskip("gymnasium")
+    from bbq_torchrl.envs.gymnasium import GymnasiumDialogue
+
+    def played(env):
+        return [env.reset()[1]["goal_id"] for _ in range(8)]
+
+    env = GymnasiumDialogue(restaurant)
+    env.reset()
+    one, other = in_forked(2, lambda: played(env))
+    assert one != other
+    env.reset(seed=np.int64(4))
+    one, other = in_forked(2, lambda: played(env))
+    assert one == other
