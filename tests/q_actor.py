@@ -19,7 +19,8 @@ SPEC = Categorical(ACTIONS)
 
 def bayes_actor(replicas=(), spec=SPEC):
     """An actor at the prior with a spread that makes its actions vary."""
-    net = BayesMLP(FEATURES, ACTIONS, (16,), replicas=replicas, prior_std=1.0)
+    start = {"prior_std": 1.0, "mean_init": "zero", "std_init": None}
+    net = BayesMLP(FEATURES, ACTIONS, (16,), replicas=replicas, **start)
     return q_actor(net, spec)
 
 

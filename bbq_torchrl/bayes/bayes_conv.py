@@ -34,9 +34,10 @@ class BayesConv2d(BayesLayer):
         replicas: R independent convolutions side by side, whose inputs have R as their
             first dimension, or a shape of them. Defaults to ().
         prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
-            √(2/(in_channels · kernel)). Defaults to 0.1.
-        mean_init: "zero", or "kaiming" (uniform in ±1/√fan_in, what ``nn.Conv2d`` starts with).
-        std_init: standard deviation to start with. Defaults to None, the prior's.
+            √(2/(in_channels · kernel)). Defaults to 0.037.
+        mean_init: "kaiming" (uniform in ±1/√fan_in, what ``nn.Conv2d`` starts with), or "zero".
+            Defaults to "kaiming".
+        std_init: standard deviation to start with; None for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 

@@ -33,9 +33,10 @@ class BayesGRU(BayesLayer):
         replicas: R independent layers side by side, whose inputs have R as their
             first dimension, or a shape of them. Defaults to ().
         prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
-            √(2/input_size) and √(2/hidden_size). Defaults to 0.1.
-        mean_init: "zero", or "kaiming" (uniform in ±1/√hidden_size, what ``nn.GRU`` starts with).
-        std_init: standard deviation to start with. Defaults to None, the prior's.
+            √(2/input_size) and √(2/hidden_size). Defaults to 0.037.
+        mean_init: "kaiming" (uniform in ±1/√hidden_size, what ``nn.GRU`` starts with), or "zero".
+            Defaults to "kaiming".
+        std_init: standard deviation to start with; None for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 class BayesMLP(BayesLayer):
     """A ReLU network with a Gaussian over every weight and bias (Blundell et al. 2015).
 
-    The paper's start is μ = 0, σ = prior_std: an agent that knows nothing acts uniformly.
+    The paper's start is μ = 0, σ = prior_std (``mean_init="zero", std_init=None``): an agent that
+    knows nothing acts uniformly. From there few loops learn; the defaults start as any network
+    does, with little noise.
 
     Args:
         in_features: size of the input.
@@ -32,10 +34,11 @@ class BayesMLP(BayesLayer):
         prior_std: standard deviation of the prior, or "fan_in" for √(2/inputs) a layer. It
             decides how much is explored: under the prior Q has a variance of v₁ = p²(‖x‖² + 1),
             v_{l+1} = p²(n_l v_l / 2 + 1). A tensor [*replicas] gives each network its own.
-            Defaults to 0.1.
-        mean_init: "zero", or "kaiming" (uniform in ±1/√inputs, what ``nn.Linear`` starts with).
-        std_init: standard deviation to start with, a number or a tensor [*replicas]. Defaults to
-            None, the prior's.
+            Defaults to 0.037.
+        mean_init: "kaiming" (uniform in ±1/√inputs, what ``nn.Linear`` starts with), or "zero", the
+            paper's. Defaults to "kaiming".
+        std_init: standard deviation to start with, a number or a tensor [*replicas]; None, the
+            paper's, for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 
@@ -48,7 +51,8 @@ class BayesMLP(BayesLayer):
         >>> net = BayesMLP(268, 39, replicas=5, prior_std="fan_in")
         >>> net(torch.ones(5, 32, 268), "draw").shape
         torch.Size([5, 32, 39])
-        >>> net(torch.ones(5, 32, 268)).abs().max()  # the mean, outside of any context
+        >>> paper = BayesMLP(268, 39, mean_init="zero", std_init=None)  # the prior
+        >>> paper(torch.ones(32, 268)).abs().max()  # the mean, outside of any context
         tensor(0., grad_fn=...)
     """
 
@@ -105,9 +109,10 @@ class BayesLinear(BayesMLP):
 
     Keyword Args:
         replicas: as in :class:`BayesMLP`, like the other ones.
-        prior_std: standard deviation of the prior, or "fan_in" for √(2/in_features).
-        mean_init: "zero" or "kaiming".
-        std_init: standard deviation to start with. Defaults to None, the prior's.
+        prior_std: standard deviation of the prior, or "fan_in" for √(2/in_features). Defaults to
+            0.037.
+        mean_init: "kaiming" or "zero". Defaults to "kaiming".
+        std_init: standard deviation to start with; None for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 

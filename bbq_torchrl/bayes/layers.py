@@ -55,10 +55,11 @@ class BayesLayer(nn.Module):
         replicas: R independent layers side by side, whose inputs have R as their
             first dimension, or a shape of them. Defaults to (), one layer.
         prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
-            √(2/fan_in) a group. Defaults to 0.1.
-        mean_init: "zero", or "kaiming" (uniform in ±1/√fan_in, what torch's layers start with).
-        std_init: standard deviation to start with, a number or a tensor [*replicas]. Defaults to
-            None, the prior's.
+            √(2/fan_in) a group. Defaults to 0.037.
+        mean_init: "kaiming" (uniform in ±1/√fan_in, what torch's layers start with), or "zero", the
+            paper's. Defaults to "kaiming".
+        std_init: standard deviation to start with, a number or a tensor [*replicas]; None, the
+            paper's, for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 
@@ -90,9 +91,9 @@ class BayesLayer(nn.Module):
         fan_in: Sequence[int],
         *,
         replicas: int | Sequence[int] = (),
-        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
-        mean_init: MeanInit = "zero",
-        std_init: float | Tensor | None = None,
+        prior_std: float | Tensor | Literal["fan_in"] = 0.037,
+        mean_init: MeanInit = "kaiming",
+        std_init: float | Tensor | None = 0.03,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:

@@ -75,9 +75,9 @@ class BBQNLoss(NumData, OneStepQLoss):
             sampled one moves weights that no data reach away from the prior. Defaults to
             "closed".
         noise_std: standard deviation of the observation noise of y, in units of Q; a number or
-            a tensor [*replicas].
-        kl_temperature: factor of the KL; 1 is Bayes' rule. A number or a tensor [*replicas].
-            Defaults to 1.
+            a tensor [*replicas]. Defaults to 1.
+        kl_temperature: factor of the KL; 1 is Bayes' rule and the paper's, less trusts the data
+            more. A number or a tensor [*replicas]. Defaults to 0.014.
         gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
         num_data: N, for each replica or one for all; see :meth:`set_num_data`,
             which is to be called before the first loss where this is None.
@@ -137,7 +137,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         target_noise: TargetNoise | None = None,
         kl: KLKind = "closed",
         noise_std: float | Tensor = 1.0,
-        kl_temperature: float | Tensor = 1.0,
+        kl_temperature: float | Tensor = 0.014,
         gamma: float | Tensor = 0.9,
         num_data: int | Tensor | None = None,
         action_space: str | TensorSpec | None = None,

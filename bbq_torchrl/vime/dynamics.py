@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor, nn
@@ -14,9 +14,7 @@ from bbq_torchrl.bayes.settings import checked_number
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from typing_extensions import Unpack
-
-    from bbq_torchrl.bayes.layers import LayerSettings
+    from bbq_torchrl.bayes.layers import MeanInit
     from bbq_torchrl.bayes.scope import WeightMode
 
 
@@ -47,7 +45,8 @@ class DynamicsModel(nn.Module):
         mean_init: "kaiming" or "zero". With zero means no error reaches the hidden layers, and
             every gain comes from the last bias until training has broken the tie. Defaults to
             "kaiming".
-        std_init: standard deviation of the weights to start with; None for the prior's.
+        std_init: standard deviation of the weights to start with; None for the prior's. Defaults to
+            None.
         device: of parameters and buffers.
         dtype: of parameters and buffers.
 
@@ -80,9 +79,14 @@ class DynamicsModel(nn.Module):
         action_size: int,
         hidden: Sequence[int] = (64, 64),
         *,
+        replicas: int | Sequence[int] = (),
+        prior_std: float | Tensor | Literal["fan_in"] = 0.1,
         noise_std: float = 1.0,
         std_floor: float = 0.05,
-        **settings: Unpack[LayerSettings],
+        mean_init: MeanInit = "kaiming",
+        std_init: float | Tensor | None = None,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
         for name, size in (("observation_size", observation_size), ("action_size", action_size)):
@@ -94,9 +98,16 @@ class DynamicsModel(nn.Module):
         self.action_size = action_size
         self.noise_std = noise_std
         self.std_floor = std_floor
-        settings.setdefault("mean_init", "kaiming")
         self.network = BayesMLP(
-            observation_size + action_size, observation_size, hidden, **settings
+            observation_size + action_size,
+            observation_size,
+            hidden,
+            replicas=replicas,
+            prior_std=prior_std,
+            mean_init=mean_init,
+            std_init=std_init,
+            device=device,
+            dtype=dtype,
         )
         shape = (*self.replicas, observation_size)
         mu = self.network.posterior.mu

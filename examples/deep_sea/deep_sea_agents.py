@@ -225,6 +225,7 @@ def _bbqn(
             actor,
             gamma=settings.gamma,
             noise_std=settings.noise_std,
+            kl_temperature=1.0,
             target="map" if target_noise == "mean" else "mc",
             target_noise=target_noise,
         ),

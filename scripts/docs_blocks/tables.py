@@ -46,6 +46,16 @@ def _plateau() -> str:
     return pivot("start, after updates", cells)
 
 
+@block("parts.cartpole")
+def _cartpole() -> str:
+    """Returns the return of each seed in the loop of docs/parts.md, a line for each agent."""
+    names = {"bbqn": "BBQN", "bbqn_paper_start": "BBQN, the paper's start", "dqn": "DQN"}
+    found = read_csv("cartpole.csv")
+    cells = {(names[row["agent"]], f"seed {row['seed']}"): row["return"] for row in found}
+    command = "python examples/cartpole_bbqn.py --agent bbqn --seed 0 --file results/cartpole.csv"
+    return f"{pivot('return', cells)}\n\n```bash\n{command}\n```"
+
+
 @block("learning.tried", "tried.csv", "success_rate", "final")
 @block("learning.targets", "tried_targets.csv", "late_success", "rounds 26 to 30")
 def _tried(file: str, end: str, name: str) -> str:

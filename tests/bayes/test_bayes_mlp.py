@@ -8,7 +8,14 @@ import pytest
 import torch
 from torch.func import functional_call
 
-from bbq_torchrl.bayes import BayesMLP, kl_divergence, weight_scope
+from bbq_torchrl.bayes import (
+    BayesConv2d,
+    BayesGRU,
+    BayesLinear,
+    BayesMLP,
+    kl_divergence,
+    weight_scope,
+)
 
 
 def trained(net):
@@ -57,7 +64,7 @@ def test_local_reparameterization_has_finite_gradients(rho, inputs):
 
 
 def test_fan_in_prior_keeps_the_spread_of_q_at_the_scale_of_the_input():
-    net = BayesMLP(268, 39, prior_std="fan_in")
+    net = BayesMLP(268, 39, prior_std="fan_in", mean_init="zero", std_init=None)
     of_layers = torch.tensor([2 / 268, 2 / 256, 2 / 256]).sqrt()
     expected = of_layers.repeat_interleave(torch.tensor(net.layout.layer_sizes))
     torch.testing.assert_close(net.posterior.prior_std, expected)
@@ -72,7 +79,7 @@ def test_fan_in_prior_keeps_the_spread_of_q_at_the_scale_of_the_input():
 
 
 def test_it_starts_at_the_prior_or_where_it_is_told():
-    net = BayesMLP(10, 3, (20,), prior_std=0.3)
+    net = BayesMLP(10, 3, (20,), prior_std=0.3, mean_init="zero", std_init=None)
     assert not net.posterior.mu.any()
     torch.testing.assert_close(net.posterior.sigma, torch.full_like(net.posterior.mu, 0.3))
     net = trained(BayesMLP(10, 3, (20,), replicas=(2,), mean_init="kaiming", std_init=0.03))
@@ -83,6 +90,22 @@ def test_it_starts_at_the_prior_or_where_it_is_told():
         assert bias.abs().max() <= bound
     torch.testing.assert_close(net.posterior.sigma, torch.full_like(net.posterior.mu, 0.03))
     assert not torch.equal(net.posterior.mu[0], net.posterior.mu[1])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: BayesMLP(10, 3, (20,)),
+        lambda: BayesLinear(16, 3),
+        lambda: BayesConv2d(4, 3, 2),
+        lambda: BayesGRU(5, 16),
+    ],
+)
+def test_by_default_it_starts_as_any_network_does_with_little_noise(make):
+    net = make()
+    assert net.posterior.mu.std() > 0.1
+    torch.testing.assert_close(net.posterior.sigma, torch.full_like(net.posterior.mu, 0.03))
+    assert float(net.posterior.prior_std) == pytest.approx(0.037)
 
 
 @pytest.mark.parametrize("device", ["meta", "cuda"])

@@ -53,7 +53,7 @@ def test_both_ends_are_allowed_and_no_more(value, make):
 
 def test_a_network_starts_each_replica_where_it_is_told():
     stds = torch.tensor([0.01, 0.5])
-    net = BayesMLP(3, 2, (4,), replicas=(2,), prior_std=stds)
+    net = BayesMLP(3, 2, (4,), replicas=(2,), prior_std=stds, std_init=None)
     torch.testing.assert_close(net.posterior.sigma, stds[:, None].expand_as(net.posterior.rho))
     torch.testing.assert_close(net.posterior.prior_std, stds[:, None])
     started = BayesMLP(3, 2, (4,), replicas=(2,), std_init=stds)

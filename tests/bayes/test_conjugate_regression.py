@@ -46,9 +46,8 @@ def learn(x, y, *, rows=None, num_data=ROWS, mode="draw", kl="closed", pooled=Fa
     One network whose gradient is the average over draws (replicas of one network, each with a
     draw and a mini-batch of its own): one draw a step has the same optimum, later.
     """
-    net = BayesLinear(
-        FEATURES, 1, replicas=(DRAWS,), prior_std=PRIOR_STD, std_init=0.2, dtype=torch.double
-    )
+    start = {"prior_std": PRIOR_STD, "mean_init": "zero", "std_init": 0.2}
+    net = BayesLinear(FEATURES, 1, replicas=(DRAWS,), dtype=torch.double, **start)
     optimizer = torch.optim.Adam(net.parameters(), 0.1, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     pool = None

@@ -61,6 +61,7 @@ def noise_of(net: BayesMLP, draws: int, pool: NoisePool) -> torch.Tensor:
     """The noise of some draws, [draws, *replicas, P]: weights of a network with μ = 0, σ = 1."""
     net.posterior.reset_std_(1.0)
     with weight_scope(noise=pool), torch.no_grad():
+        net.posterior.mu.zero_()
         return torch.stack([net.draw_weights() for _ in range(draws)])
 
 

@@ -28,7 +28,7 @@ X = torch.ones(2, 5, 3)
 
 @pytest.mark.parametrize("name", ["RANDOM", "DETERMINISTIC", "MEAN", "MODE"])
 def test_the_exploration_type_decides_where_nothing_else_does(name):
-    net, x = BayesMLP(4, 3, (8,)), torch.randn(6, 4)
+    net, x = BayesMLP(4, 3, (8,), mean_init="zero"), torch.randn(6, 4)
     with set_exploration_type(ExplorationType[name]):
         assert bool(net(x).any()) == (name == "RANDOM")  # the mean network is 0
         with weight_scope("mean"):
@@ -55,7 +55,8 @@ def test_scopes_nest_and_end_on_errors():
 
 
 def test_given_weights_reach_only_their_module_or_posterior():
-    first, second, x = BayesLinear(3, 3), BayesLinear(3, 3), torch.ones(4, 3)
+    first, second = (BayesLinear(3, 3, mean_init="zero") for _ in range(2))
+    x = torch.ones(4, 3)
     for key in (first, first.posterior):
         with weight_scope(weights={key: first.posterior.mu + 1}):
             assert first(x, "mean").eq(4).all()
@@ -66,7 +67,7 @@ def test_given_weights_reach_only_their_module_or_posterior():
 
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
 def test_the_kl_is_that_of_all_layers_that_run_inside_each_counted_once(network, mode):
-    other = BayesMLP(3, 2)
+    other = BayesMLP(3, 2, (8,))
     with weight_scope(mode, kl="closed") as outer:
         first, second = network(X), network(X)
         with weight_scope(kl="closed") as inner:

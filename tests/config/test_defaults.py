@@ -14,10 +14,7 @@ from bbq_torchrl.bayes import BayesLayer
 from bbq_torchrl.options import schemas
 
 ON_PURPOSE = {
-    ("BBQNLoss", "kl_temperature"): "searched for dialogues; 1 is the evidence lower bound",
-    ("BayesMLP", "mean_init"): "searched for dialogues; zero is the paper's",
-    ("BayesMLP", "prior_std"): "searched for dialogues",
-    ("BayesMLP", "std_init"): "searched for dialogues; None, the prior's, is the paper's",
+    ("BayesMLP", "std_init"): "searched for dialogues; in short loops .09 is noise for too long",
     ("BootstrapMLP", "prior_scale"): "searched for dialogues; 0 is the paper's network",
     ("BootstrapMask", "prob"): "searched for dialogues; .5 is the paper's bootstrap",
     ("Boltzmann", "annealing_num_steps"): "the key is a share of the rounds of a training",

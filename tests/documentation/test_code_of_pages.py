@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from types import ModuleType
 
 import forked
 import pytest
 from own_options import own_options
+from torchrl.envs.utils import check_env_specs
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.train import main as train
@@ -90,13 +92,40 @@ def first(argument):
     return f"{key}={value.split(',')[0]}"
 
 
-OPTIONS, ENVIRONMENT = (ROOT / "docs" / f"{name}.md" for name in ("options", "environment"))
+OPTIONS, ENVIRONMENT, PARTS = (
+    ROOT / "docs" / f"{name}.md" for name in ("options", "environment", "parts")
+)
 
 
 def printed(page, language, start):
     """The code of a page that starts so."""
     (found,) = (text for text in snippets(page, language) if text.startswith(start))
     return found
+
+
+@pytest.fixture
+def whole_loops():
+    """The functions of the loops on the page of parts, which leave the Bayesian parts' defaults."""
+    pytest.importorskip("gymnasium")
+    names = {}
+    for start in ("import torch\nfrom torchrl.collectors", "from tensordict import TensorDict\n"):
+        text = printed(PARTS, "python", start)
+        assert not {"prior_std", "mean_init", "std_init", "noise_std", "kl_temperature"} & set(
+            re.findall(r"\w+", text)
+        )
+        exec(compile(text, str(PARTS), "exec"), names)
+    return names
+
+
+def test_the_game_of_the_page_keeps_torchrls_conventions(whole_loops):
+    check_env_specs(whole_loops["Catch"](4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("game", "least"), [("cartpole", 150), ("catch", 0.9)])
+def test_a_whole_loop_learns_by_the_defaults(whole_loops, game, least, seed):
+    assert whole_loops[game](seed) >= least
 
 
 @pytest.fixture

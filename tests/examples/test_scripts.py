@@ -19,7 +19,7 @@ NOTEBOOK = EXAMPLES / "tutorial.ipynb"
     [
         (
             "cartpole_bbqn",
-            "64",
+            "100",
             r"mean network, 20 episodes: return (\d+\.\d) of at most 500",
             {"bayes", "exploration", "networks", "objectives"},
         ),
@@ -53,6 +53,19 @@ def test_cartpoles_dqn_explores_less_and_less(names_of):
     assert float(explore[-1].eps) == pytest.approx((1 + 0.05) / 2, rel=1e-4)  # summed up in float32
     explore[-1].step(100)
     assert float(explore[-1].eps) == pytest.approx(0.05)
+
+
+def test_cartpole_adds_a_row_for_every_training(names_of, tmp_path, monkeypatch):
+    pytest.importorskip("gymnasium")
+    example, file = names_of("cartpole_bbqn"), tmp_path / "cartpole.csv"
+    trained = example["main"].__globals__
+    monkeypatch.setitem(trained, "train", lambda agent, frames, seed: frames / 100 + seed)
+    for seed in "12":
+        options = ["--agent=dqn", f"--seed={seed}", "--frames=500", f"--file={file}"]
+        monkeypatch.setattr(sys, "argv", ["cartpole_bbqn.py", *options])
+        example["main"]()
+    lines = [tuple(line.values()) for line in rows(file)]
+    assert lines == [("dqn", "1", "500", "6.0"), ("dqn", "2", "500", "7.0")]
 
 
 def test_regression_saves_a_figure(tmp_path):

@@ -86,7 +86,7 @@ def test_the_target_decides_where_its_noise_comes_from_unless_that_is_said(setti
 @pytest.mark.parametrize("kl", ["closed", "sampled"])
 def test_a_shared_target_has_the_online_draw_in_all_layers(replicas, kl):
     layers = [
-        BayesLinear(*sizes, replicas=replicas, prior_std=0.5)
+        BayesLinear(*sizes, replicas=replicas, prior_std=0.5, std_init=0.5)
         for sizes in ((FEATURES, 8), (8, 8), (8, ACTIONS))
     ]
     net = nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.ReLU(), layers[2])
@@ -143,7 +143,7 @@ def test_num_data_is_set_for_all_or_for_each_replica_and_part_of_the_state():
 
 def test_the_sampled_kl_moves_weights_that_no_data_reach():
     # why the closed form is the default
-    net = BayesMLP(3, 2, ())
+    net = BayesMLP(3, 2, (), mean_init="zero", std_init=None)
     loss = BBQNLoss(q_actor(net, Categorical(2), action_mask_key=None), kl="sampled", num_data=50)
     HardUpdate(loss, value_network_update_interval=0)
     optimizer = torch.optim.Adam(loss.parameters(), 1e-3)

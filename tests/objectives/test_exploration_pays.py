@@ -52,9 +52,10 @@ def episode(taken, right):
 
 def share_solved(explore):
     """Returns the share of replicas whose mean network solves the chain after learning."""
-    net = BayesLinear(2, ACTIONS, replicas=(REPLICAS,), prior_std=2.0)
+    start = {"prior_std": 2.0, "mean_init": "zero", "std_init": None}
+    net = BayesLinear(2, ACTIONS, replicas=(REPLICAS,), **start)
     actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
-    loss = BBQNLoss(actor, noise_std=0.5, gamma=0.9)
+    loss = BBQNLoss(actor, noise_std=0.5, kl_temperature=1.0, gamma=0.9)
     freeze = HardUpdate(loss, value_network_update_interval=0)
     optimizer = torch.optim.Adam(loss.parameters(), 0.05, fused=True)
     right, policy, episodes = torch.randint(ACTIONS, (REPLICAS, 2)), explore(actor), []
