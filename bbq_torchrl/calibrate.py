@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from bbq_torchrl import interruption, output
 from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.cli.store import compose
+from bbq_torchrl.domains import importing
 from bbq_torchrl.options import CalibrateConfig, ConfigError
 from bbq_torchrl.pages import page
 from bbq_torchrl.text import shown
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 USAGE = f"""\
 usage: python -m bbq_torchrl.domains calibrate [<key>=<value> ...]
+       python -m bbq_torchrl.domains import --help    a domain folder from a corpus of MiuLab's form
 
 Finds the slot error probability at which a scripted policy succeeds in a wanted share of dialogues,
 and prints the line to write into domain.yaml, with standard errors.
@@ -64,12 +66,14 @@ class Calibration(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments[:1] == ["import"]:
+        return importing.main(arguments[1:])
     interruption.tell(lambda: "in a calibration", lambda: "the same command begins again")
     if not arguments or {"-h", "--help"} & set(arguments):
         output.write(USAGE)
         return 0
     if arguments[0] != "calibrate":
-        raise ConfigError(f"the command must be calibrate, got {shown(arguments[0])}")
+        raise ConfigError(f"the command must be calibrate or import, got {shown(arguments[0])}")
     arguments = take_config_dir(arguments)
     config = compose(arguments[1:], CalibrateConfig)
     found = calibrate(config, output.complain)

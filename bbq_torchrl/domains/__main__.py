@@ -1,4 +1,4 @@
-"""``python -m bbq_torchrl.domains calibrate``; see :mod:`bbq_torchrl.calibrate`."""
+"""``python -m bbq_torchrl.domains calibrate | import``; see :mod:`bbq_torchrl.calibrate`."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ dialogues on the default files: 18.31 % of 500,000 at 0.058, and 0.0119 less for
 _GOAL_KEYS = {"diaact", "inform_slots", "request_slots"}
 _UNKNOWN = "UNK"
 
-_Corpus = dict[str, dict[Any, Any]]
+Corpus = dict[str, dict[Any, Any]]
 """Records, goals and lists of values, by the numbers and names that they have in the files."""
 
 _UNITS = {"records": "row", "goals": "goal", "error_values": "slot"}
@@ -87,21 +87,58 @@ def load_miulab(
         "name": "miulab",
         "reference_slot_error_prob": REFERENCE_SLOT_ERROR_PROB,
     }
-    ticket = specification["ticket_slot"]
-    acts = specification["acts"]
-    whole: _Corpus = {
-        "records": _records(folder / kb),
+    files = {"records": folder / kb, "goals": folder / goals, "error_values": folder / values}
+    corpus = read_corpus(files, specification["acts"], specification["ticket_slot"])
+    return fitted(specification, corpus, files, str(folder), skip_unusable=skip_unusable)
+
+
+def read_corpus(files: Mapping[str, Path], acts: Sequence[str], ticket: str) -> Corpus:
+    """Reads records, goals and lists of values, and checks each file's form.
+
+    Args:
+        files: by ``records``, ``goals`` and ``error_values``.
+        acts: those that goals may have.
+        ticket: the slot that every goal requests, which is left out of them.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if a file is damaged or holds anything but plain data of the expected form.
+    """
+    goals = files["goals"]
+    return {
+        "records": _records(files["records"]),
         "goals": {
-            number: _goal(f"{folder / goals}: goal {number}", entry, acts, ticket)
-            for number, entry in enumerate(
-                _expect(folder / goals, read_plain_pickle(folder / goals))
-            )
+            number: _goal(f"{goals}: goal {number}", entry, acts, ticket)
+            for number, entry in enumerate(_expect(goals, read_plain_pickle(goals)))
         },
-        "error_values": _values(folder / values),
+        "error_values": _values(files["error_values"]),
     }
-    files = {"records": kb, "goals": goals, "error_values": values}
+
+
+def fitted(
+    specification: Mapping[str, Any],
+    corpus: Corpus,
+    files: Mapping[str, Path],
+    where: str,
+    *,
+    skip_unusable: bool,
+) -> Domain:
+    """Returns the domain of a corpus; entries that cannot be used are left out and named.
+
+    Args:
+        specification: all fields of the domain but those of the corpus.
+        corpus: of :func:`read_corpus`.
+        files: as there; their names stand in what is said.
+        where: what is said to have faults.
+        skip_unusable: whether entries are left out; otherwise they are refused.
+
+    Raises:
+        DomainError: if the specification does not fit together, if no entry is left, or, without
+            ``skip_unusable``, if one cannot be used.
+    """
+    names = {field: path.name for field, path in files.items()}
     faults: list[Fault] = []
-    usable = whole
+    usable = corpus
     while True:
         try:
             return Domain(
@@ -109,29 +146,31 @@ def load_miulab(
                 records=tuple(usable["records"].values()),
                 goals=tuple(usable["goals"].values()),
                 error_values=usable["error_values"],
-                skipped=(*_changes(files, whole, usable), *tell(faults)) if faults else (),
-                doubts=tuple(tell(dict.fromkeys(_misspelled(files, usable)))),
+                skipped=(*_changes(names, corpus, usable), *tell(faults)) if faults else (),
+                doubts=tuple(tell(dict.fromkeys(_misspelled(names, usable)))),
             )
         except DomainError as error:
+            if own := [fault for fault in error.found if fault.place[0] not in names]:
+                raise DomainError(where, own) from error
             for fault in error.found:
                 field, *which = fault.place
                 name = str(field)
                 number = _key(usable, name, which) if name != "error_values" else None
-                faults.append(fault._replace(file=files[name], unit=_UNITS[name], number=number))
+                faults.append(fault._replace(file=names[name], unit=_UNITS[name], number=number))
             left = _without(usable, error.found, specification["slots"])
             if not skip_unusable or left == usable:
-                raise DomainError(str(folder), faults) from error
+                raise DomainError(where, faults) from error
             usable = left
 
 
-def _key(corpus: _Corpus, name: str, which: Sequence[str | int]) -> Any:
+def _key(corpus: Corpus, name: str, which: Sequence[str | int]) -> Any:
     """Returns what the file calls the entry that a place of the domain is in; ``None`` for none."""
     if name == "error_values" or not which:
         return which[0] if which else None
     return list(corpus[name])[int(which[0])]
 
 
-def _without(corpus: _Corpus, found: Iterable[Fault], slots: Sequence[str]) -> _Corpus:
+def _without(corpus: Corpus, found: Iterable[Fault], slots: Sequence[str]) -> Corpus:
     """Returns the corpus without what the faults are about.
 
     Of a record with unknown slots only these are left out, of a list only the values named.
@@ -156,7 +195,7 @@ def _without(corpus: _Corpus, found: Iterable[Fault], slots: Sequence[str]) -> _
     }
 
 
-def _changes(files: Mapping[str, str], whole: _Corpus, left: _Corpus) -> Iterator[str]:
+def _changes(files: Mapping[str, str], whole: Corpus, left: Corpus) -> Iterator[str]:
     """Says how many entries of each file are not left as they were."""
     for name, before in whole.items():
         unlike = sum(left[name].get(key) != entry for key, entry in before.items())
@@ -165,7 +204,7 @@ def _changes(files: Mapping[str, str], whole: _Corpus, left: _Corpus) -> Iterato
             yield f"{files[name]}: {entries} are left out or in part"
 
 
-def _misspelled(files: Mapping[str, str], corpus: _Corpus) -> Iterator[Fault]:
+def _misspelled(files: Mapping[str, str], corpus: Corpus) -> Iterator[Fault]:
     """Yields where values never match others; an example for each file."""
     texts: dict[str, str] = {}
     for item in misspellings(
@@ -254,7 +293,7 @@ def _values(path: Path) -> dict[str, tuple[str, ...]]:
     return {slot: tuple(text for text in texts if text.strip()) for slot, texts in values.items()}
 
 
-def _goal(where: str, content: object, acts: tuple[str, ...], ticket: str) -> Goal:
+def _goal(where: str, content: object, acts: Sequence[str], ticket: str) -> Goal:
     goal = _expect_mapping(where, content, str)
     if set(goal) != _GOAL_KEYS:
         raise ValueError(
