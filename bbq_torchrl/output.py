@@ -40,8 +40,7 @@ def write(text: str) -> None:
     try:
         if sys.stdout is None:  # closed before Python started
             raise OSError(errno.EBADF, os.strerror(errno.EBADF))
-        if isinstance(sys.stdout, TextIOWrapper):
-            sys.stdout.reconfigure(errors="backslashreplace")  # an encoding without ±, say
+        escape()
         sys.stdout.write(text)
         sys.stdout.flush()
     except BrokenPipeError:
@@ -51,6 +50,12 @@ def write(text: str) -> None:
         _discard(sys.stdout)
         complain(f"error: standard output cannot be written: {sentence(error)}")
         sys.exit(NOT_WRITTEN)
+
+
+def escape() -> None:
+    """Has standard output escape what its encoding lacks, such as ±, as standard error does."""
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def complain(line: str) -> None:

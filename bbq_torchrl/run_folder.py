@@ -56,6 +56,14 @@ def numbers_in_order(folder: Path | str) -> list[tuple[bool, int, str]]:
     return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
+def is_utf8(path: Path) -> bool:
+    """Tells whether the name of a file is UTF-8, which torch and TensorBoard take every name for.
+
+    A locale of another encoding has other names, and a name may be bytes that are no text.
+    """
+    return os.fsencode(path) == os.fspath(path).encode(errors="replace")
+
+
 def write_text(path: Path, text: str) -> None:
     """Writes a file so that a reader, or a crash, finds the old text or the new, never a part."""
     write_bytes(path, text.encode())

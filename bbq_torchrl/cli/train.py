@@ -59,6 +59,7 @@ class _Stopped(BaseException):
 def main() -> None:
     """Trains, evaluates, and writes the run folder: one, or those of a sweep."""
     arguments = sys.argv[1:]
+    output.escape()  # what is logged
     sweep = None
     with ExitStack() as held:
         try:
@@ -100,6 +101,7 @@ def _job_of_a_sweep(composed: DictConfig) -> float:
     folder = _told_folder()
     try:
         config = to_config(composed, Config)
+        output.escape()
         interruption.listen()
         interruption.end_with_parent()
         interruption.check()

@@ -22,6 +22,8 @@ import os
 import re
 import shutil
 import tempfile
+from contextlib import contextmanager
+from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
@@ -29,13 +31,13 @@ import torch
 from torch.utils import _pytree as pytree
 from torchrl.checkpoint import Checkpoint, CheckpointError
 
+from bbq_torchrl.run_folder import is_utf8
 from bbq_torchrl.text import shown
 from bbq_torchrl.trainers.archive import TensorFiles, read_archive
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
+    from collections.abc import Iterable, Iterator, Mapping
 
 _LOG = logging.getLogger(__name__)
 _SUFFIX = ".torchrl"
@@ -89,7 +91,8 @@ class CheckpointFolder:
         tensors = [leaf for leaf in pytree.tree_leaves(states) if isinstance(leaf, torch.Tensor)]
         # The tensors are written twice: staged and archived.
         _check_room(self.folder, 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE)
-        self._checkpoint.save(path, metadata={"round": rounds, **metadata})
+        with _openable_by_torch(self.folder) as folder:
+            self._checkpoint.save(folder / path.name, metadata={"round": rounds, **metadata})
         _force_to_disk(path)
         _force_to_disk(self.folder)
         if self.keep is not None:
@@ -282,6 +285,24 @@ def _check_room(folder: Path, size: int) -> None:
         except OSError as error:
             if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
                 raise OSError(error.errno, error.strerror, os.fspath(folder)) from error
+
+
+@contextmanager
+def _openable_by_torch(folder: Path) -> Iterator[Path]:
+    """Makes a folder, and yields a path of it that torch can open.
+
+    Torch takes every path for UTF-8. Where this one is not, it is the name in ASCII that Linux has
+    for every folder that is open.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if is_utf8(folder):
+        yield folder
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        yield Path(f"/proc/self/fd/{descriptor}")
+    finally:
+        os.close(descriptor)
 
 
 def _force_to_disk(path: Path) -> None:

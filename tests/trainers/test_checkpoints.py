@@ -55,6 +55,14 @@ def test_the_last_two_are_kept_and_the_newest_is_restored_with_its_metadata(tmp_
     ]
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs Linux's /proc")
+def test_a_folder_may_have_a_name_that_is_no_text(tmp_path):
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    assert save(folder, 10, 20).parent == folder
+    assert restored(folder) == 20
+    assert len(list(folder.iterdir())) == 2
+
+
 def cut(share):
     return lambda path: path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
 
