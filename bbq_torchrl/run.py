@@ -24,7 +24,12 @@ from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name
-from bbq_torchrl.evaluation.results import RunResult, flat_numbers, write_json
+from bbq_torchrl.evaluation.results import (
+    RunResult,
+    flat_numbers,
+    reference_lines,
+    write_json,
+)
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
 from bbq_torchrl.trainers import keep_freed_memory
@@ -198,5 +203,5 @@ def _draw(
         if spiking is None
         else f"spiked with {config.spike.dialogues} {spiking} dialogues",
         extensions=config.env.additions(domain),
-        references=result.references,
+        references=reference_lines(result.scripted, result.references),
     )

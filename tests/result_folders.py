@@ -73,6 +73,7 @@ def make_run(
     changes: Mapping[str, object] | None = None,
     values: list[dict[str, float]] | None = None,
     references: Mapping[str, float] | None = None,
+    scripted: Mapping[str, float] | None = None,
     **agent_keys: object,
 ) -> Path:
     """Writes what a finished run leaves behind. Returns the folder.
@@ -99,7 +100,8 @@ def make_run(
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     (folder / "metrics.csv").write_text(metrics_text(rates, rounds, eval_every))
     described = {"agent": agent, "explore": explore, "seed": seed, "rounds": rounds}
-    result = run_result(rates, values, references=dict(references or {}), **described)
+    described |= {"references": dict(references or {}), "scripted": dict(scripted or {})}
+    result = run_result(rates, values, **described)
     write_json(result, folder / "result.json")
     return folder
 

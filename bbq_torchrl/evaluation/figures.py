@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from io import BytesIO
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,7 +67,7 @@ def draw_run(
         title: the heading.
         spiked: what the buffer was spiked with, said at round 0; ``None`` for an empty buffer.
         extensions: round to slot: where the domain grew.
-        references: success rates of privileged policies, by name.
+        references: success rates to compare with, by label.
     """
     figure, axes = _axes()
     end = groups[0].first.rounds
@@ -109,7 +110,7 @@ def draw_comparison(
     Args:
         groups: one for each setting.
         title: the heading.
-        references: success rates of privileged policies, by name.
+        references: success rates to compare with, by label.
     """
     figure, axes = _axes()
     for group, color in zip(groups, _colors(len(groups)), strict=True):
@@ -133,7 +134,7 @@ def draw_families(
     Args:
         families: heading of a column -> its groups. A group may be in several.
         title: the heading.
-        references: success rates of privileged policies, by name.
+        references: success rates to compare with, by label.
     """
     groups = [group for family in families.values() for group in family]
     names = {"success": "training success"}
@@ -267,9 +268,8 @@ def _draw_seeds(
 
 
 def _draw_references(axes: Any, references: Mapping[str, float]) -> None:
-    for name, rate in references.items():
-        label = f"{name} (privileged: it reads what no agent is shown): {rate:.3f}"
-        axes.axhline(rate, color="0.35", lw=1, ls=":", label=label)
+    for (name, rate), line in zip(references.items(), cycle((":", "-."))):
+        axes.axhline(rate, color="0.35", lw=1, ls=line, label=f"{name}: {rate:.3f}")
 
 
 def _finished(figure: Figure, panels: Sequence[Any], *, legend: bool = True) -> Figure:

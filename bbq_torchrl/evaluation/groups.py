@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bbq_torchrl.evaluation.learning import areas, booked
+from bbq_torchrl.evaluation.results import reference_lines
 from bbq_torchrl.evaluation.runs import names_option, read_run, telling
 
 if TYPE_CHECKING:
@@ -160,21 +161,31 @@ def know_commits(groups: Sequence[Group]) -> bool:
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:
-    """Returns the success of the privileged policies, by name, mean over the runs.
+    """Returns who stands beside the groups in figures, as :func:`reference_lines` has it.
 
-    Empty unless the runs all know it and have the same users.
+    Each rate is the mean over the runs that know it. Privileged policies are left out where a run
+    does not know them, and all is where the users differ.
     """
     users = [
         {key: value for key, value in group.setting.items() if key.startswith(("env.", "domain."))}
         for group in groups
     ]
-    results = {replica.folder: replica.result for group in groups for replica in group.replicas}
-    known = [result.references for result in results.values()]
-    if any(other != users[0] for other in users) or any(
-        one.keys() != known[0].keys() for one in known
-    ):
+    if any(other != users[0] for other in users):
         return {}
-    return {name: math.fsum(one[name] for one in known) / len(known) for name in known[0]}
+    results = {replica.folder: replica.result for group in groups for replica in group.replicas}
+    privileged = [result.references for result in results.values()]
+    scripted = [result.scripted for result in results.values()]
+    known = _means(privileged)
+    return reference_lines(
+        _means(scripted),
+        {name: rate for name, rate in known.items() if all(name in one for one in privileged)},
+    )
+
+
+def _means(rates: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Returns each name's mean over those that have it."""
+    names = dict.fromkeys(name for one in rates for name in one)
+    return {name: fmean(one[name] for one in rates if name in one) for name in names}
 
 
 def label(

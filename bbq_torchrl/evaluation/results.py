@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.evaluation.statistics import binomial_standard_error
 from bbq_torchrl.run_folder import RESULT, write_text
 from bbq_torchrl.text import shown
@@ -229,6 +230,30 @@ def _leaves(plain: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, f
             yield from _leaves(value, f"{prefix}{name}/")
         elif isinstance(value, (int, float)):
             yield f"{prefix}{name}", value
+
+
+def reference_lines(
+    scripted: Mapping[str, float], privileged: Mapping[str, float]
+) -> dict[str, float]:
+    """Returns who stands beside agents in figures: a label, and the success rate.
+
+    Args:
+        scripted: success rates of scripted policies by name; the best of them is the line to beat.
+        privileged: those of the policies that read what no agent is shown.
+
+    Examples:
+        >>> reference_lines({"rule": 0.2, "repair": 0.8, "random": 0.0}, {})
+        {'repair (best script measured)': 0.8}
+    """
+    lines = {
+        f"{name} (privileged: it reads what no agent is shown)": rate
+        for name, rate in privileged.items()
+    }
+    scripts = {name: rate for name, rate in scripted.items() if name != RANDOM_POLICY}
+    if scripts:
+        best = max(scripts, key=lambda name: scripts[name])
+        lines[f"{best} (best script measured)"] = scripts[best]
+    return lines
 
 
 def write_json(content: RunResult | dict[str, Any], file: Path) -> None:

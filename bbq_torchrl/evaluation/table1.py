@@ -133,16 +133,25 @@ def table1_report(groups: Sequence[Group]) -> Report:
     )
 
 
-def draw_table1(cells: Mapping[str, Group], env: str) -> Figure:
-    """Draws the agents of Table 1 in an environment: families, each beside BBQN-MAP."""
+def draw_table1(
+    cells: Mapping[str, Group], env: str, beside: Mapping[str, float] | None = None
+) -> Figure:
+    """Draws the agents of Table 1 in an environment: families, each beside BBQN-MAP.
+
+    Args:
+        cells: those that were run, by the paper's name.
+        env: the environment.
+        beside: success rates to compare with, by label; None: those that the runs know.
+    """
     families = {
         heading: [cells[name] for name in (OURS, *others) if name in cells]
         for heading, others in FAMILIES.items()
         if any(name in cells for name in others)
     }
-    ceiling = references([*cells.values()])
     return draw_families(
-        families or {"BBQN": [*cells.values()]}, title=f"Table 1, env={env}", references=ceiling
+        families or {"BBQN": [*cells.values()]},
+        title=f"Table 1, env={env}",
+        references=references([*cells.values()]) if beside is None else beside,
     )
 
 

@@ -20,6 +20,7 @@ from bbq_torchrl.evaluation.figures import draw_comparison, save
 from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.learning import rounds_to_reach
+from bbq_torchrl.evaluation.results import reference_lines
 from bbq_torchrl.evaluation.statistics import estimate
 from bbq_torchrl.evaluation.tables import Report, replicas_table
 from scripts.docs_blocks import common
@@ -89,19 +90,32 @@ def _save(figure: Figure, name: str) -> None:
 def draw_figures() -> None:
     """Draws the learning curves of every experiment, and writes table1.csv."""
     for folder in ("table1", "paper_batches"):
-        found = table1.table1_report(groups(folder))
-        for name, (_, draw) in found.figures.items():
-            _save(draw(), name.replace("table1", folder))
+        kept = groups(folder)
+        for env in DOMAINS:
+            # Only the full domain is measured beside the runs.
+            beside = _beside("movie", "reference") if env == "full" else None
+            if cells := table1.find_cells(kept, env):
+                _save(table1.draw_table1(cells, env, beside), f"{folder}_{env}")
         if folder == "table1":
+            found = table1.table1_report(kept)
             replicas_table(found.groups, "table1").write(common.RESULTS)
     for folder, report in (("ablations", ablations_report), ("explorers", grid_report)):
         if kept := groups(folder):
             for name, (_, draw) in report(kept).figures.items():
                 _save(draw(), name)
     for name, (title, *played_in) in EXPERIMENTS.items():
-        ceiling = {"clairvoyant": measured()[(*played_in, "clairvoyant")]["success_rate"]}
-        figure = draw_comparison(groups(name), title=title, references=ceiling)
-        _save(figure, name)
+        _save(draw_comparison(groups(name), title=title, references=_beside(*played_in)), name)
+
+
+def _beside(corpus: str, setting: str) -> dict[str, float]:
+    """Returns who stands beside agents in a figure, as measured in a setting."""
+    rates = {
+        policy: found["success_rate"]
+        for (*played_in, policy), found in measured().items()
+        if played_in == [corpus, setting]
+    }
+    privileged = {name: rates.pop(name) for name in (PRIVILEGED_POLICY,) if name in rates}
+    return reference_lines(rates, privileged)
 
 
 @block("results.table1", "table1")

@@ -13,6 +13,7 @@ from result_folders import run_result
 from bbq_torchrl.evaluation import Metrics
 from bbq_torchrl.evaluation.figures import draw_comparison, draw_families, draw_run, moving_average
 from bbq_torchrl.evaluation.groups import Group
+from bbq_torchrl.evaluation.results import reference_lines
 from bbq_torchrl.evaluation.runs import Replica
 
 
@@ -37,6 +38,13 @@ def group(seeds, rounds=30, label="DQN", **columns):
     return Group(label, tuple(Replica(Path(), n, {}, result, metrics) for n in range(seeds)))
 
 
+BESIDE = reference_lines({"rule": 0.2, "repair": 0.7, "random": 0.9}, {"clairvoyant": 0.8})
+LINES = [
+    "clairvoyant (privileged: it reads what no agent is shown): 0.800",
+    "repair (best script measured): 0.700",
+]
+
+
 def labels(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
@@ -54,12 +62,12 @@ def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(d
         run,
         spiked="spiked with 100 rule dialogues",
         extensions={10: "price", 20: "zip", 40: "state"},
-        references={"clairvoyant": 0.8},
+        references=BESIDE,
     )
     (axes,) = figure.axes
-    # Three replicas, their mean, three final points, their mean, the spike, two slots in time, and
-    # what knows the goal.
-    assert len(axes.get_lines()) == 3 + 1 + 1 + 1 + 1 + 2 + 1
+    # Three replicas, their mean, three final points, their mean, the spike, two slots in time, the
+    # best script, and what knows the goal.
+    assert len(axes.get_lines()) == 3 + 1 + 1 + 1 + 1 + 2 + 2
     thick = max(axes.get_lines(), key=lambda line: line.get_linewidth())
     assert thick.get_ydata() == pytest.approx(moving_average(run.success).mean(1))
     assert [text.get_text() for text in axes.texts] == [" price", " zip"]
@@ -68,7 +76,7 @@ def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(d
         "DQN (3 seeds, mean of 10 rounds)",
         "final evaluation: 0.500",
         "spiked with 100 rule dialogues",
-        "clairvoyant (privileged: it reads what no agent is shown): 0.800",
+        *LINES,
     ]
 
 
@@ -152,25 +160,24 @@ def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():
     ]
 
 
-def test_families_stand_side_by_side_with_what_each_learned_and_the_ceiling():
+def test_families_stand_side_by_side_with_what_each_learned_and_the_references():
     evaluated = np.full((30, 2), np.nan)
     evaluated[4::5] = 0.5
     common = group(5, label="BBQN-MAP")
     other = group(2, label="DQN", eval_success_rate=evaluated, reward=np.full((30, 2), -3.0))
     families = {"BBQN": [common], "DQN": [common, other]}
-    figure = draw_families(families, title="both", references={"clairvoyant": 0.8})
+    figure = draw_families(families, title="both", references=BESIDE)
 
     names = ["training success", "success in evaluation", "training reward"]
     grid = np.array(figure.axes).reshape(3, 2)
     assert [axes.get_ylabel() for axes in grid[:, 0]] == names
     assert [axes.get_title() for axes in grid[0]] == ["BBQN", "DQN"]
-    # Five seeds and their mean; beside two others and theirs; the ceiling where there is a rate.
-    assert [len(axes.get_lines()) for axes in grid[0]] == [6 + 1, 6 + 3 + 1]
-    assert [len(axes.get_lines()) for axes in grid[1]] == [1, 3 + 1]
+    # Five seeds and their mean; two others and theirs; the references where there is a rate.
+    assert [len(axes.get_lines()) for axes in grid[0]] == [6 + 2, 6 + 3 + 2]
+    assert [len(axes.get_lines()) for axes in grid[1]] == [2, 3 + 2]
     assert [len(axes.get_lines()) for axes in grid[2]] == [0, 3]
     colors = [axes.get_lines()[5].get_color() for axes in grid[0]]
     assert colors[0] == colors[1] != grid[0, 1].get_lines()[8].get_color()
-    ceiling = "clairvoyant (privileged: it reads what no agent is shown): 0.800"
     shown = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in grid[2]]
     seeds = ["BBQN-MAP (5 seeds, mean of 10 rounds)", "DQN (2 seeds, mean of 10 rounds)"]
-    assert shown == [[seeds[0], ceiling], [*seeds, ceiling]]
+    assert shown == [[seeds[0], *LINES], [*seeds, *LINES]]

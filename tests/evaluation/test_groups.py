@@ -120,12 +120,26 @@ def test_a_configuration_that_is_none_is_refused(add, text):
         read_groups([file.parent])
 
 
-def test_a_privileged_policy_is_drawn_where_all_runs_know_it_and_have_the_same_users(add):
-    known = {"clairvoyant": 0.8}
+def test_references_are_drawn_where_all_runs_have_the_same_users(add):
+    known, privileged = (
+        {"clairvoyant": 0.8},
+        "clairvoyant (privileged: it reads what no agent is shown)",
+    )
     first = add([0.5], references=known)
     other = add([0.5], seed=1, references={"clairvoyant": 0.7})
     older = add([0.5], seed=2)
     harder = add([0.5], references=known, changes={"env.slot_error_prob": 0.3})
-    assert references(read_groups([first, other])) == {"clairvoyant": pytest.approx(0.75)}
+    assert references(read_groups([first, other])) == {privileged: pytest.approx(0.75)}
     assert references(read_groups([first, other, older])) == {}
     assert references(read_groups([first, harder])) == {}
+
+
+def test_the_best_script_is_drawn_though_not_all_runs_know_it(add):
+    rates = (
+        {"rule": 0.2, "careful": 0.6},
+        {"rule": 0.3, "repair": 0.7},
+        {"rule": 0.1, "repair": 0.8},
+    )
+    runs = [add([0.5], seed=seed, scripted=given) for seed, given in enumerate(rates)]
+    found = references(read_groups(runs))
+    assert found == {"repair (best script measured)": pytest.approx(0.75)}
