@@ -11,7 +11,7 @@ from tiny import TINY, rows
 
 from bbq_torchrl.cli.checks import check
 from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import spike_policy
+from bbq_torchrl.cli.training import build_trainer, spike_policy
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run import run
@@ -112,3 +112,15 @@ def test_the_public_domains_are_spiked_by_their_rule_with_the_same_dialogues(
         run(compose([*small, *choice]), tmp_path / name)
     default, rule = (rows(tmp_path / name / "metrics.csv") for name in ("default", "rule"))
     assert default == rule
+
+
+@pytest.mark.parametrize("policy", ["careful_essential", "repair"])
+@pytest.mark.parametrize("env", ["full", "domain_ext"])
+def test_a_policy_that_repairs_fills_the_buffers_with_successes(policy, env, tmp_path):
+    longer = ("env.max_turn=40", "protocol.capacity=800", "spike.dialogues=30")
+    config = compose([*TINY, *longer, f"env={env}", f"spike.policy={policy}", "replicas=2"])
+    trainer, _ = build_trainer(config, tmp_path, domain=check(config))
+    trainer.begin()
+    for buffer in trainer.replay.buffers:
+        assert int(buffer[:]["next", "done"].sum()) == 30
+        assert (buffer[:]["next", "reward"] == 40.0).sum() > 12

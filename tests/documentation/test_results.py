@@ -38,8 +38,8 @@ def kept(tmp_path, monkeypatch):
     folder.mkdir()
     common.FIGURES.mkdir()
     entry = {"corpus": "miulab", "setting": "reference", "policy": "clairvoyant"}
-    ceiling = [entry | {"result": {"success_rate": 0.9}}]
-    (folder / "policies.json").write_text(json.dumps(ceiling))
+    entries = [entry | {"result": {"success_rate": 0.9}}]
+    (folder / "policies.json").write_text(json.dumps(entries))
     monkeypatch.setattr(results, "EXPERIMENTS", {FOLDER: results.EXPERIMENTS[FOLDER]})
     for name, agent, rates in (
         ("bbqn_map", "bbqn", [0.7, 0.8, 0.75, 0.72, 0.78]),

@@ -217,6 +217,11 @@ def test_errors_are_counted_and_drawn_again(movie, monkeypatch):
     assert torch.equal(heard, said * ~date)
 
 
+def test_errors_are_counted_of_a_policy_that_has_a_memory(movie, monkeypatch):
+    domain = replace(movie, policies={"repair": movie.policies["repair"]})
+    assert counted(domain, monkeypatch)["turns"] >= 500
+
+
 @pytest.mark.parametrize(
     ("heard", "manner", "city", "new"),
     [
