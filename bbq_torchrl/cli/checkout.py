@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import bbq_torchrl
 
-_SECONDS = 30.0  # a network drive may take long; a run should not wait for its commit for ever
+_SECONDS = 30.0  # a network drive is slow, but a run must not wait for its commit forever
 
 
 class Checkout(NamedTuple):

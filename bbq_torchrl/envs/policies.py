@@ -10,10 +10,10 @@ from tensordict.nn import TensorDictModuleBase
 
 from bbq_torchrl.domains.validate import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
-from bbq_torchrl.envs.repair import RepairPolicy
+from bbq_torchrl.envs.repair import RepairPolicy, indices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from tensordict import NestedKey, TensorDictBase
     from torchrl.envs import EnvBase
@@ -94,10 +94,10 @@ class CarefulPolicy(TensorDictModuleBase):
         ]
         offer = f"inform({domain.complete_slot})"
         plan = [*(f"request({slot})" for slot in slots), *(f"inform({slot})" for slot in answers)]
-        self._plan = _indices(domain.action_index(name) for name in (*plan, offer))
-        self._requested = _indices(layout.column("agent_requested", slot) for slot in slots)
-        self._filled = _indices(layout.column("filled", slot) for slot in slots)
-        self._asked = _indices(layout.column("user_requested", slot) for slot in answers)
+        self._plan = indices(domain.action_index(name) for name in (*plan, offer))
+        self._requested = indices(layout.column("agent_requested", slot) for slot in slots)
+        self._filled = indices(layout.column("filled", slot) for slot in slots)
+        self._asked = indices(layout.column("user_requested", slot) for slot in answers)
         self._answered = layout.column("agent_act", "inform")
         self._offered = layout.column("agent_informed", domain.complete_slot)
         self._end = domain.action_index("thanks")
@@ -193,7 +193,3 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
     else:
         policy = RepairPolicy(env, specification.steps)
     return policy.to(env.device)
-
-
-def _indices(numbers: Iterable[int]) -> torch.nn.Buffer:
-    return torch.nn.Buffer(torch.tensor(list(numbers), dtype=torch.int64))

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from tensordict import TensorDictBase
     from torchrl.envs import EnvBase
@@ -40,9 +40,9 @@ class RepairPolicy(TensorDictModuleBase):
     6. Offer the booking, at most :data:`MOST_OFFERS` times.
     7. End the dialogue.
 
-    What it has asked, told and offered is a nested TensorDict :data:`MEMORY` beside the action. It
-    is a function of the observations so far and starts anew where a dialogue does. Rollouts and
-    collectors carry it on; a loop of one's own does by ``step_mdp``.
+    What it has asked, told and offered is a nested TensorDict, the entry :data:`MEMORY`. It is a
+    function of the observations so far, and is empty where a dialogue begins. Rollouts and
+    collectors carry it from turn to turn; other loops do so by ``step_mdp``.
 
     Args:
         env: a :class:`~bbq_torchrl.envs.DialogueEnv` whose domain's actions it plays, with or
@@ -78,10 +78,9 @@ class RepairPolicy(TensorDictModuleBase):
             f"inform({domain.complete_slot})",
             "thanks",
         ]
-        self._plan = _indices([domain.action_index(name) for name in plan])
+        self._plan = indices(domain.action_index(name) for name in plan)
         self._askable, self._slots, self._answers = (
-            _indices([domain.slots.index(slot) for slot in some])
-            for some in (askable, slots, answers)
+            indices(domain.slots.index(slot) for slot in some) for some in (askable, slots, answers)
         )
         self._n_slots = len(domain.slots)
         self._ticket = domain.slots.index(domain.ticket_slot)
@@ -148,5 +147,6 @@ class RepairPolicy(TensorDictModuleBase):
         return TensorDict(empty, batch_size=tensordict.batch_size)
 
 
-def _indices(numbers: Sequence[int]) -> torch.nn.Buffer:
-    return torch.nn.Buffer(torch.tensor(numbers, dtype=torch.int64))
+def indices(numbers: Iterable[int]) -> torch.nn.Buffer:
+    """Returns indices as a buffer, int64, which moves with its module."""
+    return torch.nn.Buffer(torch.tensor(list(numbers), dtype=torch.int64))
