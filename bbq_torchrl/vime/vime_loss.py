@@ -195,7 +195,7 @@ class VIMELoss(LossModule):
     @use_prioritized_weights.setter
     def use_prioritized_weights(self, value: bool | str) -> None:
         self.q_loss.use_prioritized_weights = value
-        self.dynamics_loss.use_prioritized_weights = value
+        self.dynamics_loss.use_prioritized_weights = value  # type: ignore[assignment]
 
     @property
     def value_estimator(self) -> ValueEstimatorBase:
