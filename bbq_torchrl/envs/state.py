@@ -19,8 +19,9 @@ class EnvState(Transform):
     generator and round. Otherwise it changes nothing.
 
     A ``Collector`` does not save what it has last been told. Have it told once more after loading,
-    by ``collector.reset(resume=True)``; what other transforms count, such as ``StepCounter``,
-    begins anew there. The ``MultiSyncCollector`` cannot hand ``resume`` on: its dialogues go on, but each
+    by ``collector.reset(resume=True)``; what other transforms count, as ``StepCounter`` does,
+    begins anew there. The ``MultiSyncCollector`` cannot hand ``resume`` on: its dialogues go on,
+    but each
     worker chooses its next actions by what it was told before loading. A ``ParallelEnv`` needs
     ``use_buffers=False``: with them that of torchrl 0.14.1 answers too early once it has loaded.
 

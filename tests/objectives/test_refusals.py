@@ -90,6 +90,11 @@ BATCHES = {
         ValueError,
         r"'action' must be categorical with batch \[2, 32\], .*, got \[2, 32, 4\]",
     ),
+    "action that is no integer": (
+        lambda td: td.set("action", td["action"].float()),
+        ValueError,
+        "'action' must be of an integer dtype, got torch.float32",
+    ),
     "mask of another shape": (
         lambda td: td.set("valid", torch.ones(2, 32, 3).bool()),
         ValueError,
@@ -105,6 +110,17 @@ def test_a_batch_that_lacks_an_entry_or_has_one_of_another_shape(make, spoil, er
     spoil(td)
     with pytest.raises(error, match=words):
         loss(td)
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.int16, torch.int32])
+def test_an_action_of_any_integer_dtype_is_learned_from(dtype):
+    found = []
+    for kind in (dtype, torch.int64):
+        torch.manual_seed(0)
+        td = transitions((2,))
+        td["action"] = td["action"].to(kind)
+        found.append(plain_loss((2,))[0](td)["loss"])
+    assert torch.equal(*found)
 
 
 @pytest.mark.parametrize(
