@@ -12,7 +12,8 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs.actions import action_indices, check_range
+from bbq_torchrl.envs.checks import action_indices, check_range, checked_batch, present_device
+from bbq_torchrl.envs.compiled import CompiledPlay
 from bbq_torchrl.seeds import checked_seed, own_seed, seed_of_process
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 
@@ -105,7 +106,7 @@ class DialogueEnv(EnvBase):
         compile_turns: bool = False,
         channel: Channel | None = None,
     ) -> None:
-        super().__init__(device=_present(device), batch_size=_checked_batch(batch_size))
+        super().__init__(device=present_device(device), batch_size=checked_batch(batch_size))
         if slot_error_prob is None:
             slot_error_prob = domain.reference_slot_error_prob
         tensors = tensorize(domain)
@@ -127,7 +128,7 @@ class DialogueEnv(EnvBase):
     def _use(self, simulator: Simulator) -> None:
         self.simulator = simulator.to(self.device)
         is_compiled = self._compiles_turns
-        self._play = _CompiledPlay(self.simulator) if is_compiled else self.simulator.play
+        self._play = CompiledPlay(self.simulator) if is_compiled else self.simulator.play
 
     # -- what there is ---------------------------------------------------------------------------
 
@@ -317,7 +318,7 @@ class DialogueEnv(EnvBase):
         A generator belongs to its device: the environment goes on with a new one, seeded from the
         old one.
         """
-        device = _present(device)
+        device = present_device(device)
         if device != self.device:
             seed = self._draw_seed()
             super().to(device)
@@ -377,56 +378,3 @@ class DialogueEnv(EnvBase):
                 "saves that of TransformedEnv(env, EnvState()) alone"
             )
         return super().load_state_dict(state_dict, *args, **kwargs)
-
-
-class _CompiledPlay:
-    """A simulator's turn, compiled; a copy and another process compile it anew.
-
-    It gives the same numbers, but for what a compiler may do to floating-point ones (the features,
-    which are ratios of small integers).
-    """
-
-    def __init__(self, simulator: Simulator) -> None:
-        self._simulator = simulator
-        # Else all environments of a process together have the 8 programs that torch allows a turn.
-        # (Torch's overloads lack the keyword.)
-        self._play = torch.compile(  # type: ignore[call-overload]
-            simulator.play, fullgraph=True, dynamic=False, isolate_recompiles=True
-        )
-
-    def __call__(self, *state_and_action: Any) -> tuple[TensorDict, torch.Tensor]:
-        return self._play(*state_and_action)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _CompiledPlay, (self._simulator,)
-
-
-def _checked_batch(batch_size: Sequence[int]) -> torch.Size:
-    """Returns the batch size.
-
-    Raises:
-        ValueError: if it is no sequence of positive integers.
-    """
-    try:
-        shape = torch.Size([index(size) for size in batch_size])
-    except TypeError:
-        shape = torch.Size([0])
-    if any(size < 1 for size in shape):
-        raise ValueError(
-            f"batch_size must be a sequence of numbers above 0, such as (50,), got {batch_size}"
-        )
-    return shape
-
-
-def _present(device: torch.device | str) -> torch.device:
-    """Returns the device.
-
-    Raises:
-        ValueError: if it is absent.
-    """
-    try:
-        return torch.empty(0, device=device).device
-    except (AssertionError, RuntimeError) as error:
-        raise ValueError(
-            f"device must be one that is present, got {str(device)!r}: {error}"
-        ) from error

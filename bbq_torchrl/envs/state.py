@@ -21,9 +21,9 @@ class EnvState(Transform):
     A ``Collector`` does not save what it has last been told. Have it told once more after loading,
     by ``collector.reset(resume=True)``; what other transforms count, as ``StepCounter`` does,
     begins anew there. The ``MultiSyncCollector`` cannot hand ``resume`` on: its dialogues go on,
-    but each
-    worker chooses its next actions by what it was told before loading. A ``ParallelEnv`` needs
-    ``use_buffers=False``: with them that of torchrl 0.14.1 answers too early once it has loaded.
+    but each worker chooses its next actions by what it was told before loading. A ``ParallelEnv``
+    needs ``use_buffers=False``: with buffers, that of torchrl 0.14.1 answers too early once it has
+    loaded.
 
     Examples:
         >>> from torchrl.envs import TransformedEnv

@@ -1,7 +1,8 @@
-"""Actions as an environment takes them: indices."""
+"""Checks of what an environment is given: batch size, device, actions."""
 
 from __future__ import annotations
 
+from operator import index
 from typing import TYPE_CHECKING
 
 import torch
@@ -41,3 +42,34 @@ def check_range(action: Tensor, count: int) -> None:
     wrong = action[(action < 0) | (action >= count)]
     if wrong.numel():
         raise ValueError(f"action must be from 0 to {count - 1}, got {int(wrong[0])}")
+
+
+def checked_batch(batch_size: Sequence[int]) -> torch.Size:
+    """Returns the batch size.
+
+    Raises:
+        ValueError: if it is no sequence of positive integers.
+    """
+    try:
+        shape = torch.Size([index(size) for size in batch_size])
+    except TypeError:
+        shape = torch.Size([0])
+    if any(size < 1 for size in shape):
+        raise ValueError(
+            f"batch_size must be a sequence of numbers above 0, such as (50,), got {batch_size}"
+        )
+    return shape
+
+
+def present_device(device: torch.device | str) -> torch.device:
+    """Returns the device.
+
+    Raises:
+        ValueError: if it is absent.
+    """
+    try:
+        return torch.empty(0, device=device).device
+    except (AssertionError, RuntimeError) as error:
+        raise ValueError(
+            f"device must be one that is present, got {str(device)!r}: {error}"
+        ) from error
