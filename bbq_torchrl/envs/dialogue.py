@@ -47,11 +47,13 @@ class DialogueEnv(EnvBase):
     The environment keeps the state of its dialogues (``env.dialogues``) and the generator of all
     its random choices; its ``state_dict`` holds both (that of a ``TransformedEnv`` around it does
     with :class:`~bbq_torchrl.envs.EnvState` among the transforms). ``reset(resume=True)`` tells
-    where the dialogues are, such as after loading, and leaves them as they are. A dialogue that
-    has ended stays as it is until it is reset, and so does for a turn one whose entry ``_step`` is
-    False, with a reward of 0 (TorchRL's ``ConditionalSkip``). An action that the mask forbids is
-    played all the same. Each turn draws numbers for the whole batch, and so does each reset: what
-    one dialogue does in a turn never shifts the random numbers of another.
+    where the dialogues are, such as after loading, and leaves them as they are.
+    ``reset(goal_id=5)`` gives the users of all dialogues that it begins this goal of the domain,
+    and leaves all else as it would have been. A dialogue that has ended stays as it is until it is
+    reset, and so does for a turn one whose entry ``_step`` is False, with a reward of 0 (TorchRL's
+    ``ConditionalSkip``). An action that the mask forbids is played all the same. Each turn draws
+    numbers for the whole batch, and so does each reset: what one dialogue does in a turn never
+    shifts the random numbers of another.
 
     Args:
         domain: what the dialogues are about.
@@ -245,14 +247,24 @@ class DialogueEnv(EnvBase):
         self._generator.manual_seed(checked_seed(seed))
 
     def _reset(
-        self, tensordict: TensorDictBase | None = None, *, resume: bool = False, **_: Any
+        self,
+        tensordict: TensorDictBase | None = None,
+        *,
+        resume: bool = False,
+        goal_id: int | None = None,
+        **_: Any,
     ) -> TensorDict:
         if resume:
             return self._resumed()
+        goals = len(self.domain.goals)
+        if goal_id is not None and (isinstance(goal_id, bool) or goal_id not in range(goals)):
+            raise ValueError(f"goal_id must be an integer from 0 to {goals - 1}, got {goal_id!r}")
         if self._unseeded_in not in (None, os.getpid()):  # a copy, by fork or by pickle
             self._generator.manual_seed(seed_of_process(self._draw_seed()))
             self._unseeded_in = os.getpid()
         draws = self.simulator.draw_reset(self.batch_size, self._generator)
+        if goal_id is not None:  # the number that chooses this goal, in the place of the drawn one
+            draws["goal"].fill_((goal_id + 0.5) / goals)
         started = self.simulator.reset(draws, self._active)
         which = None if tensordict is None else tensordict.get("_reset", None)
         if which is not None and self._dialogues is not None:

@@ -1,7 +1,9 @@
 """One dialogue at a time as a Gymnasium environment, for agents of other libraries.
 
-Importing this module registers ``bbq_torchrl/MovieDialogue-v0``. It needs the package gymnasium
-(the extra ``gymnasium``).
+Importing this module registers ``bbq_torchrl/MovieDialogue-v0``. Gymnasium 1 asks no installed
+package for its environments; with the id
+``bbq_torchrl.envs.gymnasium:bbq_torchrl/MovieDialogue-v0`` it imports the module by itself. The
+module needs the package gymnasium (the extra ``gymnasium``).
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box, Dict, Discrete
 from tensordict import TensorDict
 
 from bbq_torchrl.domains import Domain, load_domain, movie_domain
@@ -24,7 +26,11 @@ from bbq_torchrl.simulator import Transcript
 from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
 
 if TYPE_CHECKING:
+    from typing import TypeAlias
+
     from numpy.typing import NDArray
+
+    Observation: TypeAlias = NDArray[np.float32] | dict[str, NDArray[Any]]
 
 ENV_ID = "bbq_torchrl/MovieDialogue-v0"
 """What ``gymnasium.make`` knows the environment as."""
@@ -43,6 +49,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     key of ``info``  type   meaning
     ===============  =====  =====================================================================
     ``success``      bool   the dialogue has ended in success
+    ``is_success``   bool   the same, at the end of a dialogue only: where Stable-Baselines3 looks
     ``turns``        int    turns that the agent has taken
     ``goal``         str    what the user wants, such as ``request(ticket) inform(moviename=...)``
     ``goal_id``      int    which of the domain's goals that is
@@ -52,6 +59,8 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     Args:
         domain: what the dialogues are about: a domain, or its folder; None: movie tickets.
         render_mode: ``"ansi"``: ``render()`` returns the last turn as text.
+        mask_in_observation: whether the observation is a dictionary of ``observation``, as above,
+            and ``action_mask``, bool [actions], where TorchRL's ``GymEnv`` finds it.
         **settings: those of :class:`~bbq_torchrl.envs.DialogueEnv` but ``batch_size`` (it is one
             dialogue), such as ``slot_error_prob``, ``max_turn``, the rewards, ``seed``, and
             ``schedule``, whose round :meth:`set_round` enters.
@@ -77,6 +86,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         domain: Domain | Path | str | None = None,
         *,
         render_mode: str | None = None,
+        mask_in_observation: bool = False,
         **settings: Any,
     ) -> None:
         if domain is None:
@@ -90,7 +100,11 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         self._unseeded_in = 0 if settings.get("seed") is None else None
         self._is_over = True
         self.action_space = Discrete(len(domain.actions))
-        self.observation_space = _observation_space(self._dialogue)
+        self._mask_in_observation = mask_in_observation
+        self.observation_space = _feature_space(self._dialogue)
+        if mask_in_observation:
+            mask = Box(0, 1, (len(domain.actions),), dtype=np.bool_)  # type: ignore[arg-type]
+            self.observation_space = Dict(observation=self.observation_space, action_mask=mask)
 
     @property
     def domain(self) -> Domain:
@@ -109,31 +123,33 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Observation, dict[str, Any]]:
         """Begins a dialogue. Returns the first observation, and ``info``.
 
         Args:
             seed: of this dialogue and those that follow; None goes on with the random numbers.
-            options: there are none.
+            options: ``{"goal_id": n}``: the user has the domain's goal n, and all else is as it
+                would have been.
 
         Raises:
-            ValueError: if the seed is not from 0 to 2**63 - 1.
+            ValueError: if the seed is not from 0 to 2**63 - 1, or for options of another name or
+                value.
         """
         if seed is not None:
             seed, self._unseeded_in = checked_seed(seed), None
+        if not {*(options or ())} <= {"goal_id"}:
+            raise ValueError(f"options must have no key but 'goal_id', got {[*(options or ())]}")
         super().reset(seed=seed)
         if self._unseeded_in not in (None, os.getpid()):
             seed = seed_of_process(int(self.np_random.integers(LARGEST_SEED)))
             self._unseeded_in = os.getpid()
         if seed is not None:
             self._dialogue.set_seed(seed)
-        begun = self._dialogue.reset()
+        begun = self._dialogue.reset(**(options or {}))
         self._is_over = False
-        return begun["observation"].cpu().numpy(), self._info(begun)
+        return self._observation(begun), self._info(begun)
 
-    def step(
-        self, action: np.int64 | int
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Plays one turn. Returns observation, reward, terminated, truncated and ``info``.
 
         Args:
@@ -152,7 +168,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         played = self._dialogue.step(TensorDict({"action": torch.tensor(int(index))}))["next"]
         self._is_over = bool(played["terminated"])
         return (
-            played["observation"].cpu().numpy(),
+            self._observation(played),
             float(played["reward"]),
             self._is_over,
             False,
@@ -165,9 +181,17 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
             return None
         return "\n".join(self._transcript.lines(self._dialogue.dialogues))
 
+    def _observation(self, told: TensorDict) -> Observation:
+        features: NDArray[np.float32] = told["observation"].cpu().numpy()
+        if not self._mask_in_observation:
+            return features
+        return {"observation": features, "action_mask": self.action_masks()}
+
     def _info(self, told: TensorDict) -> dict[str, Any]:
+        success = bool(told["success"])
         return {
-            "success": bool(told["success"]),
+            "success": success,
+            **({"is_success": success} if self._is_over else {}),
             "turns": int(told["turns"]),
             "goal": self._transcript.goal(self._dialogue.dialogues),
             "goal_id": int(told["goal_id"]),
@@ -175,7 +199,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         }
 
 
-def _observation_space(env: DialogueEnv) -> Box:
+def _feature_space(env: DialogueEnv) -> Box:
     """Returns the space of the features: all between 0 and 1, but for numbers of acts and rows."""
     layout = env.layout
     high = np.ones(layout.size, dtype=np.float32)

@@ -229,3 +229,17 @@ def test_an_environment_moves_to_an_accelerator_and_back(movie):
     other.load_state_dict(state)
     assert (other.reset() == expected).all()
     assert env.to("cpu").reset().device.type == "cpu"
+
+
+def test_a_reset_may_choose_the_goal_and_leaves_all_else(restaurant):
+    env, other = (DialogueEnv(restaurant, batch_size=(4,), seed=3) for _ in range(2))
+    begun, drawn = env.reset(goal_id=2), other.reset()
+    assert (begun["goal_id"] == 2).all()
+    same = (drawn["goal_id"] == 2).squeeze(-1)
+    assert torch.equal(begun["observation"][same], drawn["observation"][same])
+    which = begun.clone().set("_reset", torch.tensor([[True], [False], [False], [True]]))
+    assert env.reset(which, goal_id=0)["goal_id"].flatten().tolist() == [0, 2, 2, 0]
+    other.reset()
+    assert torch.equal(env.reset()["goal_id"], other.reset()["goal_id"])
+    with pytest.raises(ValueError, match="goal_id must be an integer from 0 to 19, got 99"):
+        env.reset(goal_id=99)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import ActionMask, GymEnv, TransformedEnv
+from torchrl.envs.utils import check_env_specs
 
+from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
+from bbq_torchrl.networks import q_actor
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -87,6 +94,94 @@ def test_a_folder_is_a_domain_too(restaurant_folder, restaurant):
     assert env.unwrapped.domain == restaurant
     assert env.render().startswith("user: request(")
     assert env.action_space.n == len(restaurant.actions)
+
+
+@pytest.mark.parametrize("make", [dict, lambda n: {"goal_id": np.int64(n["goal_id"])}])
+def test_a_goal_can_be_chosen_and_all_else_stays(restaurant, make):
+    env = gymnasium.make(ENV_ID, domain=restaurant, slot_error_prob=0.3)
+    drawn = goals_of(env, seed=1)
+    for goal_id in range(len(restaurant.goals)):
+        _, info = env.reset(seed=1, options=make({"goal_id": goal_id}))
+        assert info["goal_id"] == goal_id
+        assert goals_of(env, count=7) == drawn[1:]
+    chosen, _ = env.reset(seed=1, options=make({"goal_id": drawn[0]}))
+    assert np.array_equal(chosen, env.reset(seed=1, options={})[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"goal": 5}, "options must have no key but 'goal_id', got \\['goal'\\]"),
+        ({"goal_id": 1, "turn": 2}, "no key but 'goal_id', got \\['goal_id', 'turn'\\]"),
+        *(
+            ({"goal_id": goal}, f"goal_id must be an integer from 0 to [0-9]+, got {goal!r}")
+            for goal in (-1, 10**6, 1.5, "5", True)
+        ),
+    ],
+    ids=str,
+)
+def test_other_options_are_refused(options, message):
+    env = gymnasium.make(ENV_ID).unwrapped
+    with pytest.raises(ValueError, match=message):
+        env.reset(options=options)
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+
+
+@pytest.mark.parametrize("schedule", [None, ExtensionSchedule(start=1, every=1)], ids=str)
+def test_torchrls_gymenv_finds_the_mask(schedule):
+    made = GymEnv(ENV_ID, mask_in_observation=True, schedule=schedule, max_turn=12)
+    env = TransformedEnv(made, ActionMask())
+    check_env_specs(env)
+    legal = torch.from_numpy(made.unwrapped.action_masks())
+    for policy in (None, q_actor(BayesMLP(268, 39), env.action_spec_unbatched)):
+        played = env.rollout(30, policy, break_when_any_done=False)
+        assert played["action_mask"].dtype == torch.bool
+        assert (played["action_mask"] == legal).all()
+        assert not (played["action"].bool() & ~legal).any()
+
+
+def test_the_mask_in_the_observation_is_that_in_info():
+    env = gymnasium.make(ENV_ID, mask_in_observation=True).unwrapped
+    check_env(env)
+    observation, info = env.reset(seed=0)
+    assert np.array_equal(observation["action_mask"], info["action_mask"].astype(bool))
+    assert np.array_equal(observation["observation"], gymnasium.make(ENV_ID).reset(seed=0)[0])
+
+
+def test_stable_baselines_counts_the_successes(restaurant):
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = gymnasium.make(ENV_ID, domain=restaurant, max_turn=8)
+    agent = sb3.DQN("MlpPolicy", env, learning_starts=10_000, seed=0, device="cpu")
+    agent.learn(60)
+    assert len(agent.ep_success_buffer) == len(agent.ep_info_buffer) > 5
+
+
+def test_is_success_is_told_at_the_end_alone(movie):
+    env = gymnasium.make(ENV_ID).unwrapped
+    assert "is_success" not in env.reset(seed=0)[1]
+    assert "is_success" not in env.step(0)[-1]
+    assert env.step(movie.action_index("thanks"))[-1]["is_success"] is False
+
+
+MADE_BY_ITS_ID = """
+import sys, warnings
+import gymnasium
+assert "bbq_torchrl" not in sys.modules and "torch" not in sys.modules
+if __name__ == "__main__":
+    name = "bbq_torchrl.envs.gymnasium:bbq_torchrl/MovieDialogue-v0"
+    several = gymnasium.make_vec(name, 2, vectorization_mode="async")
+    several.reset(seed=0)
+    several.close()
+    print(gymnasium.make(name).reset(seed=0)[1]["goal_id"])
+"""
+
+
+def test_the_id_with_its_module_needs_no_import(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(MADE_BY_ITS_ID, encoding="utf-8")
+    said = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert int(said.stdout) == gymnasium.make(ENV_ID).reset(seed=0)[1]["goal_id"]
 
 
 @pytest.mark.parametrize("action", [-1, 39, 1.5, "thanks", np.array([1, 2])])
