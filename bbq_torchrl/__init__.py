@@ -4,7 +4,8 @@
 TorchRL project; ``domains`` and ``simulator`` hold what a dialogue is about and how the user in it
 behaves, ``envs`` makes an environment of them; ``trainers`` play and learn, ``evaluation`` measures
 trained agents, and ``options`` are what the command line can choose.
-:func:`load_run` returns a finished run as environment, policy and configuration.
+:func:`train` trains an agent as the command line does; :func:`load_run` returns a finished run as
+environment, policy and configuration; :func:`config_dir` is for Hydra's Compose API.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from bbq_torchrl import interruption
 
 if TYPE_CHECKING:
     from bbq_torchrl.cli.loading import load_run
+    from bbq_torchrl.cli.notebook import config_dir, train
 
-__all__ = ["__version__", "load_run"]
+__all__ = ["__version__", "config_dir", "load_run", "train"]
 
 __version__ = "0.2.0.dev0"
 
@@ -33,4 +35,8 @@ def __getattr__(name: str) -> Any:
         from bbq_torchrl.cli.loading import load_run
 
         return load_run
+    if name in ("config_dir", "train"):
+        from bbq_torchrl.cli import notebook
+
+        return getattr(notebook, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -157,14 +157,13 @@ def _indented_groups() -> str:
 def session() -> Iterator[Any]:
     """A Hydra session on the ``conf`` folder; leaves whatever session was open as it was."""
     register_options()
-    hydra = GlobalHydra.instance()
-    before = hydra.hydra
-    hydra.clear()
+    before = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
     try:
         with initialize_config_dir(str(conf_folder()), version_base="1.3"):
             yield GlobalHydra.instance().hydra
     finally:
-        hydra.hydra = before
+        GlobalHydra.instance().hydra = before  # Hydra has put a copy in the instance's place
 
 
 def compose_raw(

@@ -1,0 +1,88 @@
+"""A training from Python: twice in a process, beside another Hydra, refused by exceptions."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from tiny import TINY
+
+import bbq_torchrl
+from bbq_torchrl.options import ConfigError
+
+pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+def of_the_process():
+    """What a training must leave as it was."""
+    return {
+        "signals": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)],
+        "arguments": list(sys.argv),
+        "handlers": list(logging.getLogger().handlers),
+        "level": logging.getLogger().level,
+        "folder": os.getcwd(),
+        "threads": torch.get_num_threads(),
+        "random": torch.get_rng_state().tolist(),
+        "hydra": GlobalHydra.instance().hydra,
+    }
+
+
+def test_two_trainings_in_a_program_that_uses_hydra_leave_it_as_it_was(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "program.yaml").write_text("lines: 3\n")
+    with initialize_config_dir(str(own), version_base="1.3"):
+        before = of_the_process()
+        assert before["hydra"] is not None
+        runs = [bbq_torchrl.train([*TINY, f"agent={agent}"]) for agent in ("dqn", "bbqn")]
+        assert of_the_process() == before
+        assert compose("program").lines == 3
+
+    for (folder, result), agent in zip(runs, ("dqn", "bbqn"), strict=True):
+        assert folder.is_relative_to(tmp_path / "runs")
+        written = json.loads((folder / "result.json").read_text())
+        assert (written["agent"], written["success_rate"]) == (agent, result.success_rate)
+        assert bbq_torchrl.load_run(folder).config.agent.name == agent
+
+
+def test_a_training_from_python_is_that_of_the_command_and_goes_on(tmp_path):
+    folder, _ = bbq_torchrl.train([*TINY, "agent=dqn", f"hydra.run.dir={tmp_path}/run"])
+    assert folder == tmp_path / "run"
+    again, result = bbq_torchrl.train([f"resume={folder}", "protocol.rounds=3"])
+    assert (again, result.rounds) == (folder, 3)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["agent=dqm"], "agent must be one of bbqn, bootstrap, dqn, got 'dqm'"),
+        (["agent.lr=-1"], r"agent\.lr must be .*, got -1"),
+        (["--multirun", "seed=0,1"], "'--multirun' cannot be read"),
+        (["seed=0,1"], "seed"),
+        (["hydra.mode=MULTIRUN", "seed=0,1"], "train runs one training, got a sweep"),
+        ("agent=dqn", r"overrides must be a list, such as \['agent=dqn'\]"),
+    ],
+)
+def test_what_cannot_be_run_is_an_exception_and_leaves_no_folder(
+    overrides, message, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    before = of_the_process()
+    with pytest.raises(ConfigError, match=message):
+        bbq_torchrl.train(overrides)
+    assert of_the_process() == before
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_hydras_compose_api_finds_the_options():
+    with initialize_config_dir(bbq_torchrl.config_dir(), version_base="1.3"):
+        composed = compose("config", ["agent=dqn", "env=domain_ext"])
+    assert (composed.explore.name, composed.protocol.rounds) == ("epsilon_greedy", 200)
