@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import reprlib
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,9 @@ if TYPE_CHECKING:
 _VALUE = 200  # characters of a value: more than any that somebody typed
 _LINE = 5_000  # characters of a sentence
 _FAULTS = 100  # lines
+_SHORTEST_SECRET = 4  # characters
+
+_concealed: dict[str, str] = {}  # what is not shown -> what is, in its place
 
 
 class FaultsError(ValueError):
@@ -44,6 +49,31 @@ class FaultsError(ValueError):
         return "\n  ".join(lines)
 
 
+def conceal_environment(text: str) -> None:
+    """Has no error show what the environment variables hold that a text refers to.
+
+    Where ``${oc.env:NAME}`` is written, somebody may keep a secret out of the command line. From
+    then on errors have the reference in the place of the value, if that has four characters or
+    more.
+
+    Args:
+        text: that OmegaConf resolves.
+    """
+    for reference, name in re.findall(r"(\$\{\s*oc\.env\s*:\s*['\"]?([^'\",}\s]+))", text):
+        value = os.environ.get(name, "")
+        if len(value) >= _SHORTEST_SECRET:
+            written = reference.rstrip("'\"") + "}"
+            for spelling in (value, repr(value)[1:-1], " ".join(value.split())):
+                _concealed[spelling] = written
+
+
+def _open(text: str) -> str:
+    """Returns a text without what is to be concealed."""
+    for value in sorted(_concealed, key=len, reverse=True):
+        text = text.replace(value, _concealed[value])
+    return text
+
+
 def shown(value: object) -> str:
     """Returns a value as Python writes it, the middle of a long one left out.
 
@@ -54,7 +84,7 @@ def shown(value: object) -> str:
         True
     """
     written = repr(value) if isinstance(value, str) else _container(value)
-    return _cut(written, _VALUE)
+    return _cut(_open(written), _VALUE)
 
 
 def sentence(error: object) -> str:
@@ -77,7 +107,7 @@ def sentence(error: object) -> str:
 
 
 def _one_line(text: str) -> str:
-    return _cut(" ".join(text.split()), _LINE)
+    return _cut(" ".join(_open(text).split()), _LINE)
 
 
 def _container(value: object) -> str:

@@ -17,10 +17,10 @@ from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
-from bbq_torchrl.text import sentence
+from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from bbq_torchrl.evaluation.results import RunResult
 
@@ -116,6 +116,8 @@ def load_config(file: Path) -> Config:
     plain = load_yaml(file, "a run")
     if not isinstance(plain, DictConfig):
         raise ConfigError(f"{file} must hold a mapping of groups, got a list")
+    for key, value in _references(OmegaConf.to_container(plain, resolve=False)):
+        raise ConfigError(f"{file}: {key} must be a value, not a reference, got {shown(value)}")
     for key in _REMOVED_KEYS:
         plain.pop(key, None)
     try:
@@ -126,6 +128,18 @@ def load_config(file: Path) -> Config:
         return read_config(complete)
     except (ConfigError, OmegaConfBaseException) as error:
         raise ConfigError(f"{file}: {sentence(error)}") from error
+
+
+def _references(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Yields dotted keys and texts that OmegaConf would resolve, by the environment for one."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            yield from _references(part, f"{key}.{name}".strip("."))
+    elif isinstance(value, list):
+        for number, part in enumerate(value):
+            yield from _references(part, f"{key}[{number}]")
+    elif isinstance(value, str) and "${" in value:
+        yield key, value
 
 
 def _rename(plain: DictConfig) -> None:

@@ -55,7 +55,7 @@ from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.pages import page
 from bbq_torchrl.plain_yaml import check_yaml
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -235,6 +235,7 @@ def to_config(typed: DictConfig, root: type[Root]) -> Root:
     Raises:
         ConfigError: the first value or combination that cannot be run.
     """
+    conceal_environment(str(OmegaConf.to_container(typed, resolve=False)))
     typed = copy.deepcopy(typed)
     with open_dict(typed):
         typed.pop("hydra", None)

@@ -36,7 +36,7 @@ from bbq_torchrl.options.settings import (
     setting,
 )
 from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -224,6 +224,7 @@ def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
 def _value(argument: str, text: str) -> Any:
     if not text:
         return text  # which YAML would take for null
+    conceal_environment(text)
     try:
         parsed = OmegaConf.from_dotlist([f"value={text}"])
         return OmegaConf.to_container(parsed, resolve=True)["value"]  # type: ignore[index, call-overload]

@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 import yaml
 
+from bbq_torchrl import text
 from bbq_torchrl.cli import resume
 from bbq_torchrl.cli.resume import load_config, save_config
 from bbq_torchrl.cli.store import compose, session
 from bbq_torchrl.evaluate import composed
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.text import sentence
 
 SAVED_BY_0_1_0 = Path(__file__).parent.parent / "data" / "runs_of_0_1_0"
 
@@ -103,3 +105,22 @@ def test_a_run_is_not_extended_to_an_evaluation_longer_than_its_training(tmp_pat
     save_config(compose(["agent=dqn", *tiny, *evaluations]), tmp_path / "config.yaml")
     with pytest.raises(ConfigError, match=r"protocol.eval_every must be 0 or at least \d+ with"):
         resumed(tmp_path, "protocol.rounds=3")
+
+
+def test_what_an_environment_variable_holds_is_in_no_error(monkeypatch):
+    monkeypatch.setattr(text, "_concealed", {})
+    monkeypatch.setenv("KEY", "hunter 'two'\n" + "x" * 300)
+    for value in ("${oc.env:KEY}", "'${oc.env:\"KEY\"}'", "'a${oc.env:KEY,none}b'"):
+        with pytest.raises(ConfigError) as caught:
+            compose([f"agent.kl={value}"])
+        for said in (str(caught.value), sentence(caught.value)):
+            assert "hunter" not in said
+            assert "xxx" not in said
+            assert "${oc.env:" in said
+
+
+def test_a_variable_of_few_letters_changes_no_other_word(monkeypatch):
+    monkeypatch.setattr(text, "_concealed", {})
+    monkeypatch.setenv("KEY", "one")
+    with pytest.raises(ConfigError, match="must be one of closed, sampled, got 'one'"):
+        compose(["agent.kl=${oc.env:KEY}"])
