@@ -46,7 +46,7 @@ dialogues, turns_per_second.
   weights=     last, or best: each replica's at its best evaluation while training
   log=<file>   writes the first log_dialogues= dialogues as readable acts
   seed=, device=, threads=
-  --config-dir <folder>   of options of your own, as in bbq train
+  --config-dir <folder>   of options of your own, as in bbq train; its Python is run
 
 Meaning and allowed values of a key: {page("configuration")}
 """

@@ -83,7 +83,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--mode", help="mean, average, draw or thompson, for a Bayesian agent")
     parser.add_argument("--weights", choices=("last", "best"), default="last")
     parser.add_argument(
-        "--config-dir", metavar="FOLDER", help="of options of your own, as in bbq train"
+        "--config-dir",
+        metavar="FOLDER",
+        help="of options of your own, as in bbq train; its Python is run",
     )
     parser.add_argument(
         "--ask-below",

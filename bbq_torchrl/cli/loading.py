@@ -64,7 +64,7 @@ def load_run(
         seed: of the environment.
         device: where the environment and the weights are.
         options: the folder of options of your own that the run was trained with
-            (``--config-dir``); it stays loaded.
+            (``--config-dir``); its Python files are run, and it stays loaded.
 
     Raises:
         ValueError: no run folder, or none whose checkpoint can be read; a folder of options that
