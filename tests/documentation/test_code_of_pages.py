@@ -8,13 +8,18 @@ from types import ModuleType
 
 import forked
 import pytest
+import torch
 from own_options import own_options
+from tensordict import TensorDict
+from torchrl.data import Categorical
 from torchrl.envs.utils import check_env_specs
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.cli.train import main as train
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
+from bbq_torchrl.networks import FlatMLP, q_actor
+from bbq_torchrl.objectives import OneStepQLoss
 from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.search.definition import compose_search
@@ -133,13 +138,13 @@ def train_with(tmp_path):
     """Trains for a round with options of a folder, given as file name and text."""
     shrunken = ("rounds=1", "dialogues=2", "batch_size=8", "capacity=100", "eval_dialogues=2")
 
-    def trained(files, *arguments):
+    def trained(files, *arguments, agent="bbqn"):
         folder = tmp_path / "my_options"
         folder.mkdir()
         for name, text in files.items():
             (folder / name).write_text(text)
         protocol = [f"protocol.{item}" for item in (*shrunken, "eval_every=0")]
-        given = ("--config-dir", "my_options", "agent=bbqn", "agent.hidden=[8]", *arguments)
+        given = ("--config-dir", "my_options", f"agent={agent}", "agent.hidden=[8]", *arguments)
         forked.call(train, *given, *protocol, "hydra.run.dir=run", cwd=tmp_path)
         assert (tmp_path / "run" / "result.json").is_file()
 
@@ -155,6 +160,40 @@ def test_the_strategy_of_two_files_is_an_option_of_a_folder(train_with):
     policy = printed(OPTIONS, "python", '"""An upper confidence bound')
     files = {"ucb.py": option.replace(own, changed), "ucb_policy.py": policy}
     train_with(files, "explore=ucb", "spike.dialogues=2", "env.max_turn=8")
+
+
+LOSS = printed(OPTIONS, "python", '"""The TD error, and a penalty')
+
+
+def test_the_loss_of_ones_own_is_an_option_of_a_folder(train_with):
+    option = printed(OPTIONS, "python", '"""``agent=conservative``')
+    files = {"conservative_loss.py": LOSS, "conservative.py": option}
+    arguments = ("spike.dialogues=2", "env.max_turn=8", "replicas=2")
+    train_with(files, *arguments, agent="conservative")
+
+
+def test_the_loss_of_ones_own_adds_its_penalty_for_each_replica():
+    own = {"__name__": "conservative_loss"}
+    exec(LOSS, own)
+    actor = q_actor(FlatMLP(3, 4, [8], replicas=2), Categorical(4))
+    rows = torch.Size([2, 5])
+    end = {"reward": torch.rand(*rows, 1), "terminated": torch.rand(*rows, 1) < 0.5}
+    state = {"observation": torch.rand(*rows, 3), "action_mask": torch.rand(*rows, 4) < 0.5}
+    state["action_mask"][..., 0] = True
+    other = {**state, "observation": torch.rand(*rows, 3)}
+    data = {**state, "action": torch.zeros(rows, dtype=torch.long), "next": {**other, **end}}
+    batch = TensorDict({**data, "valid": torch.arange(5).expand(rows) < 3}, rows)
+
+    def losses(kind, **settings):
+        return kind(actor, delay_value=False, **settings)(batch)
+
+    without, with_it = (losses(own["ConservativeLoss"], alpha=alpha) for alpha in (0.0, 2.0))
+
+    values = actor(batch.clone())["action_value"].where(batch["action_mask"], -torch.inf)
+    gap = (values.logsumexp(-1) - values[..., 0])[:, :3].mean(-1)
+    torch.testing.assert_close(with_it["loss_value"] - without["loss_value"], 2 * gap.detach())
+    torch.testing.assert_close(with_it["loss"] - without["loss"], 2 * gap.sum())
+    torch.testing.assert_close(without["loss"], losses(OneStepQLoss)["loss"])
 
 
 def test_the_gymnasium_environment_is_an_option_of_a_folder(train_with):
