@@ -67,7 +67,7 @@ def conceal_environment(text: str) -> None:
                 _concealed[spelling] = written
 
 
-def _open(text: str) -> str:
+def _without_secrets(text: str) -> str:
     """Returns a text without what is to be concealed."""
     for value in sorted(_concealed, key=len, reverse=True):
         text = text.replace(value, _concealed[value])
@@ -84,7 +84,7 @@ def shown(value: object) -> str:
         True
     """
     written = repr(value) if isinstance(value, str) else _container(value)
-    return _cut(_open(written), _VALUE)
+    return _cut(_without_secrets(written), _VALUE)
 
 
 def sentence(error: object) -> str:
@@ -107,7 +107,7 @@ def sentence(error: object) -> str:
 
 
 def _one_line(text: str) -> str:
-    return _cut(" ".join(_open(text).split()), _LINE)
+    return _cut(" ".join(_without_secrets(text).split()), _LINE)
 
 
 def _container(value: object) -> str:
