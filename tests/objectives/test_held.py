@@ -79,7 +79,7 @@ def test_the_kl_is_reported_again_until_the_next_epoch_and_its_gradient_is_today
     assert (today > first).all()
     out = loss(td)
     assert torch.equal(out["kl"], first)
-    torch.testing.assert_close(out["loss_value"], first / 100)
+    torch.testing.assert_close(out["loss_value"], loss.kl_temperature * first / 100)
     torch.testing.assert_close(gradients(loss, td), gradients(other, td))
     loss.begin_epoch()
     torch.testing.assert_close(loss(td)["kl"], today)
