@@ -64,8 +64,9 @@ class BayesConv2d(BayesLayer):
         **settings: Unpack[LayerSettings],
     ) -> None:
         if isinstance(kernel_size, SupportsIndex):
-            kernel_size = (index(kernel_size), index(kernel_size))
-        kernel = tuple(kernel_size)
+            kernel = (index(kernel_size), index(kernel_size))
+        else:
+            kernel = tuple(kernel_size)
         if min(in_channels, out_channels, *kernel) < 1:
             raise ValueError(
                 "in_channels, out_channels and kernel_size must be positive, got "

@@ -204,7 +204,7 @@ def _policy(domain: Domain, name: str, policy: ScriptedPolicySpec) -> Iterator[s
     }
     if policy.kind not in needed:
         yield f"{key} must be of kind {', '.join(needed)}, got {shown(policy.kind)}"
-    if policy.kind != "script":
+    elif policy.kind != "script":
         yield from _unknown(domain, policy.steps, f"{key} names ")
     for action in needed.get(policy.kind, ()):
         if action not in domain.action_names:

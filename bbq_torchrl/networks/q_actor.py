@@ -52,7 +52,7 @@ def q_actor(
         >>> from torchrl.data import Categorical
         >>> from bbq_torchrl.bayes import BayesMLP
         >>> from bbq_torchrl.networks import q_actor
-        >>> actor = q_actor(BayesMLP(3, 4), Categorical(4))
+        >>> actor = q_actor(BayesMLP(3, 4, mean_init="zero"), Categorical(4))
         >>> td = TensorDict(observation=torch.ones(2, 3), batch_size=[2])
         >>> td["action_mask"] = torch.tensor([[False, True, True, True]] * 2)
         >>> actor(td)["action"]

@@ -22,7 +22,7 @@ from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.learning import rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines
 from bbq_torchrl.evaluation.statistics import estimate
-from bbq_torchrl.evaluation.tables import Report, replicas_table
+from bbq_torchrl.evaluation.tables import NONE, Report, replicas_table
 from scripts.docs_blocks import common
 from scripts.docs_blocks.common import block, code, command, paired, read_csv, table
 from scripts.docs_blocks.tables import measured
@@ -230,7 +230,10 @@ def compared(rows: dict[str, list[str]], head: list[str]) -> str:
         if len(both) == 2:
             one, other = both
             found = pairs.pair(one, other).differences
-            differences = (pairs.difference(found[quantity]) for quantity in COLUMNS)
+            differences = (
+                pairs.difference(found[quantity]) if quantity in found else NONE
+                for quantity in COLUMNS
+            )
             lines.append((title, estimate(one.final), estimate(other.final), *differences))
     return table((*head, *COLUMNS.values()), lines, numbers=2 + len(COLUMNS))
 

@@ -169,9 +169,9 @@ def test_what_was_without_a_match_is_corrected_by_that(speak):
         ("slots: {city: {say: 7}}", "must be a list of texts"),
         ("slots: {city: {kind: number}}", "must be one of text, time"),
         ("slots: [a]", "must be a mapping"),
-        ("a: [", "must be YAML"),
+        ("a: [", "is not valid YAML"),
         ("slots: {}\nslots: {}", "keys must be given once"),
-        ("\x00", "must be YAML"),
+        ("\x00", "is not valid YAML"),
     ],
 )
 def test_phrases_that_do_not_fit_are_refused_by_their_key(tmp_path, content, says):
