@@ -64,7 +64,7 @@ class BayesConv2d(BayesLayer):
         **settings: Unpack[LayerSettings],
     ) -> None:
         if isinstance(kernel_size, SupportsIndex):
-            kernel = (index(kernel_size), index(kernel_size))
+            kernel: tuple[int, ...] = (index(kernel_size), index(kernel_size))
         else:
             kernel = tuple(kernel_size)
         if min(in_channels, out_channels, *kernel) < 1:
