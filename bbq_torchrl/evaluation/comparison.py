@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 NOTE = """\
 The unit is the training seed, never the dialogue. Means over seeds with their 95 % Student t
-interval. IQM: interquartile mean over seeds with its 95 % bootstrap interval (none below five
-seeds). Booked after 1,000: share of the first 1,000 training dialogues that succeeded. Cumulative
-training success: the share of all of them."""
+interval, cut where it leaves 0 to 1 (of differences -1 to 1). IQM: interquartile mean over seeds
+with its 95 % bootstrap interval (none below five seeds). Booked after 1,000: share of the first
+1,000 training dialogues that succeeded. Cumulative training success: the share of all of them."""
 
 PAIRS_NOTE = """\
 Differences by pairs: replicas of the same seed, which saw the same spiked dialogues, goals and

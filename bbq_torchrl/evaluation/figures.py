@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from io import BytesIO
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -194,7 +195,8 @@ def draw_panels(
                 found = estimate(seeds)
                 style = {"fmt": marker, "color": color, "capsize": 3, "ms": 5}
                 style["label"] = label if number == 0 and panel is axes[0] else None
-                panel.errorbar(place, found.value, found.high - found.value, **style)
+                ends = [[found.value - found.low], [found.high - found.value]]
+                panel.errorbar(place, found.value, ends, **style)
         names = [f"{value}*" if group is marked else value for value, group in row.items()]
         names = [name.replace("_", "\n") for name in names]  # so that long ones do not touch
         panel.set(xlabel=key, xticks=range(len(names)), xticklabels=names, ylim=(0, 1))
@@ -262,7 +264,8 @@ def _draw_seeds(
     axes.plot(rounds, values if thin is None else thin, color=color, lw=0.7, alpha=0.35)
     axes.plot(rounds, values.mean(1), line, color=color, lw=2.2, ms=3, label=label)
     if band and values.shape[1] >= MIN_BAND:
-        found = [estimate(row) for row in values]
+        # Of rewards as well as of rates; what lies beyond a rate's bounds is not in the picture.
+        found = [estimate(row, bounds=(-math.inf, math.inf)) for row in values]
         low, high = [item.low for item in found], [item.high for item in found]
         axes.fill_between(rounds, low, high, color=color, alpha=0.15, lw=0)
 

@@ -136,8 +136,8 @@ def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[flo
 
 
 def difference(values: Sequence[float]) -> Estimate:
-    """Returns the mean of differences with its t interval, shown with signs."""
-    return estimate(values, "+.3f")
+    """Returns the mean of differences of rates with its t interval, shown with signs."""
+    return estimate(values, "+.3f", bounds=(-1.0, 1.0))
 
 
 class PValue(float):

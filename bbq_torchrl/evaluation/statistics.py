@@ -24,6 +24,9 @@ RESAMPLES = 9_999
 MIN_BOOTSTRAP = 5
 """Below so many seeds a bootstrap has too few distinct samples to mean anything."""
 
+ROUNDING = 1e-9
+"""By which a mean over rounds may miss its bounds."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -85,8 +88,12 @@ def interquartile_mean(values: Any, axis: int = -1) -> Any:
     return stats.trim_mean(np.asarray(values, dtype=float), 0.25, axis=axis)
 
 
-def estimate(values: Sequence[float], spec: str = ".3f") -> Estimate:
+def estimate(
+    values: Sequence[float], spec: str = ".3f", *, bounds: tuple[float, float] = (0.0, 1.0)
+) -> Estimate:
     """The mean over training seeds with its 95 % Student t interval; none for a single seed.
+
+    The interval is cut where it leaves ``bounds``, as the truth cannot lie there.
 
     The interval takes seeds for normally distributed. Of few seeds it is still right where a
     bootstrap is too narrow: for five normally distributed seeds the BCa interval holds the mean in
@@ -95,20 +102,25 @@ def estimate(values: Sequence[float], spec: str = ".3f") -> Estimate:
     Args:
         values: one value for each seed.
         spec: that of the :class:`Estimate`.
+        bounds: least and largest possible value; those of a rate unless given.
 
     Raises:
-        ValueError: no values, or a value that is not finite.
+        ValueError: no values, or a value that is not finite or out of bounds.
 
     Examples:
         >>> print(estimate([0.7, 0.72, 0.74, 0.76, 0.78]))
         0.740 [0.701, 0.779]
+        >>> print(estimate([0.35, 0.47]))
+        0.410 [0.000, 1.000]
     """
-    data = _finite(values)
+    data, (least, most) = _finite(values), bounds
+    if data.min() < least - ROUNDING or data.max() > most + ROUNDING:
+        raise ValueError(f"values must be from {least:g} to {most:g}, got {list(values)}")
     if data.size == 1:
         return Estimate(float(data[0]), spec=spec)
     mean = float(data.mean())
     half = half_width(data)
-    return Estimate(mean, mean - half, mean + half, spec)
+    return Estimate(mean, max(least, mean - half), min(most, mean + half), spec)
 
 
 def estimate_iqm(values: Sequence[float]) -> Estimate:

@@ -8,6 +8,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.statistics import holm
+from bbq_torchrl.study.records import HIGHEST, LOWEST
 from bbq_torchrl.study.statistics import Interval, mann_whitney, mean, sign_flip, two_by_two
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ class Difference(NamedTuple):
 
     Attributes:
         people: how many have sessions with both.
-        mean: over these, with its t interval.
+        mean: over these, with its interval.
         p: of the sign-flip test.
         holm: the same, adjusted for all declared pairs.
     """
@@ -63,7 +64,8 @@ def compare_pairs(results: Results, without: Collection[str] = ()) -> list[Compa
     """
     kept = [session for session in results.sessions if session.person not in without]
     results = replace(results, sessions=tuple(kept))
-    success, rating = (_differences(results, of) for of in (results.successes, results.ratings))
+    success = _differences(results, results.successes, 1)
+    rating = _differences(results, results.ratings, HIGHEST - LOWEST)
     compared = []
     for (better, worse), in_success, in_rating in zip(
         results.terms.pairs, success, rating, strict=True
@@ -76,9 +78,12 @@ def compare_pairs(results: Results, without: Collection[str] = ()) -> list[Compa
 
 
 def _differences(
-    results: Results, of: Callable[[str], Mapping[str, Sequence[int]]]
+    results: Results, of: Callable[[str], Mapping[str, Sequence[int]]], most: int
 ) -> list[Difference]:
-    """Returns of each pair people's means with one agent minus those with the other."""
+    """Returns of each pair people's means with one agent minus those with the other.
+
+    These lie between ``-most`` and ``most``.
+    """
     pairs = []
     for pair in results.terms.pairs:
         one, other = (
@@ -87,6 +92,8 @@ def _differences(
         pairs.append([one[person] - other[person] for person in sorted(one.keys() & other.keys())])
     p = list(map(sign_flip, pairs))
     return [
-        Difference(len(values), mean([[float(value)] for value in values]), own, adjusted)
+        Difference(
+            len(values), mean([[float(value)] for value in values], (-most, most)), own, adjusted
+        )
         for values, own, adjusted in zip(pairs, p, holm(p), strict=True)
     ]

@@ -6,6 +6,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.run_folder import write_bytes
+from bbq_torchrl.study.records import HIGHEST, LOWEST
 from bbq_torchrl.study.statistics import mean, proportion
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def draw_ratings(file: Path, results: Results) -> None:
             axes.bar(place, share, bottom=bottom, color=color, width=0.6, **label)
             bottom += share
         if values:
-            text = f"mean {mean(people).value:.2f}\nn = {len(values)}"
+            text = f"mean {mean(people, (LOWEST, HIGHEST)).value:.2f}\nn = {len(values)}"
             axes.text(place, 1.02, text, ha="center", fontsize=8)
     whose = "simulated " if results.simulated else ""
     axes.set(ylabel=f"share of {whose}ratings", ylim=(0, 1.15))

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 SCALES = ("overall", "naturalness", "coherence", "completion")
 """What people rate from 1 to 5; the first is the paper's one figure."""
 
+LOWEST, HIGHEST = 1, 5
+"""Ratings."""
+
 
 @dataclass(frozen=True)
 class StoredExchange:

@@ -13,7 +13,7 @@ from bbq_torchrl.study.comparisons import compare_pairs
 from bbq_torchrl.study.export import export
 from bbq_torchrl.study.figures import draw_ratings, draw_success
 from bbq_torchrl.study.rating import RATING_RULE
-from bbq_torchrl.study.records import SCALES
+from bbq_torchrl.study.records import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.study.statistics import auroc, kappa, mean, proportion
 
 if TYPE_CHECKING:
@@ -73,13 +73,16 @@ def _agents(results: Results) -> Iterator[str]:
     for agent in results.terms.agents:
         success = proportion(results.successes(agent).values())
         own = proportion(results.by_person(lambda item: item.verdict, agent).values())
-        scales = [mean(results.ratings(agent, name).values()) for name in SCALES]
+        bounds = LOWEST, HIGHEST
+        scales = [mean(results.ratings(agent, name).values(), bounds) for name in SCALES]
         rows.append((agent, success.count, success, own, *scales))
     yield table(("agent", "sessions", "success", "own verdict", *SCALES), rows)
     yield (
         "Means with 95 % intervals: Wilson's for success (sessions of one person counted by "
-        "their design effect), Student's t over people for ratings from 1 to 5. Success is the "
-        f"judge's, by goal card and dialogue acts; own verdict is what {_who(results)} said."
+        "their design effect), Student's t over people for ratings from 1 to 5. Where that would "
+        "leave the scale, or has no width, two more people are counted, one at each end of the "
+        "scale (Bonett and Price 2012); so it is for differences. Success is the judge's, by goal "
+        f"card and dialogue acts; own verdict is what {_who(results)} said."
     )
     yield "![Success of each agent](success.png)"
 
@@ -155,7 +158,8 @@ def _agreement(results: Results) -> Iterator[str]:
         yield "κ is undefined: one of the two is always the same, or nothing is rated."
     else:
         yield (
-            f"Cohen's κ {found} over {found.count} sessions (95 % bootstrap interval over people)."
+            f"Cohen's κ {found} over {found.count} sessions (95 % bootstrap interval over people; "
+            "Wilson's where all resamples agree alike)."
         )
 
 
@@ -174,8 +178,9 @@ def _uncertainty(results: Results) -> Iterator[str]:
         head = ("agent", "sessions", "entropy", f"entropy of the first {FIRST} answers", "length")
         yield table(head, rows)
         yield (
-            "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people: "
-            ".5 says nothing, 1 all. Entropy is that of the best action, a mean over a session's "
+            "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people "
+            "(Newcombe's where all resamples are ordered alike): .5 says nothing, 1 all. "
+            "Entropy is that of the best action, a mean over a session's "
             "answers or over its first ones; length is the number of messages. Conversations that "
             "fail are long: a sign that comes no sooner than length and is no better adds nothing."
         )

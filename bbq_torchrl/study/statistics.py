@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from bbq_torchrl.statistics import CONFIDENCE, half_width
 
@@ -22,6 +22,7 @@ _Z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
 _MAX_SUMS = 5_000_000
 _RESAMPLES = 99_999
 _BOOTSTRAPS = 2_000
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -66,12 +67,16 @@ def proportion(by_person: Collection[Sequence[bool]]) -> Interval:
         return Interval(math.nan, math.nan, math.nan, 0)
     rate = sum(map(sum, people)) / count
     effective = count / _design_effect(people, rate, count)
-    shrink = 1 + _Z**2 / effective
-    center = (rate + _Z**2 / (2 * effective)) / shrink
-    spread = rate * (1 - rate) / effective + _Z**2 / (4 * effective**2)
+    return Interval(rate, *_wilson(rate, effective), count)
+
+
+def _wilson(rate: float, count: float) -> tuple[float, float]:
+    shrink = 1 + _Z**2 / count
+    center = (rate + _Z**2 / (2 * count)) / shrink
+    spread = rate * (1 - rate) / count + _Z**2 / (4 * count**2)
     half = _Z * math.sqrt(spread) / shrink
     # Rounding must not put a rate of 0 or 1 outside of its interval.
-    return Interval(rate, max(0.0, min(rate, center - half)), max(rate, center + half), count)
+    return max(0.0, min(rate, center - half)), min(1.0, max(rate, center + half))
 
 
 def _design_effect(people: Sequence[Sequence[bool]], rate: float, count: int) -> float:
@@ -82,11 +87,20 @@ def _design_effect(people: Sequence[Sequence[bool]], rate: float, count: int) ->
     return max(1.0, variance / (rate * (1 - rate) / count))
 
 
-def mean(by_person: Collection[Sequence[float]]) -> Interval:
+def mean(by_person: Collection[Sequence[float]], bounds: tuple[float, float]) -> Interval:
     """Returns the mean of people's means with its Student t interval; none for one person.
+
+    Where that interval leaves ``bounds``, or has no width as all people are alike, it is that of
+    the same people and two more, one at each bound, cut there. So Bonett and Price (2012) adjust
+    the interval of a difference of paired rates.
 
     Args:
         by_person: each person's values.
+        bounds: least and largest possible value.
+
+    Examples:
+        >>> print(mean([[5.0], [5.0], [5.0]], (1, 5)))
+        5.00 [1.98, 5.00]
     """
     means = [sum(person) / len(person) for person in by_person if person]
     count = sum(map(len, by_person))
@@ -95,8 +109,14 @@ def mean(by_person: Collection[Sequence[float]]) -> Interval:
     value = sum(means) / len(means)
     if len(means) == 1:
         return Interval(value, math.nan, math.nan, count)
+    least, most = bounds
     half = half_width(means)
-    return Interval(value, value - half, value + half, count)
+    low, high = value - half, value + half
+    if low < least or high > most or len({*means}) == 1:
+        means = [*means, least, most]
+        center, half = sum(means) / len(means), half_width(means)
+        low, high = max(least, min(value, center - half)), min(most, max(value, center + half))
+    return Interval(value, low, high, count)
 
 
 def sign_flip(differences: Sequence[Fraction]) -> float:
@@ -154,6 +174,9 @@ def mann_whitney(one: Sequence[float], other: Sequence[float]) -> float:
 def kappa(by_person: Sequence[Sequence[tuple[bool, bool]]], seed: int = 0) -> Interval:
     """Returns Cohen's κ of two judges with its bootstrap interval over people.
 
+    Where all resamples agree alike, the interval is Wilson's of the share on which they agree, each
+    person counted once.
+
     Args:
         by_person: each person's pairs of verdicts.
         seed: of the bootstrap.
@@ -169,6 +192,9 @@ def kappa(by_person: Sequence[Sequence[tuple[bool, bool]]], seed: int = 0) -> In
     chosen = np.random.default_rng(seed).integers(len(tables), size=(_BOOTSTRAPS, len(tables)))
     drawn = _kappa(tables[chosen].sum(1))
     low, high = np.nanpercentile(drawn, [2.5, 97.5])
+    if high - low < _ROUNDING:
+        agreed, chance = _agreed_and_chance(tables.sum(0))
+        low, high = ((end - chance) / (1 - chance) for end in _wilson(float(agreed), len(tables)))
     return Interval(value, float(low), float(high), count)
 
 
@@ -177,16 +203,24 @@ def _agreement(pairs: Sequence[tuple[bool, bool]]) -> list[list[int]]:
 
 
 def _kappa(tables: np.ndarray) -> np.ndarray:
-    count = tables.sum((-2, -1))
     with np.errstate(invalid="ignore", divide="ignore"):
-        agreed = (tables[..., 0, 0] + tables[..., 1, 1]) / count
-        chance = (tables.sum(-1) * tables.sum(-2)).sum(-1) / count**2
+        agreed, chance = _agreed_and_chance(tables)
         found = (agreed - chance) / (1 - chance)
     return np.where(np.isfinite(found), found, np.nan)
 
 
+def _agreed_and_chance(tables: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the share of verdicts that agree, and that by chance, shapes [*tables]."""
+    count = tables.sum((-2, -1))
+    agreed = (tables[..., 0, 0] + tables[..., 1, 1]) / count
+    return agreed, (tables.sum(-1) * tables.sum(-2)).sum(-1) / count**2
+
+
 def auroc(by_person: Sequence[Sequence[tuple[float, bool]]], seed: int = 0) -> Interval:
     """Returns the probability that a failure scores higher than a success, ties counting half.
+
+    Where all resamples are ordered alike, as those of a few sessions that the score tells apart
+    are, the interval is Newcombe's, each person counted once.
 
     Args:
         by_person: each person's sessions, with score and whether they failed.
@@ -212,4 +246,26 @@ def auroc(by_person: Sequence[Sequence[tuple[float, bool]]], seed: int = 0) -> I
     with np.errstate(invalid="ignore"):
         found = ((of_high @ wins) * of_low).sum(1) / (of_high.sum(1) * of_low.sum(1))
     lower, upper = np.nanpercentile(found, [2.5, 97.5])
+    if upper - lower < _ROUNDING:
+        once = people / len(rows)
+        lower, upper = _newcombe(value, len(high) * once, len(low) * once)
     return Interval(value, float(lower), float(upper), len(rows))
+
+
+def _newcombe(area: float, failures: float, successes: float) -> tuple[float, float]:
+    """Returns the interval of an AUROC by method 5 of Newcombe (2006), as Wilson's of a rate.
+
+    Its ends are the areas of which the one found is just 1.96 standard errors away, these by
+    Hanley and McNeil (1982).
+    """
+    more = max(0.0, (failures + successes) / 2 - 1)
+
+    def beyond(end: float) -> float:
+        either = (1 - end) / (2 - end) + end / (1 + end)
+        variance = end * (1 - end) * (1 + more * either) / (failures * successes)
+        return (area - end) ** 2 - _Z**2 * variance
+
+    # At 0 and 1 the error is 0, so that these would be found as ends of themselves.
+    low = optimize.brentq(beyond, 0.0, min(area, 1 - _ROUNDING)) if area > _ROUNDING else 0.0
+    high = optimize.brentq(beyond, max(area, _ROUNDING), 1.0) if area < 1 - _ROUNDING else 1.0
+    return low, high

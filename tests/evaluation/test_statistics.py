@@ -14,6 +14,7 @@ from bbq_torchrl.evaluation import (
     estimate_iqm,
     interquartile_mean,
 )
+from bbq_torchrl.evaluation.pairs import difference
 from bbq_torchrl.evaluation.statistics import t_test
 
 SEEDS = [0.71, 0.64, 0.80, 0.75, 0.69, 0.77, 0.73]
@@ -41,8 +42,27 @@ def test_interquartile_mean_drops_a_quarter_on_each_side(count):
 def test_t_interval_is_that_of_student(count):
     values = numbers(count)
     low, high = stats.t.interval(0.95, count - 1, values.mean(), stats.sem(values))
-    found = estimate(values)
+    found = estimate(values, bounds=(-math.inf, math.inf))
     assert (found.value, found.low, found.high) == pytest.approx((values.mean(), low, high))
+
+
+@pytest.mark.parametrize("values", [[0.355, 0.463], [1.0, 0.9, 1.0], [0.0, 0.02, 0.0]])
+def test_an_interval_is_cut_at_the_bounds_of_what_is_estimated(values):
+    low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
+    assert low < 0 or high > 1
+    found, free = estimate(values), estimate(values, bounds=(-1.0, 1.0))
+    assert (found.low, found.high) == pytest.approx((max(0, low), min(1, high)))
+    assert (free.low, free.high) == pytest.approx((max(-1, low), min(1, high)))
+
+
+def test_differences_of_rates_lie_between_minus_one_and_one():
+    assert f"{difference([0.9, -0.1])}" == "+0.400 [-1.000, +1.000]"
+
+
+@pytest.mark.parametrize("values", [[0.5, 1.2], [-0.1]])
+def test_what_is_no_rate_is_not_estimated_as_one(values):
+    with pytest.raises(ValueError, match="values must be from 0 to 1, got"):
+        estimate(values)
 
 
 def test_bootstrap_interval_of_the_interquartile_mean_is_scipys():

@@ -15,6 +15,7 @@ from bbq_torchrl.study.export import defused, without_names
 from bbq_torchrl.study.records import SCALES
 from bbq_torchrl.study.report import report_text, write_report
 from bbq_torchrl.study.results import read_results
+from bbq_torchrl.study.statistics import mean
 from bbq_torchrl.study.store import Store
 from bbq_torchrl.study.talk import Frame
 
@@ -85,9 +86,22 @@ def test_a_warning_is_told_from_what_comes_with_length(fill):
     sessions = [item if item.success else in_doubt(item) for item in results.sessions]
     text = report_text(replace(results, sessions=sessions))
     assert "| entropy of the first 3 answers | length |" in text
-    one, half = "1.00 [1.00, 1.00]", "0.50 [0.50, 0.50]"
+    one, half = "1.00 [0.39, 1.00]", "0.50 [0.11, 0.89]"  # of four sessions
     for agent in results.terms.agents:
         assert f"| {agent} | 4 | {one} | {half} | {one} |" in text
+
+
+@pytest.mark.parametrize("people", [[(5, 1)] * 3, [(5, 5), (5, 1), (4, 5)], [(1, 5), (5, 4)]])
+def test_no_interval_leaves_its_scale_or_claims_certainty(fill, people):
+    results = fill(people)
+    [pair] = compare_pairs(results)
+    found = [(pair.success.mean, -1, 1), (pair.rating.mean, -4, 4)]
+    for agent in results.terms.agents:
+        found.append((mean(results.ratings(agent).values(), (1, 5)), 1, 5))
+        assert str(found[-1][0]) in report_text(results)
+    for interval, least, most in found:
+        assert least <= interval.low < interval.high <= most
+        assert interval.low <= interval.value <= interval.high
 
 
 def test_flagged_people_are_shown_and_counted(fill):

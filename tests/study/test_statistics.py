@@ -53,16 +53,35 @@ def test_the_interval_of_a_proportion_holds_the_truth_also_where_people_differ()
 
 
 def test_nothing_has_no_estimate():
-    assert str(proportion([])) == str(mean([[], []])) == "–"
-    assert str(mean([[4.0, 5.0]])) == "4.50"
+    assert str(proportion([])) == str(mean([[], []], (1, 5))) == "–"
+    assert str(mean([[4.0, 5.0]], (1, 5))) == "4.50"
 
 
 def test_a_mean_has_students_interval_over_people():
     people = [[1.0, 3.0], [4.0], [5.0, 5.0, 2.0]]
-    found = mean(people)
+    found = mean(people, (-10, 10))
     expected = stats.ttest_1samp([2.0, 4.0, 4.0], 0).confidence_interval()
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
     assert found.count == 6
+
+
+@pytest.mark.parametrize("values", [[1, 0, 1], [1, 1, 1], [0] * 30, [-1, -1, -1, 0]])
+def test_a_mean_at_its_bounds_has_the_interval_of_two_more_people(values):
+    found = mean([[value] for value in values], (-1, 1))
+    more = np.array([*values, -1, 1])
+    low, high = stats.t.interval(0.95, len(values) + 1, more.mean(), stats.sem(more))
+    assert (found.low, found.high) == pytest.approx((max(-1, low), min(1, high)))
+    assert found.low <= found.value <= found.high
+
+
+@pytest.mark.parametrize("people", [4, 10, 30])
+def test_the_interval_of_a_mean_near_its_bound_holds_the_truth(people):
+    rng = np.random.default_rng(0)
+    studies, ratings = 2_000, np.array([5.0, 4.0, 2.0])
+    drawn = rng.choice(ratings, p=[0.8, 0.15, 0.05], size=(studies, people))
+    intervals = [mean(row[:, None].tolist(), (1, 5)) for row in drawn]
+    held = sum(item.low <= 4.7 <= item.high for item in intervals)
+    assert held / studies > 0.95 - 4.5 * math.sqrt(0.95 * 0.05 / studies)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -121,6 +140,23 @@ def test_kappa_is_the_textbooks():
     assert found.high - found.low == pytest.approx(2 * 1.96 * 0.1268, rel=0.15)
     assert math.isnan(kappa([[(True, True)] * 3]).value)
     assert math.isnan(kappa([]).value)
+
+
+def test_six_sessions_that_agree_or_are_told_apart_are_no_certainty():
+    right = [[(number > 2, number > 2)] for number in range(6)]
+    assert str(kappa(right)) == "1.00 [0.22, 1.00]"  # Wilson's of 6 of 6 is [.61, 1]
+    # Newcombe (2006): the end is 1.96 standard errors of Hanley and McNeil away from 1.
+    found = auroc([[(number, number > 2)] for number in range(6)])
+    area = found.low
+    variance = area * (1 - area) * (1 + 2 * ((1 - area) / (2 - area) + area / (1 + area))) / 9
+    assert 1 - area == pytest.approx(1.96 * math.sqrt(variance), rel=1e-4)
+    assert found.high == 1.0
+    assert (found.low, found.high) == pytest.approx((0.5, 1.0), abs=0.01)
+    turned = auroc([[(-number, number > 2)] for number in range(6)])
+    assert (turned.low, turned.high) == pytest.approx((0.0, 1 - found.low))
+    # Who has each session four times says no more than who has it once.
+    again = auroc([[(number, number > 2)] * 4 for number in range(6)])
+    assert again.low == pytest.approx(found.low)
 
 
 def test_auroc_counts_the_pairs_in_order():
