@@ -147,12 +147,17 @@ def _simulate(given: argparse.Namespace) -> None:
     study = load_study(given.study)
     from bbq_torchrl.study.simulate import simulate
 
-    # A name of its own: the study's data are for people.
-    given.study = study.path.with_name(f"{study.path.stem}-simulated{study.path.suffix}")
+    # Another name: the study's data are for people.
+    given.study = _simulated(study.path)
     study = replace(study, path=given.study)
     interruption.tell(lambda: "while simulating", lambda: "the same command goes on with it")
     simulate(study, make_talker(study), make_users(study), seed=given.seed, tell=_say)
     _report(given)
+
+
+def _simulated(path: Path) -> Path:
+    """Returns the name under which the simulation of a study is kept."""
+    return path.with_name(f"{path.stem}-simulated{path.suffix}")
 
 
 def _function(option: str, name: str) -> Callable[..., Any]:
@@ -168,7 +173,11 @@ def _report(given: argparse.Namespace) -> None:
     from bbq_torchrl.study.report import write_report
     from bbq_torchrl.study.results import read_results
 
-    results = read_results(data_of(given.study))
+    data, simulated = data_of(given.study), _simulated(given.study)
+    if not data.exists() and data_of(simulated).exists():
+        text = f"the study has not been served yet; its simulation: bbq study report {simulated}"
+        raise StudyError(str(data), [text])
+    results = read_results(data)
     folder = given.out or given.study.with_name(f"{given.study.stem}-report")
     write_report(folder, results)
     _say(f"{len(results.sessions)} ended sessions: {folder / 'report.md'}")

@@ -38,6 +38,7 @@ def export(folder: Path, results: Results) -> None:
 
     People are ``P1``, ``P2``, ...; times are seconds since a session's first answer. In CSV files
     a text that a spreadsheet would run gets an apostrophe in front; JSON lines have it as it is.
+    They begin with a byte order mark: without it Excel takes UTF-8 for another encoding.
 
     Args:
         folder: where to.
@@ -91,6 +92,7 @@ def defused(cell: Any) -> Any:
 
 def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     text = io.StringIO()
+    text.write("\ufeff")
     writer = csv.writer(text)
     writer.writerow(head)
     writer.writerows([defused(cell) for cell in row] for row in rows)

@@ -27,6 +27,8 @@ _DEFAULTS = {
     "ask_below": {},
 }
 """Without ``sessions``: one with each agent."""
+_QUOTED = "yes, no, numbers and dates in quotes"
+"""Since YAML reads them as something else."""
 _REQUIRED = ("name", "consent", "agents", "pairs", "participants")
 
 
@@ -181,7 +183,10 @@ def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[s
     kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
         "name": (_is_text, "be text, not blank"),
         "consent": (_is_text, "be text, not blank"),
-        "agents": (_are_sources, "map one name or more to where the agent is, both text"),
+        "agents": (
+            _are_sources,
+            f"map one name or more to where the agent is, both text ({_QUOTED})",
+        ),
         "pairs": (
             lambda value: isinstance(value, list),
             "be a list of pairs of agents, [] for none",
@@ -249,7 +254,7 @@ def _pair_faults(pairs: list[Any], agents: Mapping[str, str]) -> Iterator[str]:
     seen: list[set[str]] = []
     for pair in pairs:
         if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_text, pair)):
-            yield f"pairs must hold pairs of two agents, got {shown(pair)}"
+            yield f"pairs must hold pairs of two agents, both text ({_QUOTED}), got {shown(pair)}"
             continue
         if pair[0] == pair[1]:
             yield f"pairs must be of two different agents, got {shown(pair)}"

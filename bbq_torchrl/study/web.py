@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import logging
+import re
 import secrets
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 
 JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""
+
+_ID = re.compile("[0-9]{1,18}")
+"""A session's number; more digits do not fit into an integer of SQLite."""
 
 MAX_LISTED = 1_000
 MAX_BARS = 12
@@ -72,7 +76,7 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         Route("/p/{token}", pages.now),
         Route("/p/{token}/{step}", pages.step, methods=["POST"]),
         Route("/r/{key}", pages.progress),
-        Route("/r/{key}/{session:int}", pages.transcript),
+        Route("/r/{key}/{session}", pages.transcript),
         Mount("/static", StaticFiles(packages=[("bbq_torchrl.study", "static")])),
     ]
     handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
@@ -178,6 +182,7 @@ class _Pages:
             "progress",
             key=request.path_params["key"],
             counts=counts,
+            idle_minutes=self._study.terms.idle_minutes,
             agents=list(self._study.terms.agents),
             begun=begun,
             max_listed=MAX_LISTED,
@@ -186,7 +191,8 @@ class _Pages:
     def transcript(self, request: Request) -> Response:
         """A session turn by turn, with what the agent thought."""
         self._check(request, RESEARCHER)
-        session = self._store.session(request.path_params["session"])
+        number = request.path_params["session"]
+        session = self._store.session(int(number)) if _ID.fullmatch(number) else None
         if session is None:
             raise HTTPException(HTTPStatus.NOT_FOUND)
         return self._html(

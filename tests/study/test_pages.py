@@ -8,6 +8,8 @@ from urllib.parse import urlencode
 
 import pytest
 
+from bbq_torchrl.study.records import SCALES
+
 from .conftest import RATED
 from .fakes import script
 
@@ -199,6 +201,30 @@ def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
             other: "000",
         }
     turn = site.client.get(f"{site.researcher}/{number}").text
-    for shown in ("inform(city=philly)", "request(city)", "0.562", "1.00 to 1.50", "0.750"):
+    assert "Your goal" not in turn
+    ratings = [f"<dt>{scale}</dt><dd>4 of 5</dd>" for scale in SCALES]
+    person = ("The person&#39;s goal", "<dt>own verdict</dt><dd>yes</dd>", *ratings)
+    for shown in (
+        *person,
+        "inform(city=philly)",
+        "request(city)",
+        "0.562",
+        "1.00 to 1.50",
+        "0.750",
+    ):
         assert shown in turn
-    assert site.client.get(f"{site.researcher}/999").status_code == 404
+    for wrong in ("999", "9" * 20, "9" * 5_000, "-1", "one", "1.0", "%D9%A1"):
+        assert site.client.get(f"{site.researcher}/{wrong}").status_code == 404
+
+
+def test_the_researcher_is_told_what_is_counted(site):
+    link = site.enroll()
+    assert "<dd>1 <small>have not, and did something in the last 60 minutes<" in (
+        site.client.get(site.researcher).text
+    )
+    site.store.rows("UPDATE person SET active = 0")
+    assert re.search(
+        r"<dt>left</dt><dd>1 <small>.*their places are free", site.client.get(site.researcher).text
+    )
+    number = site.session(link).id
+    assert "<dt>ratings</dt><dd>not yet</dd>" in site.client.get(f"{site.researcher}/{number}").text

@@ -14,6 +14,9 @@ GOOD = {
     "pairs": "[[one, two]]",
     "participants": "12",
 }
+_IN_QUOTES = "(yes, no, numbers and dates in quotes)"
+_TEXTS = f"must map one name or more to where the agent is, both text {_IN_QUOTES}"
+_OF_TEXT = f"of two agents, both text {_IN_QUOTES}"
 
 
 @pytest.fixture
@@ -60,13 +63,18 @@ def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
         ({"consent": None}, "it lacks the keys consent"),
         ({"agents": "{}"}, "agents must map one name or more to where the agent is, both text"),
         ({"agents": "{one: 7}"}, "agents must map one name or more"),
+        *(
+            ({"agents": f"{{{name}: a, two: b}}", "pairs": "[]"}, f"agents {_TEXTS}, got {{{read}")
+            for name, read in (("yes", "True"), ("1", "1"), ("2026-01-31", "datetime.date"))
+        ),
+        ({"pairs": "[[yes, 1]]"}, f"pairs must hold pairs {_OF_TEXT}, got [True, 1]"),
         (
             {"pairs": "[[one, three]]"},
             "pairs must name agents of the study (one, two), got 'three'",
         ),
         ({"pairs": "[[one, one]]"}, "pairs must be of two different agents, got ['one', 'one']"),
         ({"pairs": "[[one, two], [two, one]]"}, "pairs must be declared once, got ['two', 'one']"),
-        ({"pairs": "[one]"}, "pairs must hold pairs of two agents, got 'one'"),
+        ({"pairs": "[one]"}, f"pairs must hold pairs {_OF_TEXT}, got 'one'"),
         ({"pairs": "one"}, "pairs must be a list of pairs of agents, [] for none, got 'one'"),
         ({"participants": "0"}, "participants must be a whole number between 1 and 10000, got 0"),
         ({"participants": "true"}, "participants must be a whole number between 1 and 10000"),

@@ -136,7 +136,9 @@ def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
     write_report(tmp_path, fill([(5, 1), (4, 3)], text="=cmd() my name is Ann"))
     for figure in ("success.png", "ratings.png"):
         assert (tmp_path / figure).read_bytes().startswith(b"\x89PNG")
-    with (tmp_path / "exchanges.csv").open(newline="") as file:
+    for file in ("exchanges.csv", "sessions.csv"):  # Excel reads é by this mark
+        assert (tmp_path / file).read_bytes().startswith("\ufeffsession,".encode())
+    with (tmp_path / "exchanges.csv").open(newline="", encoding="utf-8-sig") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * 2 * 3
     assert {row["text"] for row in rows} == {"'=cmd() my name is [name]"}
@@ -146,7 +148,7 @@ def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
     assert lines[0]["exchanges"][0]["text"] == "=cmd() my name is [name]"
     assert lines[0]["exchanges"][0]["beliefs"]["entropy"] == 0.5625
     assert "state" not in lines[0]["exchanges"][0]
-    with (tmp_path / "sessions.csv").open(newline="") as file:
+    with (tmp_path / "sessions.csv").open(newline="", encoding="utf-8-sig") as file:
         rows = list(csv.DictReader(file))
     assert {(row["overall"], row["success"], row["own_verdict"]) for row in rows} == {
         *(("5", "1", "1"), ("1", "0", "0"), ("4", "1", "1"), ("3", "0", "1"))
