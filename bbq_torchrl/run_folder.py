@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from functools import partial
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -64,16 +65,23 @@ def is_utf8(path: Path) -> bool:
     return os.fsencode(path) == os.fspath(path).encode(errors="replace")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Writes a file so that a reader, or a crash, finds the old text or the new, never a part."""
-    write_bytes(path, text.encode())
+def write_text(path: Path, text: str, mode: int = 0o666) -> None:
+    """Writes a file so that a reader, or a crash, finds the old text or the new, never a part.
+
+    Args:
+        path: of the file.
+        text: its whole content.
+        mode: who may read and write it, less what the umask takes.
+    """
+    write_bytes(path, text.encode(), mode)
 
 
-def write_bytes(path: Path, content: bytes) -> None:
+def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Writes a file as :func:`write_text` does."""
     temporary = path.with_name(f".{path.name}.new")
     temporary.unlink(missing_ok=True)  # what a killed process left, or a link to another place
-    with temporary.open("xb") as file:  # O_CREAT | O_EXCL, which follows no link
+    opened = partial(os.open, mode=mode)
+    with open(temporary, "xb", opener=opened) as file:  # O_CREAT | O_EXCL, which follows no link
         file.write(content)
         file.flush()
         os.fsync(file.fileno())

@@ -40,7 +40,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
         prog="python -m bbq_torchrl.study", description=f"A human study.\nSee {page('study')}"
     )
-    commands = parser.add_subparsers(required=True, metavar="serve | simulate | report | power")
+    commands = parser.add_subparsers(
+        required=True, metavar="serve | simulate | report | backup | forget | power"
+    )
 
     serve = commands.add_parser("serve", help="serve a study to browsers")
     serve.add_argument("study", type=_path, help="the study file; its data is beside it")
@@ -82,6 +84,16 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("study", type=_path, help="the study file")
     report.add_argument("--out", type=_path, help="folder; without it, <study>-report")
     report.set_defaults(command=_report)
+
+    backup = commands.add_parser("backup", help="copy the data, also while the study is served")
+    backup.add_argument("study", type=_path, help="the study file")
+    backup.add_argument("copy", type=_path, help="the copy, a file that does not exist")
+    backup.set_defaults(command=_backup)
+
+    forget = commands.add_parser("forget", help="delete all that a person said and rated")
+    forget.add_argument("study", type=_path, help="the study file")
+    forget.add_argument("participant", help="the number on your page, or the person's link")
+    forget.set_defaults(command=_forget)
 
     power = commands.add_parser("power", help="how likely a study finds a difference")
     power.add_argument("better", type=between(float, 0.001, 0.999), help="success of one agent")
@@ -181,6 +193,20 @@ def _report(given: argparse.Namespace) -> None:
     folder = given.out or given.study.with_name(f"{given.study.stem}-report")
     write_report(folder, results)
     _say(f"{len(results.sessions)} ended sessions: {folder / 'report.md'}")
+
+
+def _backup(given: argparse.Namespace) -> None:
+    from bbq_torchrl.study.keeping import backup
+
+    backup(data_of(given.study), given.copy)
+    _say(f"copied to {given.copy}, with texts and the secret of all links: keep it as safe")
+
+
+def _forget(given: argparse.Namespace) -> None:
+    from bbq_torchrl.study.keeping import forget
+
+    number = forget(data_of(given.study), given.participant)
+    _say(f"person {number} is forgotten; copies and reports made before still have them")
 
 
 def _power(given: argparse.Namespace) -> None:

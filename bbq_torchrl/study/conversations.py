@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.study.outcome import Judge
 from bbq_torchrl.study.records import SCALES, current
+from bbq_torchrl.study.store import JoinRateError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -60,14 +61,20 @@ class Conversations:
         """Returns the token of somebody who takes part from now on.
 
         Raises:
-            RefusedError: without consent, or when nobody is wanted any more.
+            RefusedError: without consent, when nobody is wanted any more, or too many at once.
         """
         nonce = _nonce(form)
         if form.get("consent") != "yes":
             raise RefusedError(
                 HTTPStatus.UNPROCESSABLE_ENTITY, "To take part, please tick the box first."
             )
-        token = self._store.enroll(nonce)
+        try:
+            token = self._store.enroll(nonce)
+        except JoinRateError as error:
+            raise RefusedError(
+                HTTPStatus.TOO_MANY_REQUESTS,
+                "Many people are joining just now. Please begin again in a minute.",
+            ) from error
         if token is None:
             raise RefusedError(
                 HTTPStatus.CONFLICT,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from contextlib import closing, contextmanager
-from functools import partial
 from typing import TYPE_CHECKING
 
 from filelock import FileLock, Timeout
@@ -75,6 +75,15 @@ CREATE TABLE rating (
 ) STRICT;
 """
 
+BESIDE = ("-wal", "-shm", "-journal")
+"""How files end that SQLite keeps beside a study's."""
+
+PRIVATE = 0o600
+"""Mode of all files of a study: they hold what people wrote, and the secret behind all links."""
+
+BUSY_SECONDS = 5.0
+"""For which a change waits for others."""
+
 _SQLITE = (3, 37, 0)  # the first with STRICT tables
 
 
@@ -102,14 +111,13 @@ def writing(path: Path) -> Iterator[sqlite3.Connection]:
     if not path.parent.is_dir():
         raise StoreError(path, "its folder does not exist")
     try:
-        lock = FileLock(path.with_name(f"{path.name}.lock")).acquire(timeout=0)
+        lock = FileLock(path.with_name(f"{path.name}.lock"), mode=PRIVATE).acquire(timeout=0)
     except Timeout as error:
         text = "another server is at work on it: end that one, or wait"
         raise StoreError(path, text) from error
     except OSError as error:
         raise StoreError(path, f"it cannot be used: {error.strerror}") from error
-    connected = partial(sqlite3.connect, isolation_level=None, check_same_thread=False)
-    with lock, told(path), closing(connected(path)) as connection:
+    with lock, told(path), closing(_private(path)) as connection:
         version = _check(path, connection)
         for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
@@ -128,14 +136,59 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
     Raises:
         StoreError: there is no such file, or it is newer or damaged.
     """
-    if not path.is_file():
-        raise StoreError(path, "there is no such file: the study has not been served yet")
-    address = path.absolute().as_uri() + "?mode=ro"
-    with told(path), closing(sqlite3.connect(address, uri=True)) as connection:
-        if not _check(path, connection):
-            raise StoreError(path, "it is empty: the study has not been served yet")
+    with _existing(path, "ro") as connection:
         connection.execute("BEGIN")  # one moment of the study for all queries
         yield connection
+
+
+@contextmanager
+def changing(path: Path) -> Iterator[sqlite3.Connection]:
+    """Opens a study's file for a change, also while a server is at work on it.
+
+    Raises:
+        StoreError: as for :func:`reading`, or it cannot be written.
+    """
+    with _existing(path, "rw") as connection:
+        connection.execute("PRAGMA foreign_keys = ON")
+        yield connection
+
+
+@contextmanager
+def _existing(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
+    if not path.is_file():
+        raise StoreError(path, "there is no such file: the study has not been served yet")
+    address = f"{path.absolute().as_uri()}?mode={mode}"
+    with (
+        told(path),
+        closing(
+            sqlite3.connect(address, BUSY_SECONDS, uri=True, isolation_level=None)
+        ) as connection,
+    ):
+        if not _check(path, connection):
+            raise StoreError(path, "it is empty: the study has not been served yet")
+        yield connection
+
+
+def _private(path: Path) -> sqlite3.Connection:
+    make_private(path)
+    return sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+
+
+def make_private(path: Path) -> None:
+    """Makes a file that its owner alone can read; one that exists becomes so, and those beside it.
+
+    Raises:
+        StoreError: it cannot be made there, or its mode is not ours to change.
+    """
+    try:
+        if not path.exists():
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
+        for file in (path, *(path.with_name(path.name + end) for end in BESIDE)):
+            if file.exists() and file.stat().st_mode & 0o077:
+                file.chmod(PRIVATE)
+    except OSError as error:
+        text = f"it cannot be made a file that its owner alone can read: {error.strerror}"
+        raise StoreError(path, text) from error
 
 
 def _check(path: Path, connection: sqlite3.Connection) -> int:

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.run_folder import write_text
+from bbq_torchrl.study.database import PRIVATE
 from bbq_torchrl.study.records import SCALES
 
 if TYPE_CHECKING:
@@ -58,11 +59,11 @@ def export(folder: Path, results: Results) -> None:
         for item in results.sessions
     ]
     columns = (*head, *SCALES, "own_verdict", "exchanges", "entropy", "simulated")
-    write_text(folder / "sessions.csv", _csv(columns, rows))
+    write_text(folder / "sessions.csv", _csv(columns, rows), PRIVATE)
     said = ("session", "number", "seconds", "text", "answer", "heard", "said")
     columns_said = (*said, "entropy", "simulated")
-    write_text(folder / "exchanges.csv", _csv(columns_said, _exchange_rows(results)))
-    write_text(folder / "sessions.jsonl", "".join(_lines(results)))
+    write_text(folder / "exchanges.csv", _csv(columns_said, _exchange_rows(results)), PRIVATE)
+    write_text(folder / "sessions.jsonl", "".join(_lines(results)), PRIVATE)
 
 
 def without_names(text: str) -> str:

@@ -6,6 +6,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.run_folder import write_bytes
+from bbq_torchrl.study.database import PRIVATE
 from bbq_torchrl.study.records import HIGHEST, LOWEST
 from bbq_torchrl.study.statistics import mean, proportion
 
@@ -97,4 +98,4 @@ def _save(axes: Any, file: Path) -> None:
     axes.set_xlim(-0.6, len(axes.get_xticks()) - 0.4)
     picture = BytesIO()
     axes.figure.savefig(picture, dpi=150, format="png")
-    write_bytes(file, picture.getvalue())
+    write_bytes(file, picture.getvalue(), PRIVATE)

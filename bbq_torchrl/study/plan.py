@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 _MOVIE = "movie"
 _DOMAIN = f"be {_MOVIE} or a domain's folder"
 _ATTAINABLE = "attainable"
-_DEFAULTS = {
+_DEFAULTS: dict[str, Any] = {
     "domain": _MOVIE,
     "goals": _ATTAINABLE,
     "max_turns": 20,
     "idle_minutes": 60,
+    "joins_per_minute": 5,
+    "retention": "",
     "ask_below": {},
 }
 """Without ``sessions``: one with each agent."""
@@ -51,6 +53,8 @@ class Terms:
         goals: numbers of the domain's goals, from 1, that goal cards are drawn from.
         max_turns: messages of a person in a conversation.
         idle_minutes: after which an unfinished place is given to somebody else.
+        joins_per_minute: how many people may join in a minute.
+        retention: how long the data are kept, as the consent page says it; empty where it does not.
         ask_below: name to the confidence below which this agent asks people again, between 0
             (never) and 1; the others as their language layer does.
     """
@@ -65,6 +69,8 @@ class Terms:
     goals: tuple[int, ...]
     max_turns: int
     idle_minutes: int
+    joins_per_minute: int = _DEFAULTS["joins_per_minute"]
+    retention: str = ""
     ask_below: Mapping[str, float] = field(default_factory=dict)
 
     def text(self) -> str:
@@ -150,7 +156,7 @@ def load_study(path: str | Path) -> Study:
         faults += _goal_faults(given["goals"], attainable, len(domain.goals), sessions)
     if faults or domain is None:
         raise StudyError(str(file), faults)
-    for key in ("name", "consent"):
+    for key in ("name", "consent", "retention"):
         given[key] = given[key].strip()
     given["ask_below"] = {name: float(below) for name, below in given["ask_below"].items()}
     given |= {"pairs": tuple(map(tuple, given["pairs"])), "goals": tuple(given["goals"])}
@@ -197,6 +203,11 @@ def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[s
         "sessions": _count(100),
         "max_turns": _count(500),
         "idle_minutes": _count(10_080),
+        "joins_per_minute": _count(10_000),
+        "retention": (
+            lambda value: isinstance(value, str),
+            "be text: until when the data are kept",
+        ),
     }
     return {
         key: f"{key} must {allowed}, got {shown(given[key])}"

@@ -128,6 +128,28 @@ SESSIONS = f"""
 """
 """Selects what :meth:`Session.of` takes."""
 
+NOT_FORGOTTEN = "WHERE place >= 0"
+"""Of the table ``person``: the others are forgotten, and only their number is left."""
+
+IS_FINISHED = """NOT EXISTS (
+    SELECT 1 FROM session LEFT JOIN rating ON rating.session = session.id
+    WHERE session.person = person.id AND rating.session IS NULL
+)"""
+"""Of the table ``person``: who has rated all their conversations."""
+
+HELD = f"""
+    SELECT DISTINCT place FROM person
+    WHERE active > ? AND (
+        enrolled > ?
+        OR EXISTS (
+            SELECT 1 FROM session JOIN exchange ON exchange.session = session.id
+            WHERE session.person = person.id
+        )
+    ) OR {IS_FINISHED}
+"""
+"""Selects the places that nobody else gets; the times are the least of activity, and of enrollment
+where nothing was said yet."""
+
 
 def current(sessions: Sequence[Session]) -> Session | None:
     """Returns the first session that is not rated; ``None`` after a person's last."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.markdown import table
 from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.study.comparisons import compare_pairs
+from bbq_torchrl.study.database import PRIVATE
 from bbq_torchrl.study.export import export
 from bbq_torchrl.study.figures import draw_ratings, draw_success
 from bbq_torchrl.study.rating import RATING_RULE
@@ -40,7 +41,7 @@ def write_report(folder: Path, results: Results) -> None:
     if results.sessions:
         draw_success(folder / "success.png", results, compare_pairs(results))
         draw_ratings(folder / "ratings.png", results)
-    write_text(folder / "report.md", report_text(results))
+    write_text(folder / "report.md", report_text(results), PRIVATE)
 
 
 def report_text(results: Results) -> str:

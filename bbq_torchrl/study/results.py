@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from bbq_torchrl.study.database import reading
 from bbq_torchrl.study.plan import Terms
-from bbq_torchrl.study.records import EXCHANGES, SESSIONS, Session, StoredExchange
+from bbq_torchrl.study.records import EXCHANGES, NOT_FORGOTTEN, SESSIONS, Session, StoredExchange
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -138,7 +138,7 @@ def read_results(data: Path) -> Results:
         terms, package, simulated = connection.execute(
             "SELECT terms, package, simulated FROM study"
         ).fetchone()
-        people = connection.execute("SELECT id, token FROM person").fetchall()
+        people = connection.execute(f"SELECT id, token FROM person {NOT_FORGOTTEN}").fetchall()
         names = _names(people)
         sessions = [
             Session.of(row) for row in connection.execute(f"{SESSIONS} ORDER BY session.id")

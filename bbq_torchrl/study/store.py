@@ -17,7 +17,16 @@ import bbq_torchrl
 from bbq_torchrl.study.database import StoreError, told, writing
 from bbq_torchrl.study.design import assignments
 from bbq_torchrl.study.plan import Terms
-from bbq_torchrl.study.records import EXCHANGES, SCALES, SESSIONS, Session, StoredExchange
+from bbq_torchrl.study.records import (
+    EXCHANGES,
+    HELD,
+    IS_FINISHED,
+    NOT_FORGOTTEN,
+    SCALES,
+    SESSIONS,
+    Session,
+    StoredExchange,
+)
 
 if TYPE_CHECKING:
     import sqlite3
@@ -25,6 +34,17 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.study.talk import Reply
+
+SILENT_SECONDS = 600.0
+"""After which somebody else may have the place of who joined and said nothing."""
+
+
+class JoinRateError(RuntimeError):
+    """More people want to join than may in a minute."""
+
+
+class ForgottenError(RuntimeError):
+    """What is to be stored is of a person who is forgotten."""
 
 
 class Store:
@@ -136,21 +156,31 @@ class Store:
     def enroll(self, nonce: str) -> str | None:
         """Gives somebody a place in the design. Returns their token, ``None`` where all are taken.
 
-        A place is free until somebody has it, and again when they have left it unfinished: the
-        lowest goes first. The same nonce gets the same token.
+        A place is free until somebody has it, and again when they have left it unfinished, after
+        ten minutes if they have said nothing: the lowest goes first. The same nonce gets the same
+        token.
+
+        Raises:
+            JoinRateError: more people want to join than may in a minute.
         """
         token, now = self.key(f"person {nonce}"), self._clock()
         with self.transaction() as connection:
             known = "SELECT id FROM person WHERE token = ?"
-            if connection.execute(known, (_hashed(token),)).fetchone():
+            if connection.execute(known, (hashed(token),)).fetchone():
                 return token
-            held = {place for (place,) in connection.execute(_HELD, (self._idle_since(now),))}
+            since = self._idle_since(now), now - SILENT_SECONDS
+            held = {place for (place,) in connection.execute(HELD, since)}
             free = (place for place in range(self._terms.participants) if place not in held)
             if (place := next(free, None)) is None:
                 return None
+            # Up to now: after a clock was set back, nobody is of the last minute.
+            recent = "SELECT COUNT(*) FROM person WHERE enrolled > ? AND enrolled <= ?"
+            [joined] = connection.execute(recent, (now - 60, now)).fetchone()
+            if joined >= self._terms.joins_per_minute:
+                raise JoinRateError
             person = connection.execute(
                 "INSERT INTO person (token, place, enrolled, active) VALUES (?, ?, ?, ?)",
-                (_hashed(token), place, now, now),
+                (hashed(token), place, now, now),
             ).lastrowid
             terms = self._terms
             plan = assignments(
@@ -165,7 +195,7 @@ class Store:
     def sessions(self, token: str) -> list[Session]:
         """Returns the sessions of the person who has the token, none if nobody has."""
         whose = "WHERE person = (SELECT id FROM person WHERE token = ?) ORDER BY position"
-        return list(map(Session.of, self.rows(f"{SESSIONS} {whose}", _hashed(token))))
+        return list(map(Session.of, self.rows(f"{SESSIONS} {whose}", hashed(token))))
 
     def _idle_since(self, now: float) -> float:
         return now - 60 * self._terms.idle_minutes
@@ -216,14 +246,18 @@ class Store:
 
     @contextmanager
     def _step(self, session: Session) -> Iterator[tuple[sqlite3.Connection, float]]:
-        """Runs a block as one transaction, at the time of which the person is at work."""
+        """Runs a block as one transaction, at the time of which the person is at work.
+
+        Raises:
+            ForgottenError: the person is forgotten; another's session may have the id by now.
+        """
         with self.transaction() as connection:
-            now = self._clock()
+            now, whose = self._clock(), (session.id, session.person)
+            known = "SELECT 1 FROM session WHERE id = ? AND person = ?"
+            if connection.execute(known, whose).fetchone() is None:
+                raise ForgottenError
             yield connection, now
-            whose = "(SELECT person FROM session WHERE id = ?)"
-            connection.execute(
-                f"UPDATE person SET active = ? WHERE id = {whose}", (now, session.id)
-            )
+            connection.execute("UPDATE person SET active = ? WHERE id = ?", (now, session.person))
 
     # -- ratings -----------------------------------------------------------------------------------
 
@@ -250,7 +284,7 @@ class Store:
             ``left``; and all sessions.
         """
         rows = self.rows(f"{SESSIONS} ORDER BY person, position")
-        query = f"SELECT active > ?, {_IS_FINISHED} FROM person"
+        query = f"SELECT active > ?, {IS_FINISHED} FROM person {NOT_FORGOTTEN}"
         people = self.rows(query, self._idle_since(self._clock()))
         finished = sum(done for _, done in people)
         active = sum(recent and not done for recent, done in people)
@@ -269,13 +303,6 @@ class Store:
         return Session.of(rows[0]) if rows else None
 
 
-_IS_FINISHED = """NOT EXISTS (
-    SELECT 1 FROM session LEFT JOIN rating ON rating.session = session.id
-    WHERE session.person = person.id AND rating.session IS NULL
-)"""
-_HELD = f"SELECT DISTINCT place FROM person WHERE active > ? OR {_IS_FINISHED}"
-
-
 def _end(
     connection: sqlite3.Connection,
     session: int,
@@ -290,14 +317,15 @@ def _end(
     )
 
 
-def _hashed(token: str) -> str:
-    """What is stored of a token: who reads the file learns no link."""
+def hashed(token: str) -> str:
+    """Returns what is stored of a token: who reads the file learns no link."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 
 def _changed(old: Terms, new: Terms) -> list[str]:
-    """Returns what differs beyond the number of people, which may change."""
-    same = asdict(replace(new, participants=old.participants))
+    """Returns what differs beyond the numbers of people, which may change."""
+    joins = old.joins_per_minute
+    same = asdict(replace(new, participants=old.participants, joins_per_minute=joins))
     # As text: the order of the agents counts too.
     return [
         f"the study file says another {key} than at the start"

@@ -22,6 +22,7 @@ from bbq_torchrl.study.database import StoreError
 from bbq_torchrl.study.guard import Guard
 from bbq_torchrl.study.outcome import card
 from bbq_torchrl.study.records import current
+from bbq_torchrl.study.store import ForgottenError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -122,6 +123,9 @@ class _Pages:
             take(token, form)
         except RefusedError as error:
             return self._page(token, error.status, str(error), form)
+        except ForgottenError:
+            text = "All that you wrote here is deleted, and your link leads nowhere any more."
+            return self.message(HTTPStatus.GONE, text)
         except StoreError:
             _log.exception("a step could not be stored")
             status = HTTPStatus.SERVICE_UNAVAILABLE
@@ -145,6 +149,8 @@ class _Pages:
     ) -> Response:
         """Returns the page of what the person does next."""
         sessions, form = self._store.sessions(token), form or {}
+        if not sessions:  # forgotten by now
+            raise HTTPException(HTTPStatus.NOT_FOUND)
         if (session := current(sessions)) is None:
             return self._html("done", status, problem=problem)
         # A text that was refused is kept, one of an earlier conversation is not.
@@ -240,6 +246,7 @@ class _Pages:
             problem=problem,
             paragraphs=paragraphs,
             sessions=terms.sessions,
+            retention=terms.retention,
             nonce=_new_nonce(),
         )
 

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import re
+from contextlib import closing
+from dataclasses import replace
 from html import escape
 from urllib.parse import urlencode
 
 import pytest
+from starlette.testclient import TestClient
 
 from bbq_torchrl.study.records import SCALES
+from bbq_torchrl.study.store import Store
+from bbq_torchrl.study.web import JOIN, application
 
 from .conftest import RATED
-from .fakes import script
+from .fakes import FakeTalker, prints, script
 
 HOSTILE = (
     "<script>alert(1)</script>",
@@ -185,6 +190,30 @@ def test_who_consents_is_enrolled_once(site):
     links = {str(site.client.post(site.join, data={**form, "consent": "yes"}).url) for _ in "12"}
     assert len(links) == 1
     assert site.store.progress()[0]["enrolled"] == 1
+
+
+@pytest.mark.parametrize("retention", ["", "until the end of 2027"])
+def test_the_consent_page_tells_what_is_stored_for_how_long_and_how_it_is_deleted(study, retention):
+    store = Store(study.data, terms := replace(study.terms, retention=retention), prints(study))
+    app = application(replace(study, terms=terms), store, FakeTalker(study.domain))
+    with closing(store), TestClient(app) as client:
+        page = client.get(f"/join/{store.key(JOIN)}").text
+    assert "Stored are what you write" in page
+    assert "deleted, send them your own link" in page
+    kept = "They are kept until the end of 2027." if retention else "know how long they are kept"
+    assert kept in page
+
+
+def test_who_wants_to_join_with_too_many_is_told_to_wait(site):
+    site.store._terms = replace(site.study.terms, joins_per_minute=1)
+    site.enroll()
+    form = site.form(site.join, consent="yes")
+    page = site.client.post(site.join, data=form)
+    assert page.status_code == 429
+    assert "Please begin again in a minute." in page.text
+    assert "<button>Begin</button>" in page.text
+    site.store.rows("UPDATE person SET enrolled = enrolled - 60")
+    assert "/p/" in str(site.client.post(site.join, data=form).url)
 
 
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):

@@ -81,6 +81,8 @@ def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
         ({"sessions": "3"}, "sessions must be a multiple of the number of agents (2)"),
         ({"max_turns": "none"}, "max_turns must be a whole number between 1 and 500, got 'none'"),
         ({"idle_minutes": "-1"}, "idle_minutes must be a whole number between 1 and 10080, got -1"),
+        ({"joins_per_minute": "0"}, "joins_per_minute must be a whole number between 1 and 10000"),
+        ({"retention": "2027-12-31"}, "retention must be text: until when the data are kept, got"),
         ({"goals": "[0]"}, "goals must be attainable or a list of numbers between 1 and"),
         ({"goals": "[1, 1]"}, "goals must be distinct and at least as many as sessions (2)"),
         ({"domain": "nowhere"}, "domain must be movie or a domain's folder: "),

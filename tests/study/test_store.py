@@ -12,7 +12,7 @@ import pytest
 import bbq_torchrl
 from bbq_torchrl.study.database import StoreError, reading
 from bbq_torchrl.study.records import SCALES, current
-from bbq_torchrl.study.store import Store
+from bbq_torchrl.study.store import JoinRateError, Store
 
 from .fakes import FakeTalker, prints
 
@@ -80,20 +80,22 @@ def test_what_is_another_study_is_refused_all_at_once_but_more_people_are_welcom
         "the weights of agent 'secret-dqn' are not those the study was begun with",
     ]
     assert [fault.partition(" (a study goes on")[0] for fault in error.value.faults] == faults
-    open_store(replace(study.terms, participants=50))
+    open_store(replace(study.terms, participants=50, joins_per_minute=1))
 
 
 def test_places_are_given_out_in_order_and_again_when_left(open_store, study, clock):
     store = open_store()
     tokens = [store.enroll(nonce) for nonce in NONCES[:5]]
+    reply = FakeTalker(study.domain).reply("secret-dqn", None, "hello", 0)
+    for token in tokens:
+        store.add_exchange(current(store.sessions(token)), 1, NONCES[7], "hello", reply, None)
     assert store.enroll(NONCES[5]) is None
     clock.now += 60 * study.terms.idle_minutes - 1
     assert store.enroll(NONCES[5]) is None
     clock.now += 1
     # Three people are at work: one talks, one ends, one rates.
     says, ends, rates = (current(store.sessions(token)) for token in tokens[1:4])
-    reply = FakeTalker(study.domain).reply("secret-dqn", None, "hello", 0)
-    store.add_exchange(says, 1, NONCES[7], "hello", reply, None)
+    store.add_exchange(says, 2, NONCES[6], "hello", reply, None)
     store.end(ends, "person", ())
     store.rate(rates, NONCES[8], dict.fromkeys(SCALES, 3), True)
     clock.now += 1
@@ -105,6 +107,28 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
         for token in (tokens[0], later)
     ]
     assert plans[0] == plans[1]
+
+
+def test_who_joins_and_says_nothing_has_a_place_for_ten_minutes(open_store, study, clock):
+    store = open_store(replace(study.terms, participants=1))
+    silent = store.enroll(NONCES[0])
+    clock.now += 599
+    assert store.enroll(NONCES[1]) is None
+    clock.now += 1
+    assert store.enroll(NONCES[1]) is not None
+    assert store.sessions(silent) != []  # who comes back late goes on all the same
+
+
+def test_no_more_people_join_in_a_minute_than_the_study_allows(open_store, study, clock):
+    store = open_store(replace(study.terms, participants=100, joins_per_minute=3))
+    first = [store.enroll(nonce) for nonce in NONCES[:3]]
+    with pytest.raises(JoinRateError):
+        store.enroll(NONCES[3])
+    assert [store.enroll(nonce) for nonce in NONCES[:3]] == first
+    clock.now += 60
+    assert store.enroll(NONCES[3]) is not None
+    clock.now -= 86_400  # a clock of yesterday locks nobody out
+    assert store.enroll(NONCES[4]) is not None
 
 
 def test_who_has_finished_keeps_their_place(open_store, study, clock):
