@@ -53,7 +53,7 @@ def listen() -> None:
 
 
 def end_with_parent() -> None:
-    """Has a worker of a sweep end, at once, when the process that started it has ended.
+    """Ends a worker of a sweep as soon as the process that started it has ended.
 
     A parent that is killed (SIGKILL, out of memory) stops no worker: it would train for nobody, and
     keep the same command out of its run folder. Elsewhere, and once it is so, it does nothing.

@@ -53,7 +53,7 @@ def write(text: str) -> None:
 
 
 def escape() -> None:
-    """Has standard output escape what its encoding lacks, such as ±, as standard error does."""
+    """Escapes on standard output what its encoding lacks, such as ±, as standard error does."""
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
 

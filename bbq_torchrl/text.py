@@ -50,7 +50,7 @@ class FaultsError(ValueError):
 
 
 def conceal_environment(text: str) -> None:
-    """Has no error show what the environment variables hold that a text refers to.
+    """Hides from errors the values of the environment variables that a text refers to.
 
     Where ``${oc.env:NAME}`` is written, somebody may keep a secret out of the command line. From
     then on errors have the reference in the place of the value, if that has four characters or

@@ -124,7 +124,7 @@ def prepare_sweep(hydra_session: Any, overrides: Sequence[str]) -> Sweep:
 
 
 def tell_no_job() -> None:
-    """Has Hydra raise what ends a job, and not print it: the sweep ends by a line of its own."""
+    """Makes Hydra raise what ends a job without printing it: the sweep prints one line itself."""
     os.environ[FULL_ERROR] = "1"
 
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.hooks import RoundCallback
 
 TRIED = 500
-"""How many dialogues a scripted policy plays at most before it is said never to succeed."""
+"""The most dialogues that a scripted policy plays before it counts as one that never succeeds."""
 
 
 class Agent(NamedTuple):

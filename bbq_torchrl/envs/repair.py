@@ -18,10 +18,10 @@ MEMORY = "memory"
 """The entry that carries the policy's memory from turn to turn."""
 
 MOST_CONFIRMS = 12
-"""How often the user is asked to continue."""
+"""The most times the user is asked to continue."""
 
 MOST_OFFERS = 3
-"""How often a booking is offered."""
+"""The most offers of a booking."""
 
 
 class RepairPolicy(TensorDictModuleBase):

@@ -48,7 +48,7 @@ class EnvState(Transform):
         return {} if container is None else dict(container.base_env.state_dict())
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Has the environment load what :meth:`get_extra_state` returned."""
+        """Loads what :meth:`get_extra_state` returned into the environment."""
         if self.container is not None:
             self.container.base_env.load_state_dict(state)
 

@@ -156,7 +156,7 @@ def read_groups(folders: Sequence[Path]) -> list[Group]:
 
 
 def know_commits(groups: Sequence[Group]) -> bool:
-    """Whether any of the runs knows the commit of its code."""
+    """Returns True if any of the runs knows the commit of its code."""
     return any(replica.result.commit for group in groups for replica in group.replicas)
 
 

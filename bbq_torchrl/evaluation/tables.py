@@ -95,7 +95,7 @@ class Report:
 
     @property
     def body(self) -> str:
-        """What is below the heading, as Markdown; last the commits of the code, where known."""
+        """The report below its heading, as Markdown; last the commits of the code, where known."""
         return "\n\n".join(filter(None, map(str, (*self.parts, commits_text(self.groups)))))
 
     def __str__(self) -> str:

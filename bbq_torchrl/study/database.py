@@ -76,7 +76,7 @@ CREATE TABLE rating (
 """
 
 BESIDE = ("-wal", "-shm", "-journal")
-"""How files end that SQLite keeps beside a study's."""
+"""Endings of the files that SQLite keeps next to a study's."""
 
 PRIVATE = 0o600
 """Mode of all files of a study: they hold what people wrote, and the secret behind all links."""

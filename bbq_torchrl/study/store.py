@@ -44,7 +44,7 @@ class JoinRateError(RuntimeError):
 
 
 class ForgottenError(RuntimeError):
-    """What is to be stored is of a person who is forgotten."""
+    """The person whose words are to be stored has been forgotten."""
 
 
 class Store:

@@ -1,4 +1,4 @@
-"""What runs on a device: the same training as on the CPU, host synchronizations, and times."""
+"""Checks and times of a device: the CPU's training again, host synchronizations, seconds."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ERROR = 1e-3
 
 
 class DeviceSizes(NamedTuple):
-    """How much is measured.
+    """Amounts that are measured.
 
     Attributes:
         rounds: trained on both devices.

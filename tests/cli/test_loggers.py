@@ -1,4 +1,4 @@
-"""Runs of one process that log: each is a run of its own, with configuration, rounds and result."""
+"""Several logged runs in one process stay separate, each with configuration, rounds and result."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RUN = ["agent=dqn", *TINY, "replicas=2"]
 
 @dataclass
 class Logged:
-    """What a logger has of a run: its configuration, its rounds in order, and its result."""
+    """A run as a logger has it: its configuration, its rounds in order, and its result."""
 
     config: dict = field(default_factory=dict)
     rounds: list = field(default_factory=list)

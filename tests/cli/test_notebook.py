@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("without_curves")
 
 
 def of_the_process():
-    """What a training must leave as it was."""
+    """The global state that a training must leave as it was."""
     return {
         "signals": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)],
         "arguments": list(sys.argv),

@@ -33,7 +33,7 @@ def parallel(make):
 
 
 def in_forked(count, call):
-    """What a function returns in each of several forked processes."""
+    """Results of a function in each of several forked processes."""
     context = multiprocessing.get_context("fork")
     queues = [context.SimpleQueue() for _ in range(count)]
     workers = [context.Process(target=lambda q=queue: q.put(call())) for queue in queues]

@@ -30,7 +30,7 @@ def saved(state, tmp_path):
 
 
 def played(env, told, turns=30):
-    """What is told of a number of turns, dialogue after dialogue, by actions of one seed."""
+    """Observations of a number of turns, dialogue after dialogue, by actions of one seed."""
     torch.manual_seed(0)
     found = []
     for _ in range(turns):

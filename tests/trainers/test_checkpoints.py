@@ -118,7 +118,7 @@ def of_round(number):
 
 
 def compressed(path):
-    """What is small as a file can be as large as anybody likes once it is unpacked."""
+    """A small file can be as large as anybody likes once it is unpacked."""
     with zipfile.ZipFile(path) as old:
         members = {name: old.read(name) for name in old.namelist()}
     members[f"{NETWORK}/state/tensor_00000001.memmap"] = bytes(10_000_000)
