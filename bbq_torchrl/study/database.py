@@ -161,7 +161,7 @@ def _existing(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
     with (
         told(path),
         closing(
-            sqlite3.connect(address, BUSY_SECONDS, uri=True, isolation_level=None)
+            sqlite3.connect(address, timeout=BUSY_SECONDS, uri=True, isolation_level=None)
         ) as connection,
     ):
         if not _check(path, connection):
