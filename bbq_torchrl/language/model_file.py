@@ -51,7 +51,8 @@ def write_model(path: Path, about: Mapping[str, Any], arrays: Mapping[str, np.nd
     text = json.dumps({"version": VERSION, **about}, ensure_ascii=False).encode()
     whole = {"about": np.frombuffer(text, dtype=np.uint8), **arrays}
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **whole, checksum=_checksum(whole))
+    # Not allow_pickle=False: NumPy 1.26 would store it as one more array.
+    np.savez_compressed(buffer, **whole, checksum=_checksum(whole))  # type: ignore[arg-type]
     write_bytes(path, buffer.getvalue())
 
 
