@@ -2,7 +2,7 @@
 
     python benchmarks/gpu.py                 on cuda; writes results/gpu.csv
     python benchmarks/gpu.py --parts same host
-    python benchmarks/gpu.py --device cpu --tiny --file /tmp/gpu.csv    checks the benchmark itself
+    python benchmarks/gpu.py --device cpu --tiny --file gpu.csv    checks the benchmark itself
 
 That a training on the device equals one on the CPU is checked by drawing all random numbers of both
 on the CPU. What the time does not reach is named and left out.
