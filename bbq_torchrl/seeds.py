@@ -52,7 +52,7 @@ def checked_seed(seed: SupportsIndex) -> int:
 def derive_seed(seed: SupportsIndex, *path: str | SupportsIndex) -> int:
     """Returns the seed of one phase of a run, in [0, 2**63): a hash of the run's seed and a path.
 
-    A phase that starts from a seed of its own does not depend on how many random numbers the
+    A phase that starts from a separate seed does not depend on how many random numbers the
     phases before it used: a replica whose dialogues or epochs are shorter shifts nobody's draws,
     and a resumed run needs no generator's state.
 

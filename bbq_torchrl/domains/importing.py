@@ -160,7 +160,7 @@ def import_corpus(
 
     Raises:
         FileNotFoundError: if a file is missing.
-        ValueError: if a file is damaged, an argument names a slot that is none, the folder has
+        ValueError: if a file is damaged, an argument names an unknown slot, the folder has
             files, or nothing is left of the corpus.
     """
     folder = Path(folder)

@@ -103,7 +103,7 @@ class BootstrapSampling(_OnHeads):
     Keyword Args:
         per: how long a head is acted on. "step": one action. "episode" (the paper): until the
             row's next ``init_key``. "round": until :meth:`resample`, or until the weights change: a
-            collector with processes of its own draws anew whenever it syncs new weights. Defaults
+            collector with worker processes draws anew whenever it syncs new weights. Defaults
             to "episode".
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
             ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to

@@ -40,7 +40,7 @@ class ThompsonSampling(ActorPolicy):
         per: how long a draw is acted on. "step" (the paper): one action. "episode": until the
             row's next ``init_key``; an episode under way keeps its draw while the weights are
             learned or synced. "round": until :meth:`resample`, or until the weights change: a
-            collector with processes of its own draws anew whenever it syncs new weights. Defaults
+            collector with worker processes draws anew whenever it syncs new weights. Defaults
             to "step".
         shared: whether the rows of a batch act on one draw (each replica has its
             own) or each on its own. One shared draw makes 50 episodes side by side one
