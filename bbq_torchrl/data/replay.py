@@ -20,7 +20,7 @@ from bbq_torchrl.data.rows import (
 )
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
-from bbq_torchrl.hooks import modules_with
+from bbq_torchrl.protocols import modules_with
 from bbq_torchrl.seeds import checked_seed
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import torch
 
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.protocols import provides
 
 if TYPE_CHECKING:
     from torch import Tensor

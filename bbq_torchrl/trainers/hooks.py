@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.protocols import provides
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

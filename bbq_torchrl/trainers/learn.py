@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.protocols import provides
 from bbq_torchrl.objectives.hooks import BeginsEpochs, FixedTargets, UsesNumData
 from bbq_torchrl.trainers.errors import TrainingError
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.exploration.hooks import Annealed, Resampled
-from bbq_torchrl.hooks import modules_with
+from bbq_torchrl.protocols import modules_with
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.seeds import derive_seed
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder

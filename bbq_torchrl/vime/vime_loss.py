@@ -9,7 +9,7 @@ from tensordict.nn import dispatch
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.protocols import provides
 from bbq_torchrl.objectives.hooks import BeginsEpochs, UsesNumData
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from trainer_parts import TURNS, GuessEnv, random_policy
 from bbq_torchrl.data import TRANSITION_KEYS, BootstrapMask
 from bbq_torchrl.data.hooks import Measured, Seeded
 from bbq_torchrl.exploration.hooks import Annealed, Resampled
-from bbq_torchrl.hooks import modules_with, provides
+from bbq_torchrl.protocols import modules_with, provides
 from bbq_torchrl.trainers import RoundEnv, episode_stats, rollout, rollouts
 from bbq_torchrl.trainers.collect import rows_per_replica
 
