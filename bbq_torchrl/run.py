@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
-    from bbq_torchrl.trainers.hooks import RoundCallback
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 _LOG = logging.getLogger(__name__)
 

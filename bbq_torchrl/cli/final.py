@@ -19,8 +19,8 @@ from bbq_torchrl.evaluation.results import (
 )
 from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
-from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from pathlib import Path

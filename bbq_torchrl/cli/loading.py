@@ -9,10 +9,10 @@ from bbq_torchrl.cli.resume import description, run_config
 from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
+from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.shipped import is_shipped, run_folder
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
-from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config, EvaluateConfig, Option
     from bbq_torchrl.trainers import ReplicaOptimizer
-    from bbq_torchrl.trainers.hooks import RoundCallback
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 TRIED = 500
 """The most dialogues that a scripted policy plays before it counts as one that never succeeds."""

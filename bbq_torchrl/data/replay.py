@@ -10,7 +10,6 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
 
-from bbq_torchrl.data.hooks import Measured, Seeded
 from bbq_torchrl.data.rows import (
     Batch,
     gather_rows,
@@ -20,7 +19,7 @@ from bbq_torchrl.data.rows import (
 )
 from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
-from bbq_torchrl.protocols import modules_with
+from bbq_torchrl.protocols import Measured, Seeded, modules_with
 from bbq_torchrl.seeds import checked_seed
 
 if TYPE_CHECKING:
@@ -66,7 +65,8 @@ class ReplicaReplay:
         transform: as in TorchRL's replay buffers: ``transform.inv`` runs on rows when they are
             stored, and what it adds (its ``out_keys_inv``) is stored with them; ``transform`` runs
             on an epoch's rows when they are read. Both see batch size [replicas, rows] with the
-            entry ``valid``. What its modules may have besides is in :mod:`bbq_torchrl.data.hooks`.
+            entry ``valid``. Optional methods of its modules are in
+            :mod:`bbq_torchrl.protocols`.
         device: where the transitions are kept. Defaults to ``"cpu"``.
 
     Attributes:

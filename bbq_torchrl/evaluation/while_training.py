@@ -7,8 +7,8 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.rollouts import evaluate
+from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.trainers import BestWeights, derive_seed
-from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

@@ -9,8 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 from bbq_torchrl.bayes.settings import check_choice
-from bbq_torchrl.exploration.hooks import Resampled
-from bbq_torchrl.protocols import provides
+from bbq_torchrl.protocols import Resampled, provides
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -119,7 +119,7 @@ class BootstrapMLP(nn.Module):
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inactive inputs to 0, the priors' too.
 
-        See :class:`bbq_torchrl.networks.growth.Growing`.
+        See :class:`bbq_torchrl.protocols.Growing`.
         """
         layout = self.trunk_layout or self.head_layout
         flats: tuple[Tensor | None, ...] = (self.heads, self.prior_heads)

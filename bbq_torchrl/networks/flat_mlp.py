@@ -72,7 +72,7 @@ class FlatMLP(nn.Module):
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inactive inputs to 0.
 
-        See :class:`bbq_torchrl.networks.growth.Growing`.
+        See :class:`bbq_torchrl.protocols.Growing`.
         """
         self.layout.unflatten(self.weight)[0][0][..., inputs, :] = 0
 

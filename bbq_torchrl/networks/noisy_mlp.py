@@ -181,7 +181,7 @@ class NoisyMLP(nn.Module):
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets μ and σ of the weights of inactive inputs to 0.
 
-        See :class:`bbq_torchrl.networks.growth.Growing`.
+        See :class:`bbq_torchrl.protocols.Growing`.
         """
         first = noisy_layers(self)[0]
         first.weight_mu[..., inputs] = 0

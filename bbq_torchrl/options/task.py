@@ -50,7 +50,7 @@ class Task:
         """Starts weights of what is not active yet as if it were added only later.
 
         See :func:`~bbq_torchrl.networks.growth.reset_inactive_`, and what a network of your own
-        needs for it at :class:`~bbq_torchrl.networks.growth.Growing`.
+        needs for it at :class:`~bbq_torchrl.protocols.Growing`.
         """
         from bbq_torchrl.networks.growth import reset_inactive_
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bbq_torchrl.protocols import provides
-from bbq_torchrl.objectives.hooks import BeginsEpochs, FixedTargets, UsesNumData
+from bbq_torchrl.protocols import BeginsEpochs, FixedTargets, UsesNumData, provides
 from bbq_torchrl.trainers.errors import TrainingError
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from torchrl.objectives.utils import TargetNetUpdater
 
     from bbq_torchrl.data import Batch, ReplicaReplay
-    from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
+    from bbq_torchrl.protocols import ReplicaOptimizer
 
 _AT_ONCE = 64
 
@@ -136,8 +135,8 @@ class Learner:
     """Learns from the buffers of R replicas: freeze, some epochs, freeze again, some epochs.
 
     Args:
-        loss: see :class:`~bbq_torchrl.trainers.RoundTrainer`; what else it may have is in
-            :mod:`bbq_torchrl.objectives.hooks`.
+        loss: see :class:`~bbq_torchrl.trainers.RoundTrainer`; its optional methods are in
+            :mod:`bbq_torchrl.protocols`.
         replay: the buffers.
         optimizer: of the loss's parameters.
         target_updater: ``.step()`` freezes the target.

@@ -9,8 +9,7 @@ from tensordict.nn import dispatch
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
-from bbq_torchrl.protocols import provides
-from bbq_torchrl.objectives.hooks import BeginsEpochs, UsesNumData
+from bbq_torchrl.protocols import BeginsEpochs, UsesNumData, provides
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
