@@ -104,7 +104,7 @@ def _run(
         )
         _tell_of_evaluations(config)
         if domain is not None:
-            _tell_of_domain(domain, config.env.never(domain))
+            _tell_of_domain(domain, config.env.inactive_slots(domain))
         if spiking is not None and config.spike.policy is None and config.resume is None:
             _LOG.info("spiking with the policy %s, the first that succeeds", spiking)
         with interruption.gently(trainer.stop):

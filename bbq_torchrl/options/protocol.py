@@ -1,12 +1,11 @@
-"""The options of ``protocol=``: how long and in which steps an agent trains and is measured."""
+"""The options of ``protocol=``: the length and the steps of training and evaluation."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from bbq_torchrl.options.base import Option
+from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.settings import (
     BATCH,
     COUNT,
@@ -16,29 +15,18 @@ from bbq_torchrl.options.settings import (
     ConfigError,
     integers,
     one_of,
+    option,
     optional,
+    other_default,
     setting,
 )
 
-if TYPE_CHECKING:
-    from bbq_torchrl.options.root import Config
-
-
-__all__ = ["ProtocolOption"]
-
 STORED = integers(1, 10**6)  # transitions, or outcomes of dialogues, of a replica
-
-FIXED_ROWS = 200
-"""What a step of dialogues side by side, or an update, costs before its rows, in rows.
-
-Measured on a CPU core for BBQN and DQN, batches of 32 and 128, 50 to 1,000 dialogues, one and five
-replicas: with this, the time of a step or update per row is within a factor of two of its mean.
-"""
 
 
 @dataclass
 class ProtocolOption(Option):
-    """How long and in which steps an agent trains and is measured."""
+    """The length and the steps of an agent's training and evaluation."""
 
     group: ClassVar[str] = "protocol"
 
@@ -94,8 +82,8 @@ class ProtocolOption(Option):
         """
         return min(dialogues, max(1, self.eval_batch // replicas))
 
-    def check(self, config: Config) -> None:
-        """Refuses settings that contradict each other, and long evaluations."""
+    def check(self) -> None:
+        """Refuses settings that contradict each other."""
         if self.capacity < self.batch_size:
             raise ConfigError(
                 f"protocol.capacity must be at least protocol.batch_size ({self.batch_size}), "
@@ -124,39 +112,27 @@ class ProtocolOption(Option):
                 f"protocol.lr_decay_from must be below 1 with protocol.lr_final={self.lr_final}: "
                 "no round would be left in which step sizes fall"
             )
-        _check_evaluation(config)
 
 
-def _check_evaluation(config: Config) -> None:
-    """Refuses evaluations that would take longer than the rounds between them.
+@register
+@dataclass
+class PaperProtocol(ProtocolOption):
+    """The paper's protocol."""
 
-    Both sides are counted, not timed: every step of the dialogues that are played side by side, and
-    every update, counts 200 plus its rows (dialogues or transitions, of all replicas). Dialogues
-    are taken to be as long as they may be, and the buffer as full as it gets.
+    name: str = option("paper")
 
-    Raises:
-        ConfigError: with the numbers, and what would do.
-    """
-    protocol, replicas = config.protocol, config.replicas
-    if not protocol.eval_every or protocol.eval_every > protocol.rounds:
-        return
-    turns = config.env.steps()
-    dialogues = protocol.eval_every_dialogues
-    places = protocol.places(dialogues, replicas)
-    evaluation = math.ceil(dialogues / places) * turns * (FIXED_ROWS + replicas * places)
-    stored = (config.spike.dialogues + protocol.rounds * protocol.dialogues) * turns
-    updates = protocol.updates_per_round
-    if updates is None:
-        batches = math.ceil(min(protocol.capacity, stored) / protocol.batch_size)
-        updates = protocol.freezes * protocol.epochs * batches
-    a_round = turns * (FIXED_ROWS + replicas * protocol.dialogues)
-    a_round += updates * (FIXED_ROWS + replicas * protocol.batch_size)
-    if evaluation <= protocol.eval_every * a_round:
-        return
-    raise ConfigError(
-        f"protocol.eval_every must be 0 or at least {math.ceil(evaluation / a_round)} with "
-        f"protocol.eval_every_dialogues={dialogues}, got {protocol.eval_every}: an evaluation "
-        f"would take longer than the training between two ({evaluation:,} against "
-        f"{protocol.eval_every * a_round:,}, where a step or an update counts {FIXED_ROWS} and its "
-        "rows)"
-    )
+
+@register
+@dataclass
+class QuickProtocol(ProtocolOption):
+    """A minute on one core: fewer rounds, larger batches, a smaller buffer; it learns to book."""
+
+    name: str = option("quick")
+    rounds: int = other_default(ProtocolOption, "rounds", 40)
+    batch_size: int = other_default(ProtocolOption, "batch_size", 128)
+    lr: float = other_default(ProtocolOption, "lr", 2e-3)
+    epochs: int = other_default(ProtocolOption, "epochs", 3)
+    capacity: int = other_default(ProtocolOption, "capacity", 5_000)
+    eval_dialogues: int = other_default(ProtocolOption, "eval_dialogues", 2_000)
+    eval_batch: int = other_default(ProtocolOption, "eval_batch", 2_000)
+    eval_every_dialogues: int = other_default(ProtocolOption, "eval_every_dialogues", 150)

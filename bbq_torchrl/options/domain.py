@@ -1,15 +1,60 @@
-"""``domain=miulab``: the public files."""
+"""The options of ``domain=``: the subject of the dialogues."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options import DomainOption, register
+from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, option, setting
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
+
+
+@dataclass
+class DomainOption(Option):
+    """The subject of the dialogues."""
+
+    group: ClassVar[str] = "domain"
+
+    @abstractmethod
+    def make(self) -> Domain:
+        """Loads the domain.
+
+        Raises:
+            ValueError or OSError: the corpus is damaged or not there.
+        """
+
+
+@register
+@dataclass
+class MovieDomain(DomainOption):
+    """The movie-booking corpus that ships with the package."""
+
+    name: str = option("movie")
+
+    def make(self) -> Domain:
+        """Loads it."""
+        from bbq_torchrl.domains import movie_domain
+
+        return movie_domain()
+
+
+@register
+@dataclass
+class FolderDomain(DomainOption):
+    """A domain folder: domain.yaml, knowledge_base.csv, goals.jsonl, values.json."""
+
+    name: str = option("folder")
+    path: str = setting(REQUIRED, ANY_TEXT, "the folder")
+
+    def make(self) -> Domain:
+        """Loads and validates it."""
+        from bbq_torchrl.domains import load_domain
+
+        return load_domain(self.path)
 
 
 @register

@@ -1,33 +1,118 @@
-"""``env=full``: dialogues with simulated users."""
+"""The options of ``env=``: simulated users, or another environment."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options import ConfigError, EnvOption, register
+from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.settings import (
     BOOLEAN,
+    COUNT,
+    NON_NEGATIVE_INTEGER,
     PROBABILITY,
     REWARD,
+    ConfigError,
     integers,
     one_of,
     option,
     optional,
+    other_default,
     setting,
 )
+from bbq_torchrl.options.task import action_mask_key
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import torch
     from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
-    from bbq_torchrl.options import Config
     from bbq_torchrl.simulator import Channel
+
+
+@dataclass
+class EnvOption(Option):
+    """An environment that the agent acts in.
+
+    What it makes is an ``EnvBase`` of batch size [replicas, episodes] whose specs have
+    ``observation`` (one dimension of floats), a categorical or one-hot ``action``, and
+    ``action_mask`` if not all actions are always legal. It writes ``("next", "success")``, bool
+    [replicas, episodes, 1], which says that an episode has ended well. Where it is a
+    :class:`~bbq_torchrl.protocols.RoundEnv`, it enters every round.
+
+    Attributes:
+        has_domain: whether ``domain=`` is about it.
+        extends: whether features or actions come into use only in later rounds.
+    """
+
+    group: ClassVar[str] = "env"
+
+    paper_rounds: int = setting(400, COUNT, "rounds of training in the paper")
+
+    has_domain: ClassVar[bool] = False
+    extends: ClassVar[bool] = False
+
+    @abstractmethod
+    def make(
+        self,
+        domain: Domain | None,
+        batch_size: Sequence[int],
+        *,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+    ) -> EnvBase:
+        """Makes the environment.
+
+        Args:
+            domain: what the dialogues are about; None without :attr:`has_domain`.
+            batch_size: such as [replicas, episodes].
+            seed: of everything random in it.
+            device: where it is.
+        """
+
+    @abstractmethod
+    def steps(self) -> int:
+        """Returns how many steps an episode lasts at most."""
+
+    def policies(self, domain: Domain | None) -> tuple[str, ...]:
+        """Returns the names of the scripted policies; there is also ``random``."""
+        return ()
+
+    def references(self, domain: Domain | None) -> tuple[str, ...]:
+        """Returns the names of the privileged policies: they read what no agent is shown.
+
+        They are an upper bound for agents, and are shown next to them in results and figures.
+        """
+        return ()
+
+    def make_policy(self, name: str, env: EnvBase) -> TensorDictModuleBase:
+        """Makes a scripted policy, a privileged one, or the random one."""
+        from torchrl.envs.utils import RandomPolicy
+
+        from bbq_torchrl.envs import UniformPolicy as RandomLegalPolicy
+
+        return RandomLegalPolicy() if action_mask_key(env) else RandomPolicy(env.action_spec)
+
+    def check_domain(self, domain: Domain | None) -> None:
+        """Raises ValueError for a domain that cannot be played in."""
+
+    def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor] | None:
+        """Returns which features and which actions come into use later (bool), or None."""
+        return None
+
+    def inactive_slots(self, domain: Domain | None) -> set[str]:
+        """Returns the slots that no round activates."""
+        return set()
+
+    def additions(self, domain: Domain | None) -> dict[int, str]:
+        """Returns the slot that each round adds, by round."""
+        return {}
 
 
 @register
@@ -71,21 +156,8 @@ class FullDomain(EnvOption):
 
     has_domain: ClassVar[bool] = True
 
-    def check(self, config: Config) -> None:
-        """Refuses sentences in training, and errors of two kinds."""
-        self._check_errors()
-        if self.level == "text":
-            raise ConfigError(
-                "env.level must be act in training, got 'text': sentences are too slow for it; "
-                "env.errors=measured has the errors that were counted at that level"
-            )
-
-    def _check_errors(self) -> None:
-        """Refuses keys of errors that would not be used.
-
-        Raises:
-            ConfigError: with the first of them.
-        """
+    def check(self) -> None:
+        """Refuses keys of errors that would not be used."""
         is_text = self.level == "text"
         if is_text and self.errors != "drawn":
             raise ConfigError(
@@ -111,12 +183,12 @@ class FullDomain(EnvOption):
                 )
 
     def _channel(self, domain: Domain) -> Channel | None:
-        """Returns what lies between user and tracker; None: errors as they are drawn.
+        """Returns the error channel between user and tracker; None: errors as they are drawn.
 
         Raises:
-            ConfigError: the domain or the installation has not what it takes.
+            ConfigError: the domain or the installation lacks what it needs.
         """
-        self._check_errors()
+        self.check()
         try:
             if self.level == "text":
                 from bbq_torchrl.envs.text import text_channel
@@ -160,7 +232,7 @@ class FullDomain(EnvOption):
         return scripted_policy(name, env)
 
     def schedule(self) -> ExtensionSchedule | None:
-        """Says which slots there are in which round; None: all of them, always."""
+        """Returns the slots of each round; None: all of them, always."""
         return None
 
     def make(
@@ -191,3 +263,42 @@ class FullDomain(EnvOption):
             compile_turns=self.compile_turns,
             channel=self._channel(domain),
         )
+
+
+@register
+@dataclass
+class DomainExtension(FullDomain):
+    """The essential slots first; then the others one by one, in the domain's order."""
+
+    name: str = option("domain_ext")
+    start: int = setting(40, NON_NEGATIVE_INTEGER, "round in which the first new slot appears")
+    every: int = setting(10, COUNT, "rounds between two new slots")
+    paper_rounds: int = other_default(FullDomain, "paper_rounds", 200)
+
+    extends: ClassVar[bool] = True
+
+    def schedule(self) -> ExtensionSchedule:
+        """Returns the slots of each round."""
+        from bbq_torchrl.envs import ExtensionSchedule
+
+        return ExtensionSchedule(start=self.start, every=self.every)
+
+    def check_domain(self, domain: Domain | None) -> None:
+        """Refuses a slot that the agent has actions for and that no round adds, too."""
+        super().check_domain(domain)
+        assert domain is not None
+        self.schedule().never_active(domain)
+
+    def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor]:
+        """Those of the slots that are not there in the first round."""
+        return ~env.active_features, ~env.simulator.action_mask(env.active_slots)
+
+    def inactive_slots(self, domain: Domain | None) -> set[str]:
+        """Those that are not essential and that the domain's order lacks."""
+        assert domain is not None
+        return set(self.schedule().never_active(domain))
+
+    def additions(self, domain: Domain | None) -> dict[int, str]:
+        """The slot that each round adds."""
+        assert domain is not None
+        return self.schedule().additions(domain)

@@ -1,4 +1,4 @@
-"""The options of ``spike=``: what is in the replay buffer before the first round."""
+"""The options of ``spike=``: the replay buffer before the first round."""
 
 from __future__ import annotations
 
@@ -6,29 +6,28 @@ import json
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options.base import Option
+from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
     BELOW_ONE,
     BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
+    Allowed,
     ConfigError,
+    option,
     optional,
     setting,
 )
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    from bbq_torchrl.options.root import Config
     from bbq_torchrl.trainers import Policy, Spike
-
-__all__ = ["SpikeOption"]
 
 
 @dataclass
 class SpikeOption(Option):
-    """What is in the replay buffer before the first round."""
+    """The content of the replay buffer before the first round."""
 
     group: ClassVar[str] = "spike"
 
@@ -46,7 +45,7 @@ class SpikeOption(Option):
     )
     drop_window: int = setting(5, COUNT, "rounds that drop_above takes the mean success of")
 
-    def check(self, config: Config) -> None:
+    def check(self) -> None:
         """Refuses keys without effect: of no dialogues, a threshold of what leaves by itself."""
         for item in fields(SpikeOption):
             value, default = getattr(self, item.name), getattr(type(self), item.name)
@@ -67,7 +66,7 @@ class SpikeOption(Option):
             )
 
     def make(self, policy: Policy) -> Spike:
-        """Makes what fills the buffer with dialogues of the policy."""
+        """Makes the part that fills the buffer with dialogues of the policy."""
         from bbq_torchrl.trainers import Spike
 
         return Spike(
@@ -77,3 +76,24 @@ class SpikeOption(Option):
             drop_above=self.drop_above,
             drop_window=self.drop_window,
         )
+
+
+@register
+@dataclass
+class NoSpike(SpikeOption):
+    """An empty buffer."""
+
+    name: str = option("none")
+    dialogues: int = setting(
+        0,
+        Allowed("0, or be given with spike=rule", lambda value: value == 0),
+        "scripted dialogues put into the buffer",
+    )
+
+
+@register
+@dataclass
+class RuleSpike(SpikeOption):
+    """Replay-buffer spiking: dialogues of a scripted policy."""
+
+    name: str = option("rule")

@@ -1,11 +1,11 @@
-"""``intrinsic=vime``: a reward for what a transition teaches a model of the dynamics."""
+"""The options of ``intrinsic=``: a reward besides the task's."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from bbq_torchrl.options import IntrinsicOption, register
+from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.settings import (
     COUNT,
     COUNTS,
@@ -24,13 +24,37 @@ if TYPE_CHECKING:
     from torchrl.envs import Transform
     from torchrl.objectives import LossModule
 
-    from bbq_torchrl.options import Task
+    from bbq_torchrl.options.task import Task
+
+
+@dataclass
+class IntrinsicOption(Option):
+    """A reward besides the task's; never part of a reported reward."""
+
+    group: ClassVar[str] = "intrinsic"
+
+    def make(self, loss: LossModule, task: Task) -> tuple[LossModule, list[Transform]]:
+        """Returns the loss that is learned, and what the replay buffer has to do for it.
+
+        Args:
+            loss: the agent's.
+            task: what a model of the task has to fit.
+        """
+        return loss, []
+
+
+@register
+@dataclass
+class NoIntrinsic(IntrinsicOption):
+    """The task's reward alone."""
+
+    name: str = option("none")
 
 
 @register
 @dataclass
 class VIME(IntrinsicOption):
-    """What a transition teaches a Bayesian model of the dialogue's dynamics (VIME)."""
+    """A reward for what a transition teaches a Bayesian model of the dynamics (VIME)."""
 
     name: str = option("vime")
     eta: Values = setting(
