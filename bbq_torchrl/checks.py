@@ -1,6 +1,6 @@
 """One vocabulary of checks: the allowed values of a setting, and the refusal of others.
 
-    check("mode", mode, one_of("draw", "mean"))
+check("mode", mode, one_of("draw", "mean"))
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     from bbq_torchrl.cli.checks import check_device
     from bbq_torchrl.cli.loading import trained_policy
     from bbq_torchrl.cli.training import make_domain
-    from bbq_torchrl.domains.validate import RANDOM_POLICY
+    from bbq_torchrl.domains.parts import RANDOM_POLICY
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
     from bbq_torchrl.trainers import keep_freed_memory

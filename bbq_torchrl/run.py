@@ -20,7 +20,7 @@ from bbq_torchrl.cli.training import (
     opened_loggers,
     spike_policy,
 )
-from bbq_torchrl.domains.validate import RANDOM_POLICY
+from bbq_torchrl.domains.parts import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.names import agent_name

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import bbq_torchrl
-from bbq_torchrl.domains.validate import RANDOM_POLICY
+from bbq_torchrl.domains.parts import RANDOM_POLICY
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import (
     RunResult,

@@ -36,7 +36,7 @@ from bbq_torchrl.text import shown
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from bbq_torchrl.domains.domain import Goal
+    from bbq_torchrl.domains.parts import Goal
 
 MOVIE_FOLDER = Path(__file__).parent / "movie"
 """The folder of the movie domain that comes with the package."""

@@ -13,9 +13,10 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from bbq_torchrl.domains.domain import Domain, Goal
+from bbq_torchrl.domains.domain import Domain
 from bbq_torchrl.domains.faults import DomainError, Fault, tell
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.domains.parts import Goal
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
 from bbq_torchrl.domains.spelling import DIFFERENCE, misspellings
 from bbq_torchrl.domains.tables import NEEDS_VALUES

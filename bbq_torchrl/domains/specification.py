@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.domains.domain import Action, ScriptedPolicySpec
 from bbq_torchrl.domains.faults import Source
-from bbq_torchrl.domains.validate import ACTION_KINDS
+from bbq_torchrl.domains.parts import ACTION_KINDS, Action, ScriptedPolicySpec
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.text import shown
 

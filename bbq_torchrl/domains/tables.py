@@ -8,9 +8,8 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.domain import Goal
 from bbq_torchrl.domains.faults import Source
-from bbq_torchrl.domains.validate import repeated
+from bbq_torchrl.domains.parts import Goal, repeated
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:

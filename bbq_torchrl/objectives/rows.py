@@ -1,4 +1,4 @@
-"""Which rows of a batch count, and how much."""
+"""The rows of a batch that count, and their weights."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from tensordict.utils import NestedKey
     from torch import Tensor
     from torchrl.objectives import LossModule
-
-    from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 
 def row_entry(tensordict: TensorDictBase, key: NestedKey, rows: torch.Size) -> Tensor | None:
@@ -85,11 +83,11 @@ def weights_of_rows(
     return priority.where(counts, 0)
 
 
-def row_weights(loss: OneStepQLoss, tensordict: TensorDictBase, reward: Tensor) -> Tensor | None:
+def row_weights(loss: LossModule, tensordict: TensorDictBase, reward: Tensor) -> Tensor | None:
     """Returns weights [*replicas, *batch, 1] that add up to 1; None if all rows count the same.
 
     Args:
-        loss: whose keys for masks and for the weights of prioritized replay are read.
+        loss: with ``replicas``, and the keys of masks and of prioritized weights.
         tensordict: a batch.
         reward: shape [*replicas, *batch, 1].
 

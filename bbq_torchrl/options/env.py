@@ -221,7 +221,7 @@ class FullDomain(EnvOption):
 
     def references(self, domain: Domain | None) -> tuple[str, ...]:
         """The one that knows the user's goal."""
-        from bbq_torchrl.domains.validate import PRIVILEGED_POLICY
+        from bbq_torchrl.domains.parts import PRIVILEGED_POLICY
 
         return (PRIVILEGED_POLICY,)
 

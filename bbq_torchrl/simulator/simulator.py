@@ -9,11 +9,11 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains.values import NO_MATCH, NONE
-from bbq_torchrl.simulator.error_model import ErrorModel, Utterance
+from bbq_torchrl.simulator.error_model import ErrorModel
 from bbq_torchrl.simulator.features import Features
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.rewards import Rewards
-from bbq_torchrl.simulator.tracker import Tracker
+from bbq_torchrl.simulator.tracker import Tracker, Utterance
 from bbq_torchrl.simulator.user import User
 
 if TYPE_CHECKING:
