@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from bbq_torchrl.bayes.settings import check_choice
+from bbq_torchrl.checks import check, one_of
 from bbq_torchrl.cli.resume import description, run_config
 from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.options import ConfigError
@@ -104,7 +104,7 @@ def trained_policy(
             that are not finite.
     """
     config.agent.check_mode(mode)
-    check_choice("weights", weights, ("last", "best"))
+    check("weights", weights, one_of("last", "best"))
     agent = make_agent(config, env)
     name, policy = config.agent.make_evaluation(agent.actor, mode)
     best = None

@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from bbq_torchrl.bayes.settings import check_choice
+from bbq_torchrl.checks import check, one_of
 from bbq_torchrl.protocols import Resampled, provides
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class ActorPolicy(TensorDictModuleBase):
     def __init__(
         self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
     ) -> None:
-        check_choice("per", per, get_args(Per))
+        check("per", per, one_of(*get_args(Per)))
         if not (hasattr(actor, "in_keys") and hasattr(actor, "out_keys")):  # compiled, too
             raise ValueError(
                 "actor must be a TensorDict module, such as q_actor makes of a network, got "

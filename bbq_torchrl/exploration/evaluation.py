@@ -9,7 +9,7 @@ import torch
 from bbq_torchrl.bayes.layers import own_weights_of_rows
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.bayes.settings import check_choice
+from bbq_torchrl.checks import check, one_of
 from bbq_torchrl.exploration.base import (
     ActorPolicy,
     fit_posteriors,
@@ -70,7 +70,7 @@ class EvaluationPolicy(ActorPolicy):
     def __init__(
         self, actor: QValueActor, *, mode: EvaluationMode = "mean", num_draws: int = 10
     ) -> None:
-        check_choice("mode", mode, get_args(EvaluationMode))
+        check("mode", mode, one_of(*get_args(EvaluationMode)))
         if num_draws < 1:
             raise ValueError(f"num_draws must be at least 1, got {num_draws}")
         if mode != "mean":

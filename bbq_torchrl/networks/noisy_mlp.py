@@ -11,7 +11,7 @@ from torchrl.modules import NoisyLinear
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, resolve_weight_mode
-from bbq_torchrl.bayes.settings import checked_number
+from bbq_torchrl.checks import ABOVE_ZERO, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,7 +67,7 @@ class ReplicaNoisyLinear(NoisyLinear):
                 f"in_features and out_features must be positive, got {in_features} and "
                 f"{out_features}"
             )
-        checked_number("std_init", std_init)
+        check("std_init", std_init, ABOVE_ZERO)
         super().__init__(in_features, out_features, device=device, dtype=dtype, std_init=std_init)
         self.replicas = replica_shape(replicas)
         del self.weight_epsilon, self.bias_epsilon

@@ -118,7 +118,8 @@ class ValueFunction:
             with weight_scope(mode, **scope) as active:
                 values = self._values(inputs)
                 if active.kl is not None:
-                    active.kl.add(self._posteriors)
+                    for posterior in self._posteriors:
+                        posterior.add_kl(active.kl)
             return values
         finally:
             for (store, name), previous in zip(self._slots, own, strict=True):

@@ -207,7 +207,7 @@ class BBQN(AgentOption):
             noise_std=over_replicas(self.noise_std, task),
             kl_temperature=over_replicas(self.kl_temperature, task),
             gamma=over_replicas(self.gamma, task),
-            hold=True,
+            cache=True,
         )
 
     def make_evaluation(

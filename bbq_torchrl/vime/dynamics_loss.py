@@ -12,7 +12,7 @@ from tensordict.utils import unravel_key
 from torchrl.objectives import LossModule
 
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
-from bbq_torchrl.bayes.settings import checked_number
+from bbq_torchrl.checks import AT_LEAST_ZERO, check
 from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.rows import weights_of_rows
 
@@ -99,7 +99,7 @@ class DynamicsLoss(NumData, LossModule):
         kl_temperature: float = 1.0,
         num_data: int | Tensor | None = None,
     ) -> None:
-        checked_number("kl_temperature", kl_temperature, minimum=0)
+        check("kl_temperature", kl_temperature, AT_LEAST_ZERO)
         super().__init__()
         self.dynamics = dynamics
         self.replicas = dynamics.replicas

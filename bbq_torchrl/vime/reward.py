@@ -11,7 +11,8 @@ from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
-from bbq_torchrl.bayes.settings import check_choice, checked_number
+from bbq_torchrl.bayes.replicas import checked_number
+from bbq_torchrl.checks import AT_LEAST_ZERO, check, one_of
 from bbq_torchrl.seeds import checked_seed
 from bbq_torchrl.vime.information_gain import information_gain
 from bbq_torchrl.vime.running_median import RunningMedian
@@ -133,8 +134,8 @@ class VIMEReward(Transform):
         valid_key: NestedKey = "valid",
         intrinsic_reward_key: NestedKey = "intrinsic_reward",
     ) -> None:
-        check_choice("weights", weights, get_args(GainWeights))
-        eta = checked_number("eta", eta, dynamics.replicas, minimum=0)
+        check("weights", weights, one_of(*get_args(GainWeights)))
+        eta = checked_number("eta", eta, dynamics.replicas, AT_LEAST_ZERO)
         for name, value in (("step_size", step_size), ("clip", clip)):
             if not value > 0:
                 raise ValueError(f"{name} must be positive, got {value}")

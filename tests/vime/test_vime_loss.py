@@ -51,7 +51,7 @@ def test_torchrls_target_updaters_find_the_q_losss_targets():
 
 
 def test_the_rest_is_the_q_losss():
-    loss = VIMELoss(bayes_loss((2,), hold=True)[0], dynamics_loss((2,)))
+    loss = VIMELoss(bayes_loss((2,), cache=True)[0], dynamics_loss((2,)))
     assert loss.value_network is loss.q_loss.value_network
     assert loss.replicas == (2,)
     with pytest.raises(AttributeError, match="nothing_of_this_name"):

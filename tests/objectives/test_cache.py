@@ -1,4 +1,4 @@
-"""What is computed once for many batches: the frozen network's values, and what BBQN holds."""
+"""Values computed once for many batches: those of the frozen network, and the cache of BBQN."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ def test_targets_of_the_network_that_learns_are_not_frozen():
     assert not online.has_fixed_targets
 
 
-# ------------------------------------------------------------------------- what BBQN holds
+# ------------------------------------------------------------------------- the cache of BBQN
 
 
 def test_the_kl_is_reported_again_until_the_next_epoch_and_its_gradient_is_todays():
-    (loss, _), (other, _) = bayes_loss((2,), hold=True), bayes_loss((2,))
+    (loss, _), (other, _) = bayes_loss((2,), cache=True), bayes_loss((2,))
     td = transitions((2,))
     td["valid"] = torch.zeros(2, 32).bool()  # the gradient is that of the KL alone
     loss.begin_epoch()
@@ -85,9 +85,9 @@ def test_the_kl_is_reported_again_until_the_next_epoch_and_its_gradient_is_today
     torch.testing.assert_close(loss(td)["kl"], today)
 
 
-def test_an_mc_target_holds_the_frozen_standard_deviations():
+def test_an_mc_target_caches_the_frozen_standard_deviations():
     # All means are 0: with tiny σ prediction and value are 0, with a large σ⁻ they are not.
-    loss, _ = bayes_loss(hold=True, target="mc", hidden=())
+    loss, _ = bayes_loss(cache=True, target="mc", hidden=())
     frozen = flat(loss, "rho", target=True)
     with torch.no_grad():
         for tensor in (flat(loss, "mu"), flat(loss, "mu", target=True)):
@@ -104,8 +104,8 @@ def test_an_mc_target_holds_the_frozen_standard_deviations():
     assert loss(td)["td_error"] > near + 1
 
 
-def test_what_is_held_is_not_copied_or_saved():
-    loss, _ = bayes_loss(hold=True, target="mc")
+def test_the_cache_is_not_copied_or_saved():
+    loss, _ = bayes_loss(cache=True, target="mc")
     td = transitions()
     loss.begin_epoch()
     loss(td)
