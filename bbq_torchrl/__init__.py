@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import interruption
+from bbq_torchrl import interruption, renamed
 
 if TYPE_CHECKING:
     from bbq_torchrl.cli.loading import load_run
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["__version__", "config_dir", "load_run", "train"]
 
 __version__ = "0.2.0.dev0"
+
+renamed.install(__name__)
 
 if sys.argv[:1] == ["-m"] and f"{__name__}." in " ".join(sys.orig_argv):
     # `python -m` is about to run one of our modules, whose packages take seconds to import: Ctrl-C

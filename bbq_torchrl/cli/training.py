@@ -19,7 +19,13 @@ from bbq_torchrl.options import ConfigError, Task
 from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.task import action_mask_key, check_env
 from bbq_torchrl.options.values import replica_values
-from bbq_torchrl.trainers import RoundTrainer, derive_seed, episode_stats, rollouts
+from bbq_torchrl.trainers import (
+    RoundTrainer,
+    derive_seed,
+    episode_stats,
+    losses_of,
+    rollouts,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +36,6 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.envs import EnvBase, Transform
     from torchrl.modules import QValueActor
-    from torchrl.objectives import LossModule
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
@@ -47,7 +52,7 @@ class Agent(NamedTuple):
 
     Attributes:
         actor: the Q-network and its choice of an action.
-        loss: what is learned.
+        loss: the loss, or several in a ``ModuleDict``.
         optimizer: moves the loss's parameters.
         policy: acts with exploration.
         metrics: what of the exploration is worth a column of the metrics; one number, or
@@ -56,7 +61,7 @@ class Agent(NamedTuple):
     """
 
     actor: QValueActor
-    loss: LossModule
+    loss: nn.Module
     optimizer: ReplicaOptimizer
     policy: TensorDictModuleBase
     metrics: dict[str, Callable[[], float | Tensor]]
@@ -178,7 +183,7 @@ def build_trainer(
             device=config.device,
         ),
         agent.optimizer,
-        HardUpdate(agent.loss, value_network_update_interval=0),
+        HardUpdate(losses_of(agent.loss)[0], value_network_update_interval=0),
         run_folder,
         rounds=protocol.rounds,
         dialogues=protocol.dialogues,

@@ -21,6 +21,7 @@ from bbq_torchrl.options.settings import (
 from bbq_torchrl.options.values import over_replicas
 
 if TYPE_CHECKING:
+    from torch import nn
     from torchrl.envs import Transform
     from torchrl.objectives import LossModule
 
@@ -33,8 +34,10 @@ class IntrinsicOption(Option):
 
     group: ClassVar[str] = "intrinsic"
 
-    def make(self, loss: LossModule, task: Task) -> tuple[LossModule, list[Transform]]:
-        """Returns the loss that is learned, and what the replay buffer has to do for it.
+    def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
+        """Returns the loss to train, and the transforms of the replay buffer that it needs.
+
+        Several losses are an ``nn.ModuleDict``, the agent's first.
 
         Args:
             loss: the agent's.
@@ -76,12 +79,12 @@ class VIME(IntrinsicOption):
     )
     dynamics_every: int = setting(8, COUNT, "updates of Q for one of the dynamics")
 
-    def make(self, loss: LossModule, task: Task) -> tuple[LossModule, list[Transform]]:
+    def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
         """Adds the loss of the dynamics, and the transform that adds the bonus to the rewards."""
         import torch
 
         from bbq_torchrl.networks.growth import reset_inactive_
-        from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss, VIMEReward
+        from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMEReward, vime_losses
 
         dynamics = DynamicsModel(
             task.inputs,
@@ -105,4 +108,4 @@ class VIME(IntrinsicOption):
             median_window=self.median_window,
             clip=self.clip,
         )
-        return VIMELoss(loss, DynamicsLoss(dynamics), dynamics_every=self.dynamics_every), [reward]
+        return vime_losses(loss, DynamicsLoss(dynamics, every=self.dynamics_every)), [reward]

@@ -16,6 +16,7 @@ from bbq_torchrl.trainers.errors import (
     SpikeError,
     TrainingError,
 )
+from bbq_torchrl.trainers.learn import losses_of
 from bbq_torchrl.trainers.memory import keep_freed_memory
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimizer import ReplicaAdam
@@ -48,6 +49,7 @@ __all__ = [
     "derive_seed",
     "episode_stats",
     "keep_freed_memory",
+    "losses_of",
     "rollout",
     "rollouts",
 ]

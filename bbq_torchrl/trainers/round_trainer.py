@@ -67,7 +67,8 @@ class RoundTrainer:
         env: batch size [replicas, places], key ``("next", "success")`` besides the usual.
         policy: acts, with exploration, on the environment's TensorDict.
         loss: returns ``loss`` (scalar) and ``loss_value`` [replicas], and may return more of shape
-            [replicas], which becomes a metric.
+            [replicas], which becomes a metric. Several losses are an ``nn.ModuleDict``: the sum of
+            their ``loss`` is trained, and ``loss_value`` is the first one's.
         replay: the buffers, empty.
         optimizer: of the loss's parameters.
         target_updater: ``.step()`` freezes the target.
