@@ -68,6 +68,7 @@ def circles(graph):
 
 def test_no_two_files_import_one_another():
     graph = grimp.build_graph("bbq_torchrl", exclude_type_checking_imports=False)
+    graph.remove_module("bbq_torchrl")  # offers load_run and train, imported when they are used
     assert circles(graph) == []
 
 
