@@ -155,11 +155,23 @@ class Stateful(Protocol):
         """Restores what :meth:`state_dict` returned."""
 
 
+class BestSoFar(Stateful, Protocol):
+    """The weights that each replica had at its best evaluation."""
+
+    @property
+    def round(self) -> Tensor:
+        """The round of each replica's best, int64 [replicas]."""
+
+    @property
+    def success_rate(self) -> Tensor:
+        """The success rate in that round, [replicas]."""
+
+
 class EvaluationHook(Protocol):
     """Plays the policy that is to be reported, after every round."""
 
     @property
-    def best(self) -> Stateful:
+    def best(self) -> BestSoFar:
         """The best weights so far; saved in every checkpoint."""
 
     def __call__(self, round_number: int) -> Mapping[str, float | Tensor]:
