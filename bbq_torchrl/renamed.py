@@ -24,14 +24,22 @@ _PAGES = {
 
 RENAMED = {
     **{f"options.{page}.{name}": f"options.{page}" for page in _PAGES for name in _PAGES[page]},
-    "options.base": "options.registry",
+    **dict.fromkeys(
+        ("hooks", "data.hooks", "exploration.hooks", "objectives.hooks", "trainers.hooks"),
+        "protocols",
+    ),
     "bayes.settings": "bayes.replicas",
-    "data.hooks": "protocols",
+    "data.validation": "data.rows",
     "domains.validate": "domains.parts",
-    "exploration.hooks": "protocols",
-    "hooks": "protocols",
-    "objectives.hooks": "protocols",
-    "trainers.hooks": "protocols",
+    "envs.checks": "envs.turns",
+    "envs.compiled": "envs.turns",
+    "exploration.greedy": "exploration.evaluation",
+    "exploration.noisy": "exploration.thompson",
+    "objectives.num_data": "objectives.rows",
+    "options.base": "options.registry",
+    "simulator.bits": "simulator.choices",
+    "trainers.memory": "trainers.learn",
+    "vime.running_median": "vime.information_gain",
 }
 """Old name of a module -> its new one, both within the package."""
 

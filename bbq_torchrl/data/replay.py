@@ -16,8 +16,8 @@ from bbq_torchrl.data.rows import (
     map_stored_rows,
     repeated_indices,
     shuffled_indices,
+    validate_transitions,
 )
-from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.protocols import Measured, Seeded, modules_with
 from bbq_torchrl.seeds import checked_seed

@@ -12,8 +12,13 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs.checks import action_indices, check_range, checked_batch, present_device
-from bbq_torchrl.envs.compiled import CompiledPlay
+from bbq_torchrl.envs.turns import (
+    CompiledPlay,
+    action_indices,
+    check_range,
+    checked_batch,
+    present_device,
+)
 from bbq_torchrl.seeds import checked_seed, own_seed, seed_of_process
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 

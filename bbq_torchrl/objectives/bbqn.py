@@ -15,8 +15,8 @@ from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.bayes.scope import KLSum
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
 from bbq_torchrl.checks import ABOVE_ZERO, AT_LEAST_ZERO, check, one_of
-from bbq_torchrl.objectives.num_data import NumData
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
+from bbq_torchrl.objectives.rows import NumData
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence

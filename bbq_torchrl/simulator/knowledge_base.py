@@ -8,8 +8,7 @@ import torch
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
-from bbq_torchrl.simulator.bits import WORD_BITS, byte_counts, pack, popcount
-from bbq_torchrl.simulator.choices import rows
+from bbq_torchrl.simulator.choices import WORD_BITS, byte_counts, pack, popcount, rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,8 +16,7 @@ from bbq_torchrl.trainers.errors import (
     SpikeError,
     TrainingError,
 )
-from bbq_torchrl.trainers.learn import losses_of
-from bbq_torchrl.trainers.memory import keep_freed_memory
+from bbq_torchrl.trainers.learn import keep_freed_memory, losses_of
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.optimizer import ReplicaAdam
 from bbq_torchrl.trainers.progress import RoundProgress

@@ -14,8 +14,7 @@ from torchrl.envs import EnvBase, Transform
 from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.checks import AT_LEAST_ZERO, check, one_of
 from bbq_torchrl.seeds import checked_seed
-from bbq_torchrl.vime.information_gain import information_gain
-from bbq_torchrl.vime.running_median import RunningMedian
+from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -84,7 +83,7 @@ class VIMEReward(Transform):
         intrinsic_reward_key: under "next", where the bonus goes, [*batch, 1].
 
     Attributes:
-        median: m, a :class:`~bbq_torchrl.vime.running_median.RunningMedian`, with its buffers.
+        median: m, a :class:`~bbq_torchrl.vime.information_gain.RunningMedian`, with its buffers.
 
     Raises:
         ValueError: for an argument outside of what is listed, or as part of an environment.

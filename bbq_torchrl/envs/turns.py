@@ -1,16 +1,19 @@
-"""Checks of what an environment is given: batch size, device, actions."""
+"""The parts of a turn: checked actions, and a step that is compiled."""
 
 from __future__ import annotations
 
 from operator import index
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from tensordict import TensorDict
     from torch import Tensor
+
+    from bbq_torchrl.simulator import Simulator
 
 
 def action_indices(action: Tensor, batch_size: Sequence[int], count: int) -> Tensor:
@@ -73,3 +76,26 @@ def present_device(device: torch.device | str) -> torch.device:
         raise ValueError(
             f"device must be one that is present, got {str(device)!r}: {error}"
         ) from error
+
+
+class CompiledPlay:
+    """A simulator's turn, compiled; a copy and another process compile it anew.
+
+    It gives the same numbers, but for what a compiler may do to floating-point ones (the features,
+    which are ratios of small integers).
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self._simulator = simulator
+        # Else all environments of a process together have the 8 programs that torch allows a turn.
+        # (Torch's overloads lack the keyword.)
+        self._play = torch.compile(  # type: ignore[call-overload]
+            simulator.play, fullgraph=True, dynamic=False, isolate_recompiles=True
+        )
+
+    def __call__(self, *state_and_action: Any) -> tuple[TensorDict, torch.Tensor]:
+        """Plays one turn, as :meth:`~bbq_torchrl.simulator.Simulator.play`."""
+        return self._play(*state_and_action)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CompiledPlay, (self._simulator,)
