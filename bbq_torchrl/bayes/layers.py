@@ -146,12 +146,12 @@ class BayesLayer(nn.Module):
         Args:
             x: inputs, [*replicas, *batch, *features].
             weights: [*replicas, *rows, P] where rows are the first dimensions of batch: each of
-                these rows has weights of its own.
+                these rows has separate weights.
         """
         raise NotImplementedError
 
     def run_local(self, x: Tensor) -> Tensor:
-        """Returns the outputs where each row has weights of its own, without drawing them all.
+        """Returns the outputs where each row has separate weights, without drawing them all.
 
         Raises:
             ValueError: as long as a subclass does not implement it.
@@ -169,10 +169,10 @@ class BayesLayer(nn.Module):
         Args:
             x: inputs, shape [*replicas, *batch, *features].
             mode: "draw" (one weight draw of each replica for the whole call),
-                "local" (a draw of its own for each row), "mean", or None for what
+                "local" (a separate draw for each row), "mean", or None for what
                 :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
             weights: weights to use instead, [*replicas, *rows, P] where rows are the first
-                dimensions of batch: each of these rows then has weights of its own.
+                dimensions of batch: each of these rows then has separate weights.
 
         Raises:
             ValueError: for another mode, or a shape that does not fit.
@@ -190,7 +190,7 @@ class BayesLayer(nn.Module):
 def own_weights_of_rows(
     module: nn.Module, batch: torch.Size
 ) -> AbstractContextManager[WeightScope]:
-    """Returns a scope in which each row of a batch has weights of its own.
+    """Returns a scope in which each row of a batch has separate weights.
 
     By local reparameterization, or, of a posterior whose layer has none, by a draw for each row.
 

@@ -125,7 +125,7 @@ def weight_scope(
     - ``"draw"``: one draw of a layer's weights for each of its calls, shared by the call's rows
       (dropout: a mask). A layer that a network runs twice has two draws, in a loss too; to have
       one, call it with the weights of one :meth:`BayesLayer.draw_weights`.
-    - ``"local"``: a draw of its own for each row, by local reparameterization where that is exact
+    - ``"local"``: a separate draw for each row, by local reparameterization where that is exact
       (Kingma, Salimans, Welling 2015).
     - ``"mean"``: the posterior mean (dropout: off).
 
@@ -154,7 +154,7 @@ def weight_scope(
         ...     q = net(x)
         >>> bool((q[0] == q[1]).all()), scope.kl.total()
         (True, tensor(..., grad_fn=...))
-        >>> own = net.draw_weights((4,))  # weights of its own for each of four rows
+        >>> own = net.draw_weights((4,))  # separate weights for each of four rows
         >>> with weight_scope(weights={net: own}):
         ...     bool((net(x)[0] == net(x)[1]).any())
         False

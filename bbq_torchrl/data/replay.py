@@ -137,7 +137,7 @@ class ReplicaReplay:
         return torch.tensor(self.lengths, device=self._device)
 
     def seed(self, seeds: Sequence[int]) -> None:
-        """Restarts every replica's shuffling from a seed of its own, and drops pending shuffles."""
+        """Restarts every replica's shuffling from a separate seed, and drops pending shuffles."""
         if len(seeds) != self.replicas:
             raise ValueError(
                 f"seeds must be {self.replicas}, one for each replica, got {len(seeds)}"
@@ -238,7 +238,7 @@ class ReplicaReplay:
         self._computed[key] = map_stored_rows(self.buffers, function)
 
     def epoch(self, batch_size: int) -> list[Batch]:
-        """Returns each replica's transitions once, in an order of its own, in shared batches.
+        """Returns each replica's transitions once, in separate orders, in shared batches.
 
         Args:
             batch_size: the number of rows of a batch for each replica.

@@ -1,4 +1,4 @@
-"""Makes of a corpus that people typed one whose values can match; what that changed is counted."""
+"""Cleans a corpus that people typed, so that its values match; the changes are counted."""
 
 from __future__ import annotations
 

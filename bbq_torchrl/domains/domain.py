@@ -59,7 +59,7 @@ class Domain:
             (a value listed twice is drawn twice as often).
         skipped: what a loader left out of a corpus, a sentence each; for whoever reads results.
         doubts: what a loader takes for slips of a corpus and leaves as it is, a sentence each.
-        folder: where it was loaded from, with phrases and measured errors beside it; ``None`` for
+        folder: where it was loaded from, with phrases and measured errors next to it; ``None`` for
             a domain of no folder. Where a domain lies makes it no other one.
 
     Raises:
@@ -200,7 +200,7 @@ def _acts(domain: Domain) -> Iterator[str]:
 
 def _slots(domain: Domain) -> Iterator[str]:
     for slot in domain.slots:
-        # The features have names of their own: "all", and "0", "1", ... of the turn.
+        # The features have other names: "all", and "0", "1", ... of the turn.
         if not re.fullmatch(r"\w+", slot) or slot == "all" or slot.isdigit():
             yield (
                 f"slots must consist of letters, digits and underscores, not of digits alone, and "

@@ -70,7 +70,7 @@ class Action:
 
 @dataclass(frozen=True)
 class Goal:
-    """What one user wants: slots with the values they must have, and slots to be told.
+    """The wishes of one user: slots with the values they must have, and slots to be told.
 
     Every user also wants the ticket; it is not listed in ``requests``.
 

@@ -1,4 +1,4 @@
-"""Values that people take for the same, and that never match: a stray blank, another quote."""
+"""Values that look the same and never match: a stray blank, another quote."""
 
 from __future__ import annotations
 

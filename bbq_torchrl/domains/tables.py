@@ -1,4 +1,4 @@
-"""Reads a domain's records, goals and values, each from a file of its own, line by line."""
+"""Reads a domain's records, goals and values, each from a separate file, line by line."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NEEDS_VALUES = (
     "must list the values of at least one slot: without any, an error of mode 'value' changes "
     "nothing"
 )
-"""What is said of an empty file of values."""
+"""The message for an empty file of values."""
 
 
 def read_records(path: Path) -> Source:

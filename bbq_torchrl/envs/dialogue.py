@@ -141,7 +141,7 @@ class DialogueEnv(EnvBase):
 
     @property
     def layout(self) -> FeatureLayout:
-        """Which feature of the observation is where."""
+        """The layout of the observation's features."""
         return self.simulator.layout
 
     @property
@@ -156,7 +156,7 @@ class DialogueEnv(EnvBase):
 
     @property
     def active_features(self) -> torch.Tensor:
-        """Which features can differ from 0 in this round, bool ``[F]``: all but inactive slots'."""
+        """The features that can differ from 0 in this round, bool ``[F]``."""
         return self.layout.active(self._active)
 
     @property
@@ -172,7 +172,7 @@ class DialogueEnv(EnvBase):
 
     @property
     def max_agent_turns(self) -> int:
-        """How many turns of the agent a dialogue lasts at most."""
+        """The most turns of the agent in a dialogue."""
         return self.simulator.max_agent_turns
 
     def set_round(self, round: int) -> None:

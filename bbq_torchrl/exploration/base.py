@@ -1,4 +1,4 @@
-"""What the exploration strategies share."""
+"""The base class and the helpers of exploration strategies."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
 
 
 def fit_posteriors(held: Mapping[GaussianPosterior, Tensor]) -> bool:
-    """Returns whether held draws have the dtype and device that their posteriors have now.
+    """Returns whether draws have the dtype and device that their posteriors have now.
 
     A loss that shares the network may have been moved, which the policy is not told.
     """
@@ -88,7 +88,7 @@ def posterior_sums(found: Iterable[GaussianPosterior]) -> list[float]:
 
 
 def forget_draws(policy: Resampled, _: object = None) -> None:
-    """Has a policy whose state was loaded draw anew; a hook of ``load_state_dict``."""
+    """Makes a policy draw anew after its state was loaded; a hook of ``load_state_dict``."""
     policy.resample()
 
 

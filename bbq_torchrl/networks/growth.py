@@ -67,7 +67,7 @@ def reset_inactive_(
 
 
 def _mask(name: str, mask: Tensor | None, size: int) -> Tensor:
-    """Returns the mask, checked; all False if there is none."""
+    """Returns the mask, checked; all False for None."""
     if mask is None:
         return torch.zeros(size, dtype=torch.bool)
     if mask.dtype != torch.bool or mask.shape != (size,):

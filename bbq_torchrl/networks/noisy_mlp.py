@@ -77,7 +77,7 @@ class ReplicaNoisyLinear(NoisyLinear):
         self.reset_parameters()
 
     def reset_noise(self) -> None:
-        """Does nothing: each call has noise of its own."""
+        """Does nothing: each call draws new noise."""
 
     def _should_use_noise(self) -> bool:
         return False  # the attributes weight and bias are the means: noise belongs to a call
@@ -92,7 +92,7 @@ class ReplicaNoisyLinear(NoisyLinear):
         Args:
             x: inputs, shape [*replicas, *batch, in].
             mode: "draw" (one noise of each replica for the whole call), "local"
-                (noise of its own for each row), "mean" (μ), or None for what
+                (separate noise for each row), "mean" (μ), or None for what
                 :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
 
         Raises:
@@ -198,7 +198,7 @@ class NoisyMLP(nn.Module):
         Args:
             x: inputs, shape [*replicas, *batch, in].
             mode: "draw" (one noise of each replica for the whole call), "local"
-                (a draw of its own for each row: exact, as factorized noise needs no weights
+                (a separate draw for each row: exact, as factorized noise needs no weights
                 for each), "mean" (μ), or None for what
                 :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
 

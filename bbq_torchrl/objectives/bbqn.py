@@ -213,7 +213,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         return values, {"kl": kl.total()}
 
     def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        # Used up: each batch has noise of its own, and none outlives its batch.
+        # Used up: each batch has new noise, and none outlives its batch.
         shared, self._online_noise = self._online_noise, None
         if self.target == "map":
             return super()._target_values(tensors, inputs)

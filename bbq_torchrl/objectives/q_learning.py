@@ -1,4 +1,4 @@
-"""What the Q-learning losses share: one-step targets, replicas of networks, rows that count."""
+"""The base class of Q-learning losses: one-step targets, replicas, rows that count."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class OneStepQLoss(DQNLoss):
 
     @property
     def has_fixed_targets(self) -> bool:
-        """Whether the frozen network's value of a state is the same for every batch.
+        """True if the frozen network's value of a state is the same for every batch.
 
         It is not where the online network takes part in it, or noise that a batch draws.
         """

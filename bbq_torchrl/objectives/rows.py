@@ -108,7 +108,7 @@ def row_weights(loss: LossModule, tensordict: TensorDictBase, reward: Tensor) ->
 
 
 class NumData(nn.Module):
-    """What losses with a KL / N share: N for each replica, a buffer.
+    """The N of losses with a KL / N: a buffer, one for each replica.
 
     To be inherited from before TorchRL's ``LossModule``.
     """

@@ -1,4 +1,4 @@
-"""Calls an actor's Q-network with parameters handed in, on tensors."""
+"""An actor's Q-network as a function of its parameters and of tensors."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
 
 
 def _check_alone(part: Option, config: Config) -> None:
-    """Has an option check itself; one written for version 0.1 may take the configuration."""
+    """Lets an option check itself; the old form of ``check`` takes the configuration."""
     if inspect.signature(part.check).parameters:
         warnings.warn(
             f"{type(part).__qualname__}.check(config) will have no argument: what two options "

@@ -39,7 +39,7 @@ class LoggerOption(Option):
     group: ClassVar[str] = "logger"
 
     package: ClassVar[str] = ""
-    """What has to be installed, and for ours the extra that brings it; empty: nothing."""
+    """The package to install, for ours also the extra that installs it; empty: none."""
 
     @abstractmethod
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:

@@ -170,7 +170,7 @@ def options_folder() -> Path | None:
 
 
 def conf_folder() -> Path:
-    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` beside it.
+    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` next to it.
 
     Raises:
         FileNotFoundError: neither is there.
@@ -190,7 +190,7 @@ def config_folders() -> list[Path]:
 def options(group: str) -> list[str]:
     """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``.
 
-    Those of ``experiment`` are files; one in a folder of its own is named with it: ``agents/vime``.
+    Those of ``experiment`` are files; one in a subfolder is named with it: ``agents/vime``.
     """
     names = set(schemas().get(group, {}))
     for root in config_folders():

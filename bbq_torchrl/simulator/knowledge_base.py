@@ -89,7 +89,7 @@ class KnowledgeBase(Movable):
         )
 
     def _chosen(self, held: torch.Tensor) -> torch.Tensor:
-        """Returns which set each slot's held value stands for, long ``[*B, K]``."""
+        """Returns the set that each slot's held value stands for, long ``[*B, K]``."""
         return held.index_select(-1, self.slots) + self.first_set
 
     def matching(self, held: torch.Tensor) -> torch.Tensor:

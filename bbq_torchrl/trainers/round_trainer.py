@@ -49,14 +49,14 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class RoundTrainer:
-    """Trains R replicas side by side by the paper's protocol, and can go on after a kill.
+    """Trains R replicas in parallel by the paper's protocol, and can be resumed after a kill.
 
     A round: every replica plays its dialogues in lockstep, stores the transitions, and learns:
     freeze the target, some epochs over the buffer; freeze again, some epochs again (the paper,
     "Experiments"). The trainer knows nothing of agents and dialogues but the keys: everything else
     comes in as objects.
 
-    Random numbers: each phase of a round starts from a seed of its own, derived from the run's seed
+    Random numbers: each phase of a round starts from a separate seed, derived from the run's seed
     and the round (:func:`~bbq_torchrl.trainers.derive_seed`). So a training that is killed at any
     moment and resumed ends, on a CPU, with bitwise the same weights and metrics as one that was
     not; and what one replica does never shifts another's random numbers.
@@ -201,8 +201,8 @@ class RoundTrainer:
         """Trains to the last round and returns the metrics: a row for every round and replica.
 
         Args:
-            resume: go on from the newest readable checkpoint in the run folder; from the start if
-                the training was killed before it saved one. Defaults to False.
+            resume: continue from the newest readable checkpoint in the run folder; from the start
+                if the training was killed before it saved one. Defaults to False.
 
         Raises:
             ValueError: if the run folder holds a training already and ``resume`` is ``False``.
@@ -227,7 +227,7 @@ class RoundTrainer:
         return list(self.metrics.rows)
 
     def stop(self) -> None:
-        """Has :meth:`train` end after the round under way, with a checkpoint of it."""
+        """Makes :meth:`train` end after the current round, with a checkpoint of it."""
         self._stops = True
 
     def begin(self, *, resume: bool = False) -> None:

@@ -128,7 +128,7 @@ class DynamicsModel(nn.Module):
 
     @property
     def std(self) -> Tensor:
-        """What each feature is divided by, [*replicas, S], at least ``std_floor``."""
+        """The divisor of each feature, [*replicas, S], at least ``std_floor``."""
         return self.var.sqrt().clamp_min(self.std_floor)
 
     @torch.no_grad()

@@ -46,7 +46,7 @@ class DynamicsLoss(NumData, LossModule):
     model's running statistics are read, not changed.
 
     Args:
-        dynamics: the model, also held by what computes the bonus; a submodule of the loss.
+        dynamics: the model, which the intrinsic reward shares; a submodule of the loss.
 
     Keyword Args:
         kl_temperature: factor of the KL; 1 is Bayes' rule. Defaults to 1.
@@ -222,7 +222,7 @@ def vime_losses(q_loss: nn.Module, dynamics_loss: DynamicsLoss) -> nn.ModuleDict
 def _read_old_state(
     losses: nn.Module, state: MutableMapping[str, Any], prefix: str, *_: Any
 ) -> None:
-    """Renames the entries that ``VIMELoss`` had beside those of its two losses."""
+    """Renames the entries that ``VIMELoss`` had besides those of its two losses."""
     for old, new in (("held", "reported"), ("_extra_state", "_extra_state")):
         if f"{prefix}{old}" in state:
             state[f"{prefix}dynamics_loss.{new}"] = state.pop(f"{prefix}{old}")

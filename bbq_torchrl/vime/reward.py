@@ -1,4 +1,4 @@
-"""An intrinsic reward beside the task's in a replay buffer (VIME, Houthooft et al. 2016)."""
+"""An intrinsic reward besides the task's in a replay buffer (VIME, Houthooft et al. 2016)."""
 
 from __future__ import annotations
 
