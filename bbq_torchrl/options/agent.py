@@ -141,7 +141,7 @@ class BBQN(AgentOption):
         "kaiming", one_of("zero", "kaiming"), "where the posterior means start"
     )
     std_init: Any = setting(
-        0.09, optional(per_replica(POSITIVE), "prior_std"), "where the posterior stds start"
+        0.02, optional(per_replica(POSITIVE), "prior_std"), "where the posterior stds start"
     )
     noise_std: Values = setting(
         1.0, per_replica(POSITIVE), "std of the noise on the target, in units of Q"
@@ -164,7 +164,7 @@ class BBQN(AgentOption):
     evaluate_draws: int = setting(10, SIZE, "draws that evaluate=average takes the mean of")
 
     offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
-    explores_by: ClassVar[str] = "thompson"
+    explores_by: ClassVar[str] = "thompson_boltzmann"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
 
     def check(self) -> None:

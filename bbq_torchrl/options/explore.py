@@ -14,6 +14,7 @@ from bbq_torchrl.options.settings import (
     Values,
     one_of,
     option,
+    other_default,
     per_replica,
     setting,
 )
@@ -187,6 +188,7 @@ class ThompsonBoltzmann(BoltzmannActing, Thompson):
     """Actions drawn from softmax(Q / temperature) of a weight draw, not from its best one."""
 
     name: str = option("thompson_boltzmann")
+    temperature_end: Values = other_default(BoltzmannActing, "temperature_end", 0.05)
 
     needs: ClassVar[tuple[str, ...]] = Thompson.needs
 
