@@ -121,6 +121,7 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
         action_mask_key=action_mask_key(env),
         inactive_inputs=inputs,
         inactive_actions=actions,
+        counted_inputs=config.env.counted(env),
     )
     actor = config.agent.make_actor(task)
     loss = config.agent.make_loss(actor, task)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bbq_torchrl.data.bootstrap_mask import BootstrapMask
+from bbq_torchrl.data.count_reward import CountReward
 from bbq_torchrl.data.replay import TRANSITION_KEYS, ReplicaReplay
 from bbq_torchrl.data.rows import Batch, validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
@@ -11,6 +12,7 @@ __all__ = [
     "TRANSITION_KEYS",
     "Batch",
     "BootstrapMask",
+    "CountReward",
     "ProtectedRoundRobinWriter",
     "ReplicaReplay",
     "validate_transitions",

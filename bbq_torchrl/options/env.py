@@ -106,6 +106,13 @@ class EnvOption(Option):
         """Returns which features and which actions come into use later (bool), or None."""
         return None
 
+    def counted(self, env: EnvBase) -> Tensor | None:
+        """Returns which features tell kinds of states apart (bool), for counts of visits.
+
+        None stands for all of them.
+        """
+        return None
+
     def inactive_slots(self, domain: Domain | None) -> set[str]:
         """Returns the slots that no round activates."""
         return set()
@@ -263,6 +270,19 @@ class FullDomain(EnvOption):
             compile_turns=self.compile_turns,
             channel=self._channel(domain),
         )
+
+    def counted(self, env: EnvBase) -> Tensor:
+        """The filled slots, the open questions, and whether the last act was an offer."""
+        import torch
+
+        from bbq_torchrl.envs import DialogueEnv
+
+        assert isinstance(env, DialogueEnv)
+        features = torch.zeros(env.layout.size, dtype=torch.bool)
+        for group in ("filled", "user_requested"):
+            features[env.layout[group]] = True
+        features[env.layout.column("agent_informed", "taskcomplete")] = True
+        return features
 
 
 @register

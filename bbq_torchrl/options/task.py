@@ -30,6 +30,8 @@ class Task:
         action_mask_key: where an observation says which actions are legal; None: all always are.
         inactive_inputs: bool [inputs], features that come into use later; None: all are in use.
         inactive_actions: bool [actions], the same of actions.
+        counted_inputs: bool [inputs], features that tell kinds of states apart, for counts of
+            visits; None: all do.
     """
 
     inputs: int
@@ -40,6 +42,7 @@ class Task:
     action_mask_key: str | None = "action_mask"
     inactive_inputs: Tensor | None = None
     inactive_actions: Tensor | None = None
+    counted_inputs: Tensor | None = None
 
     @property
     def actions(self) -> int:
