@@ -49,6 +49,11 @@ def numbers(low: float, high: float) -> Allowed:
     )
 
 
+def at_least(low: float) -> Allowed:
+    """The numbers from ``low`` on."""
+    return Allowed(f"at least {low}", lambda value: bool(value >= low))
+
+
 def integers(low: int, high: int = 10**9) -> Allowed:
     """The integers from ``low`` to ``high``, which is a billion unless given."""
     last = "10**9" if high == 10**9 else str(high)

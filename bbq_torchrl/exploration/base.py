@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from bbq_torchrl.checks import check, one_of
+from bbq_torchrl.checks import at_least, check, one_of
 from bbq_torchrl.protocols import Resampled, provides
 
 if TYPE_CHECKING:
@@ -42,8 +42,7 @@ def schedule(
     Raises:
         ValueError: for a schedule without a step.
     """
-    if annealing_num_steps < 1:
-        raise ValueError(f"annealing_num_steps must be at least 1, got {annealing_num_steps}")
+    check("annealing_num_steps", annealing_num_steps, at_least(1))
     pair = [torch.as_tensor(value, dtype=torch.float32) for value in (start, end)]
     first, last = (value.clone() for value in torch.broadcast_tensors(*pair))
     return first, last

@@ -9,7 +9,7 @@ import torch
 from bbq_torchrl.bayes.layers import own_weights_of_rows
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.checks import check, one_of
+from bbq_torchrl.checks import at_least, check, one_of
 from bbq_torchrl.exploration.base import (
     ActorPolicy,
     fit_posteriors,
@@ -106,8 +106,7 @@ class EvaluationPolicy(ActorPolicy):
         self, actor: QValueActor, *, mode: EvaluationMode = "mean", num_draws: int = 10
     ) -> None:
         check("mode", mode, one_of(*get_args(EvaluationMode)))
-        if num_draws < 1:
-            raise ValueError(f"num_draws must be at least 1, got {num_draws}")
+        check("num_draws", num_draws, at_least(1))
         if mode != "mean":
             posteriors(actor)
         super().__init__(actor)
