@@ -58,14 +58,14 @@ def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
         ) from None
 
 
-def fit_posteriors(held: Mapping[GaussianPosterior, Tensor]) -> bool:
+def fit_posteriors(drawn: Mapping[GaussianPosterior, Tensor]) -> bool:
     """Returns whether draws have the dtype and device that their posteriors have now.
 
     A loss that shares the network may have been moved, which the policy is not told.
     """
     return all(
         (draws.dtype, draws.device) == (posterior.mu.dtype, posterior.mu.device)
-        for posterior, draws in held.items()
+        for posterior, draws in drawn.items()
     )
 
 
@@ -108,7 +108,7 @@ class ActorPolicy(TensorDictModuleBase):
     ``TensorDict.from_module`` name the weights of both alike, and weights of an actor are synced
     into a policy by name, as TorchRL's trainers and collectors do.
 
-    What it has drawn and holds is drawn anew once the policy is moved or cast (:meth:`to`).
+    Its draws are renewed once the policy is moved or cast (:meth:`to`).
 
     Args:
         actor: what chooses actions from values.

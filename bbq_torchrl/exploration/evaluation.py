@@ -112,13 +112,13 @@ class EvaluationPolicy(ActorPolicy):
         super().__init__(actor)
         self.mode = mode
         self.num_draws = num_draws if mode == "average" else 1
-        self._held: list[dict[GaussianPosterior, Tensor]] = []
+        self._draws: list[dict[GaussianPosterior, Tensor]] = []
         self._drawn_from: list[float] = []
         self.register_load_state_dict_post_hook(forget_draws)
 
     def resample(self) -> None:
         """Forgets the draws: the next call makes new ones."""
-        self._held = []
+        self._draws = []
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -131,13 +131,13 @@ class EvaluationPolicy(ActorPolicy):
                 return self.actor(tensordict)
         found = posteriors(self.actor)
         now = posterior_sums(found)
-        if not self._held or self._drawn_from != now or not fit_posteriors(self._held[0]):
-            self._held = [{p: p.sample() for p in found} for _ in range(self.num_draws)]
+        if not self._draws or self._drawn_from != now or not fit_posteriors(self._draws[0]):
+            self._draws = [{p: p.sample() for p in found} for _ in range(self.num_draws)]
             self._drawn_from = now
         network, choice = split_actor(self.actor)
         inputs = tensordict.select(*network.in_keys, strict=False)
         totals: dict[NestedKey, Tensor] = {}
-        for weights in self._held:
+        for weights in self._draws:
             with weight_scope(weights=weights):
                 out = network(inputs.copy())
             for key in network.out_keys:
