@@ -97,9 +97,7 @@ def first(argument):
     return f"{key}={value.split(',')[0]}"
 
 
-OPTIONS, DOMAINS, PARTS = (
-    ROOT / "docs" / f"{name}.md" for name in ("options", "domains", "parts")
-)
+OPTIONS, DOMAINS, PARTS = (ROOT / "docs" / f"{name}.md" for name in ("options", "domains", "parts"))
 
 
 def printed(page, language, start):
