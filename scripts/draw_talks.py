@@ -65,7 +65,7 @@ def draw_study(file: Path) -> None:
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
         port = str(bound.getsockname()[1])
-    command = [sys.executable, "-m", "bbq_torchrl.study", "serve", str(file), "--port", port]
+    command = [sys.executable, "-m", "bbq_torchrl.people.study", "serve", str(file), "--port", port]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     try:
         assert server.stdout is not None
@@ -134,11 +134,11 @@ def draw_chat(file: Path) -> None:
     import torch
     from rich.console import Console
 
-    from bbq_torchrl.chat import Partner, TrainedAgent
-    from bbq_torchrl.chat.goals import choose_goal
-    from bbq_torchrl.chat.terminal import Chat
-    from bbq_torchrl.language import Generator, load_phrases
-    from bbq_torchrl.language.kept import kept_understander
+    from bbq_torchrl.people.chat import Partner, TrainedAgent
+    from bbq_torchrl.people.chat.goals import choose_goal
+    from bbq_torchrl.people.chat.terminal import Chat
+    from bbq_torchrl.people.language import Generator, load_phrases
+    from bbq_torchrl.people.language.kept import kept_understander
 
     torch.set_num_threads(1)
     agent = TrainedAgent(AGENT)

@@ -32,12 +32,13 @@ def _house() -> tuple[list[list[str]], networkx.DiGraph]:
     The graph includes packages outside the contract and excludes the contract's exceptions.
     """
     contract, *_ = api.read_configuration(str(ROOT / ".importlinter"))["contracts_options"]
-    layers = [re.findall(rf"{PACKAGE}\.(\w+)", layer) for layer in contract["layers"]]
+    layers = [re.findall(rf"{PACKAGE}\.([\w.]+)", layer) for layer in contract["layers"]]
     graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True, cache_dir=None)
     for importer, imported in (line.split(" -> ") for line in contract["ignore_imports"]):
         graph.remove_import(importer=importer, imported=imported)
     packages = {file.parent.name for file in (ROOT / PACKAGE).glob("*/__init__.py")}
-    others = sorted(packages.difference(*layers))
+    named = {room.partition(".")[0] for layer in layers for room in layer}
+    others = sorted(packages - named)
     rooms = {f"{PACKAGE}.{room}": room for layer in (others, *layers) for room in layer}
     house = networkx.DiGraph()
     house.add_nodes_from(rooms.values())

@@ -18,7 +18,7 @@ from bbq_torchrl.envs import (
     scripted_policy,
 )
 from bbq_torchrl.envs.text import TextChannel
-from bbq_torchrl.language import Frame, Understood
+from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.simulator import MeasuredErrors
 
 PLACES = 40

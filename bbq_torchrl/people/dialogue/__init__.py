@@ -1,0 +1,1 @@
+"""Dialogue state, success and beliefs: the parts that chat and study share."""

@@ -1,0 +1,103 @@
+"""A study with simulated users, who are enrolled, answered, judged and stored as people are."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import closing
+from typing import TYPE_CHECKING, Protocol
+
+from bbq_torchrl.people.study.conversations import Conversations, seed_of
+from bbq_torchrl.people.study.rating import drawn_ratings
+from bbq_torchrl.people.study.records import current
+from bbq_torchrl.people.study.store import Store
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bbq_torchrl.people.dialogue.talk import Frame, Talker
+    from bbq_torchrl.people.study.plan import Study
+
+_DAY, _HOUR, _PAUSE = 86_400.0, 3_600.0, 10.0
+
+
+class User(Protocol):
+    """A simulated user in one conversation.
+
+    Attributes:
+        satisfied: whether it has got what it wanted, as far as it knows.
+    """
+
+    satisfied: bool
+
+    def say(self, said: Frame | None) -> str:
+        """Returns what it says to the agent's act; ``None`` begins the conversation."""
+
+
+class _Clock:
+    """Tells the time that it is set to, so that a study that is played again has the same times."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def simulate(
+    study: Study,
+    talker: Talker,
+    users: Callable[[int, int], User],
+    *,
+    seed: int,
+    tell: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Has simulated users take all places of a study, one after the other.
+
+    They go the way of people: consent, conversation, rating, through the same code and store. What
+    is stored already is not said again, so a simulation that was stopped goes on.
+
+    Args:
+        study: whose data is beside its file.
+        talker: the agents.
+        users: makes a user from the number of its goal, from 1, and a seed.
+        seed: of the plan, the users and their ratings.
+        tell: is told how far it is.
+
+    Raises:
+        StoreError: the study's data cannot be used, or is of people or another seed.
+        ValueError: an agent cannot be loaded.
+    """
+    prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
+    clock, secret = _Clock(), f"simulated {seed}"
+    with closing(
+        Store(study.data, study.terms, prints, simulated=True, secret=secret, clock=clock)
+    ) as store:
+        conversations = Conversations(study, store, talker)
+        wanted = study.terms.participants
+        for place in range(wanted):
+            clock.now = begin = place * _DAY
+            token = conversations.enroll({"nonce": _nonce(seed, place), "consent": "yes"})
+            user = None
+            while (session := current(store.sessions(token))) is not None:
+                form = {"session": str(session.position)}
+                drawn = seed_of(seed, place, session.position)
+                if user is None:
+                    clock.now = begin + session.position * _HOUR
+                    user, said, number = users(session.goal, drawn), None, 0
+                if not session.is_ended or number < session.messages:
+                    number += 1
+                    clock.now += _PAUSE
+                    form |= {"nonce": _nonce(session.id, number), "turn": str(number)}
+                    conversations.say(token, {**form, "text": user.say(said)})
+                    said = store.exchanges(session.id)[number - 1].said
+                else:
+                    ratings = drawn_ratings(user.satisfied, number, drawn)
+                    form |= {name: str(rating) for name, rating in ratings.items()}
+                    form["verdict"] = "yes" if user.satisfied else "no"
+                    conversations.rate(token, {**form, "nonce": _nonce(drawn, "rating")})
+                    user = None
+            if (place + 1) % 10 == 0 or place + 1 == wanted:
+                tell(f"{place + 1} of {wanted} simulated users have taken part")
+
+
+def _nonce(*parts: object) -> str:
+    return hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()[:32]
