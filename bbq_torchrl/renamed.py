@@ -1,63 +1,73 @@
-"""Old import paths, which work for one version with a DeprecationWarning."""
+"""Old names of modules, kept for one version: they import the new ones, with a warning."""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import sys
 import warnings
-from importlib import import_module
-from types import ModuleType
-from typing import Any
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from typing import TYPE_CHECKING
 
-_PAGES = {
-    "agent": ("bbqn", "bootstrap", "dqn"),
-    "domain": ("folder", "miulab", "movie"),
-    "env": ("domain_ext", "full"),
-    "explore": (
-        *("boltzmann", "bootstrap", "epsilon_greedy", "greedy", "noisy"),
-        *("thompson", "thompson_boltzmann", "thompson_epsilon"),
-    ),
-    "intrinsic": ("none", "vime"),
-    "logger": ("csv", "mlflow", "tensorboard", "wandb"),
-    "protocol": ("paper", "quick"),
-    "spike": ("none", "rule"),
-}
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import CodeType, ModuleType
 
 RENAMED = {
-    **{f"options.{page}.{name}": f"options.{page}" for page in _PAGES for name in _PAGES[page]},
-    **dict.fromkeys(
-        ("hooks", "data.hooks", "exploration.hooks", "objectives.hooks", "trainers.hooks"),
-        "protocols",
-    ),
-    "bayes.settings": "bayes.replicas",
-    "data.validation": "data.rows",
-    "domains.validate": "domains.parts",
-    "envs.checks": "envs.turns",
-    "envs.compiled": "envs.turns",
-    "exploration.boltzmann": "exploration.annealed",
-    "exploration.egreedy": "exploration.annealed",
-    "exploration.greedy": "exploration.evaluation",
-    "exploration.noisy": "exploration.thompson",
-    "objectives.bootstrap": "objectives.dqn",
-    "objectives.num_data": "objectives.rows",
-    "options.base": "options.registry",
-    "simulator.bits": "simulator.choices",
-    "trainers.memory": "trainers.learn",
-    "vime.running_median": "vime.information_gain",
+    "bbq_torchrl.language": "bbq_torchrl.people.language",
+    "bbq_torchrl.chat": "bbq_torchrl.people.chat",
+    "bbq_torchrl.chat.tracking": "bbq_torchrl.people.dialogue.tracker",
+    "bbq_torchrl.study": "bbq_torchrl.people.study",
+    "bbq_torchrl.study.outcome": "bbq_torchrl.people.dialogue.judge",
+    "bbq_torchrl.study.talk": "bbq_torchrl.people.dialogue.talk",
 }
-"""Old name of a module -> its new one, both within the package."""
+"""Old name -> new name; modules of a renamed package follow it unless they are listed."""
 
 
-class _Renamed(ModuleType):
-    """A module that hands over the names of another one, with a warning."""
+class _Renamed(MetaPathFinder, Loader):
+    """Finds modules by their old names. Python asks it last."""
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        warnings.warn(f"{self.__name__} is now {self.__doc__}", DeprecationWarning, stacklevel=2)
-        return getattr(import_module(str(self.__doc__)), name)
+    def __init__(self) -> None:
+        self._specs: dict[str, ModuleSpec | None] = {}
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        new = _new_name(name)
+        found = None if new is None else importlib.util.find_spec(new)
+        if found is None:
+            return None
+        warnings.warn(f"{name} is now {new}", DeprecationWarning, stacklevel=2)
+        return ModuleSpec(name, self, is_package=found.submodule_search_locations is not None)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        module = importlib.import_module(_new_name(spec.name) or "")
+        self._specs[spec.name] = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Gives the module its own spec back: it has been executed under its new name."""
+        module.__spec__ = self._specs.pop(module.__spec__.name) if module.__spec__ else None
+
+    def get_code(self, name: str) -> CodeType | None:
+        """Returns the code of a module that `python -m` runs by its old name."""
+        spec = importlib.util.find_spec(_new_name(name) or "")
+        code: CodeType | None = spec.loader.get_code(spec.name)  # type: ignore[union-attr]
+        return code
 
 
-def install(package: str) -> None:
-    """Makes the old paths of a package importable; nothing is imported before they are used."""
-    for old, new in RENAMED.items():
-        sys.modules[f"{package}.{old}"] = _Renamed(f"{package}.{old}", f"{package}.{new}")
+def _new_name(name: str) -> str | None:
+    head, tail = name, ""
+    while head:
+        if head in RENAMED:
+            return RENAMED[head] + tail
+        head, _, last = head.rpartition(".")
+        tail = f".{last}{tail}"
+    return None
+
+
+def keep_old_names() -> None:
+    """Has Python find modules by their old names, too."""
+    if not any(isinstance(finder, _Renamed) for finder in sys.meta_path):
+        sys.meta_path.append(_Renamed())

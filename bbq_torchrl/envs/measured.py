@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 ERRORS_FILE = "errors.json"
 """The counts in a domain's folder."""
 
-_COMMAND = "python -m bbq_torchrl.people.language count"
+_COMMAND = "bbq language count"
 _BATCH = 500
 _RANDOM = 0.15  # share of scripted actions at random: an agent that learns does everything
 

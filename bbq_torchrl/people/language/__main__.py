@@ -1,4 +1,4 @@
-"""``python -m bbq_torchrl.people.language measure``, ``train`` and ``count``."""
+"""``bbq language measure``, ``train`` and ``count``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ROUND_TRIPS = 3_000  # turns
 @output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns 0, or 2 after a line that says what is wrong."""
-    parser = output.Parser(prog="python -m bbq_torchrl.people.language")
+    parser = output.Parser(prog="bbq language")
     commands = parser.add_subparsers(dest="command", required=True)
     for name, help_ in (
         ("train", "train an understander and write its file"),

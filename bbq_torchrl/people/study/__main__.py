@@ -1,4 +1,4 @@
-"""``python -m bbq_torchrl.people.study``: serves a study, reports on it, or tells its power."""
+"""``bbq study``: serve a study, report on it, or compute its power."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
-        prog="python -m bbq_torchrl.people.study",
+        prog="bbq study",
         description=f"A human study.\nSee {page('study')}",
     )
     commands = parser.add_subparsers(
