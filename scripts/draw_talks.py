@@ -138,7 +138,7 @@ def draw_chat(file: Path) -> None:
     from bbq_torchrl.people.chat.goals import choose_goal
     from bbq_torchrl.people.chat.terminal import Chat
     from bbq_torchrl.people.language import Generator, load_phrases
-    from bbq_torchrl.people.language.kept import kept_understander
+    from bbq_torchrl.people.language.cache import cached_understander
 
     torch.set_num_threads(1)
     agent = TrainedAgent(AGENT)
@@ -152,7 +152,7 @@ def draw_chat(file: Path) -> None:
         return line
 
     names = load_phrases(agent.domain).names
-    partner = Partner(agent, kept_understander(agent.domain), Generator(agent.domain))
+    partner = Partner(agent, cached_understander(agent.domain), Generator(agent.domain))
     Chat(partner, choose_goal(partner.domain, 1, 0), screen, names=names).run(read)
     drawn = screen.export_svg(title=f"bbq chat {AGENT} --goal 1")
     # Any font of the reader's will do, and none is loaded from another host.

@@ -10,7 +10,7 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.coding import Coding
 from bbq_torchrl.people.language import Frame, Generator, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking, repeated
-from bbq_torchrl.people.language.kept import kept_understander
+from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.simulator import Utterance
 from bbq_torchrl.simulator.choices import index_below
 
@@ -162,6 +162,6 @@ def text_channel(domain: Domain, ask_below: float | None = None) -> TextChannel:
     Raises:
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
-    understand = kept_understander(domain)
+    understand = cached_understander(domain)
     speak = Generator(domain)
     return TextChannel(tensorize(domain), understand, speak, ask_below)

@@ -35,11 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     import torch
 
-    from bbq_torchrl.people.chat.agent import TrainedAgent
     from bbq_torchrl.people.chat.goals import choose_goal
-    from bbq_torchrl.people.chat.partner import Partner
-    from bbq_torchrl.people.chat.spelling import Spelling
     from bbq_torchrl.people.chat.terminal import Chat, console, prompt
+    from bbq_torchrl.people.dialogue.agent import TrainedAgent
+    from bbq_torchrl.people.dialogue.partner import Partner
+    from bbq_torchrl.people.dialogue.spelling import Spelling
     from bbq_torchrl.people.language import (
         Endpoint,
         EndpointGenerator,
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Understander,
         load_phrases,
     )
-    from bbq_torchrl.people.language.kept import kept_understander
+    from bbq_torchrl.people.language.cache import cached_understander
 
     torch.set_num_threads(1)
     screen = console()
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.understander is not None:
         own = Understander.load(given.understander, agent.domain)
     else:
-        own = kept_understander(agent.domain, given.labeled, screen.print)
+        own = cached_understander(agent.domain, given.labeled, screen.print)
     speak = Generator(agent.domain)
     endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
     ears = EndpointUnderstander(endpoint, own) if given.nlu == "endpoint" else own

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.extras import needed
 from bbq_torchrl.people.chat.goals import REASONS
-from bbq_torchrl.people.chat.partner import as_act
 from bbq_torchrl.people.dialogue.judge import Judge, card
+from bbq_torchrl.people.dialogue.partner import as_act
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from bbq_torchrl.domains import Goal
-    from bbq_torchrl.people.chat.partner import Answer, Partner
+    from bbq_torchrl.people.dialogue.partner import Answer, Partner
 
 COMMANDS = {
     "/acts": "what was understood, and what the agent thinks of its best actions",

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
 
-TALKER = "bbq_torchrl.people.chat.talker:make_talker"
-USERS = "bbq_torchrl.people.chat.simulated_user:make_users"
+TALKER = "bbq_torchrl.people.study.agents:make_talker"
+USERS = "bbq_torchrl.people.study.users:make_users"
 """Named, not imported: the study knows neither networks nor language."""
 
 MAX_CONNECTIONS = 1_000

@@ -7,6 +7,7 @@ import re
 import sys
 
 import pytest
+from acts import Acts
 from rich.console import Console
 
 from bbq_torchrl.domains import Goal
@@ -15,8 +16,6 @@ from bbq_torchrl.people.chat.goals import choose_goal
 from bbq_torchrl.people.chat.terminal import Chat
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.language import Understander
-
-from .conftest import Acts
 
 
 def play(partner, goal, lines):

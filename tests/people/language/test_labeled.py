@@ -7,7 +7,7 @@ import pytest
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.people.language import Frame, Understander, read_lines
-from bbq_torchrl.people.language.kept import kept_understander
+from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.people.language.labeled import Line, as_examples, varied
 from bbq_torchrl.people.language.measure import VOICES, calibration_error, calibration_floor
 
@@ -92,9 +92,9 @@ def test_own_lines_that_are_not_there_are_missed_though_an_understander_is_kept(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(Understander, "load", lambda path, domain: "kept")
-    assert kept_understander(movie_domain()) == "kept"
+    assert cached_understander(movie_domain()) == "kept"
     with pytest.raises(FileNotFoundError, match=r"gone\.txt"):
-        kept_understander(movie_domain(), tmp_path / "gone.txt")
+        cached_understander(movie_domain(), tmp_path / "gone.txt")
 
 
 def test_without_a_home_folder_an_understander_is_trained_and_not_kept(tmp_path, monkeypatch):
@@ -108,7 +108,7 @@ def test_without_a_home_folder_an_understander_is_trained_and_not_kept(tmp_path,
     monkeypatch.setattr("pwd.getpwuid", unknown)
     monkeypatch.setattr(Understander, "train", lambda *_, **__: trained)
     for _ in range(2):
-        assert kept_understander(movie_domain()) is trained
+        assert cached_understander(movie_domain()) is trained
     assert not list(tmp_path.iterdir())
 
 

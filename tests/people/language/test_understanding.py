@@ -20,8 +20,8 @@ from bbq_torchrl.people.language import (
 )
 from bbq_torchrl.people.language import __main__ as command
 from bbq_torchrl.people.language.assemble import assemble, chosen
+from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.people.language.frames import OPENING
-from bbq_torchrl.people.language.kept import kept_understander
 from bbq_torchrl.people.language.model import Reading
 from bbq_torchrl.people.language.tagger import OUTSIDE
 from bbq_torchrl.people.language.words import tokenize
@@ -308,27 +308,27 @@ def test_an_understander_is_kept_where_only_its_user_can_write(understand, tmp_p
     trained = []
     monkeypatch.setattr(Understander, "train", lambda *_, **__: trained.append(1) or understand)
 
-    kept_understander(movie_domain())
-    kept_understander(movie_domain())
+    cached_understander(movie_domain())
+    cached_understander(movie_domain())
 
     assert trained == [1]
     assert folder.stat().st_mode & 0o777 == 0o700
     (kept,) = folder.iterdir()
     kept.write_bytes(kept.read_bytes()[:50_000])
-    kept_understander(movie_domain())
+    cached_understander(movie_domain())
     assert trained == [1, 1]
 
 
-def test_a_kept_understander_in_a_folder_of_somebody_else_is_not_believed(
+def test_a_cached_understander_in_a_folder_of_somebody_else_is_not_believed(
     understand, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     trained = []
     monkeypatch.setattr(Understander, "train", lambda *_, **__: trained.append(1) or understand)
-    kept_understander(movie_domain())
+    cached_understander(movie_domain())
     monkeypatch.setattr("os.getuid", lambda: (tmp_path / "bbq-torchrl").stat().st_uid + 1)
 
-    kept_understander(movie_domain())
+    cached_understander(movie_domain())
 
     assert trained == [1, 1]
 

@@ -29,7 +29,7 @@ AGENTS = 'agents: {secret-bbqn: "shipped:bbqn_map", secret-dqn: "shipped:dqn"}'
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "talker", ["study.fakes:make", "bbq_torchrl.people.chat.talker:make_talker"]
+    "talker", ["study.fakes:make", "bbq_torchrl.people.study.agents:make_talker"]
 )
 def test_two_hundred_people_at_once_are_answered_within_a_second(tmp_path, talker):
     study = STUDY.replace("participants: 5", f"participants: {PEOPLE}")

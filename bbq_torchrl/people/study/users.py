@@ -8,7 +8,7 @@ import torch
 
 from bbq_torchrl.domains import NO_MATCH, tensorize
 from bbq_torchrl.domains.coding import Coding
-from bbq_torchrl.people.chat.spelling import Spelling
+from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Frame, Generator
 from bbq_torchrl.people.language.asking import repeated
 from bbq_torchrl.simulator import Simulator

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from acts import Acts
 
 from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.language import Frame
-
-from .conftest import Acts
 
 
 def talk(partner, *texts):

@@ -11,10 +11,10 @@ pytest.importorskip("pycrfsuite", reason="needs the extra language")
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.people.chat import Partner
-from bbq_torchrl.people.chat.partner import as_act
-from bbq_torchrl.people.chat.simulated_user import SimulatedUser
+from bbq_torchrl.people.dialogue.partner import as_act
 from bbq_torchrl.people.language import Frame, Unclear, Understood
 from bbq_torchrl.people.language.asking import MOST_ASKS, Asking
+from bbq_torchrl.people.study.users import SimulatedUser
 from bbq_torchrl.simulator import Simulator
 
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.people.chat.agent import TrainedAgent
-from bbq_torchrl.people.chat.partner import Partner, as_act
-from bbq_torchrl.people.chat.spelling import Spelling
+from bbq_torchrl.people.dialogue.agent import TrainedAgent
+from bbq_torchrl.people.dialogue.partner import Partner, as_act
+from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Generator, load_phrases
-from bbq_torchrl.people.language.kept import kept_understander, language_key
+from bbq_torchrl.people.language.cache import cached_understander, language_key
 from bbq_torchrl.people.study import Reply, StudyError
 from bbq_torchrl.shipped import run_folder
 
@@ -38,7 +38,7 @@ class AgentTalker:
     """
 
     def __init__(self, study: Study) -> None:
-        ears, mouth = kept_understander(study.domain), Generator(study.domain)
+        ears, mouth = cached_understander(study.domain), Generator(study.domain)
         self._language = language_key(study.domain)
         self.labels = load_phrases(study.domain).names
         spelling = Spelling(study.domain)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
 
-def kept_understander(
+def cached_understander(
     domain: Domain,
     labeled: Path | None = None,
     tell: Callable[[str], None] = lambda _: None,

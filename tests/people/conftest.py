@@ -1,14 +1,15 @@
-"""Tiny trained runs, and a person who types acts instead of sentences."""
+"""Tiny trained runs, and partners to talk with."""
 
 from __future__ import annotations
 
 import pytest
+from acts import Acts
 from tiny import TINY, without_drawing
 
 from bbq_torchrl.cli.store import compose
 from bbq_torchrl.people.chat import Partner, TrainedAgent
-from bbq_torchrl.people.chat.spelling import Spelling
-from bbq_torchrl.people.language import Frame, Generator, TextError, Unclear, Understood
+from bbq_torchrl.people.dialogue.spelling import Spelling
+from bbq_torchrl.people.language import Generator
 from bbq_torchrl.run import run
 
 SHRUNKEN = (*TINY, "protocol.rounds=1", "protocol.eval_every=0", "spike.policy=random")
@@ -35,25 +36,6 @@ def runs(tmp_path_factory):
 def agents(runs):
     names = ("bbqn", "dqn", "bootstrap")
     return {name: TrainedAgent(runs / name) for name in names}
-
-
-class Acts:
-    """Who reads acts as transcripts write them; not ``?``, and a godzilla is two movies."""
-
-    def __call__(self, text, question=None):
-        if text.startswith("\x00"):
-            raise TextError("a sentence must have at least one character")
-        if text == "?":
-            return Understood(Frame("inform"), 0.2)
-        if text == "two for godzilla":
-            unclear = Unclear("moviename", "godzilla", ("godzilla minus one", "godzilla x kong"))
-            return Understood(Frame("inform", {"numberofpeople": "2"}), 0.9, (unclear,))
-        if text == "the first":
-            return Understood(Frame("inform", {question.requests[0]: question.choices[0]}), 0.9)
-        return Understood(Frame.parse(text), 0.99)
-
-    def asks(self, understood):
-        return understood.confidence < 0.7 or bool(understood.unclear)
 
 
 @pytest.fixture(scope="session")

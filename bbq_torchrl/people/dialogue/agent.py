@@ -16,7 +16,7 @@ from bbq_torchrl import __version__
 from bbq_torchrl.cli.loading import load_run
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.people.chat.posterior import path_draws, q_draws
+from bbq_torchrl.people.dialogue.posterior import path_draws, q_draws
 from bbq_torchrl.people.dialogue.talk import Belief, Beliefs
 
 if TYPE_CHECKING:

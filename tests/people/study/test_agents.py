@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from acts import Acts
 
-from bbq_torchrl.people.chat import simulated_user
-from bbq_torchrl.people.chat import talker as talkers
-from bbq_torchrl.people.study import StudyError, load_study
+from bbq_torchrl.people.study import StudyError, load_study, users
+from bbq_torchrl.people.study import agents as talkers
 from bbq_torchrl.people.study.results import read_results
 from bbq_torchrl.people.study.simulate import simulate
 
-from .conftest import Acts
-from .test_simulated_user import Letters
+from .test_users import Letters
 
 STUDY = """
 name: Tickets
@@ -37,14 +36,14 @@ def study(runs):
 @pytest.fixture(autouse=True)
 def typed_acts(monkeypatch):
     """People and simulated users type acts, so that nothing has to be learned."""
-    monkeypatch.setattr(talkers, "kept_understander", lambda *_: Acts())
-    monkeypatch.setattr(simulated_user, "Generator", lambda _: Letters())
+    monkeypatch.setattr(talkers, "cached_understander", lambda *_: Acts())
+    monkeypatch.setattr(users, "Generator", lambda _: Letters())
 
 
 def test_simulated_users_take_part_in_a_study_of_trained_agents(study):
     talker = talkers.make_talker(study)
     assert len({talker.fingerprint(name) for name in study.terms.agents}) == 2
-    simulate(study, talker, simulated_user.make_users(study), seed=3)
+    simulate(study, talker, users.make_users(study), seed=3)
     results = read_results(study.data)
     assert results.simulated
     assert sorted(session.agent for session in results.sessions) == ["bbqn", "bbqn", "dqn", "dqn"]

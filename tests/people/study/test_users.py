@@ -9,10 +9,10 @@ pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.coding import Coding
-from bbq_torchrl.people.chat.partner import as_act
-from bbq_torchrl.people.chat.simulated_user import SimulatedUser
+from bbq_torchrl.people.dialogue.partner import as_act
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.study import Frame as Act
+from bbq_torchrl.people.study.users import SimulatedUser
 from bbq_torchrl.simulator import Simulator
 
 

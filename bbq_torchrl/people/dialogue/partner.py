@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.people.chat.spelling import Spelling
+from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.talk import Frame as Act
 from bbq_torchrl.people.dialogue.tracker import Tracking
 from bbq_torchrl.people.language import Frame, TextError, Understood
@@ -18,7 +18,7 @@ from bbq_torchrl.people.language.asking import Asking
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from bbq_torchrl.people.chat.agent import Reasons, TrainedAgent
+    from bbq_torchrl.people.dialogue.agent import Reasons, TrainedAgent
     from bbq_torchrl.people.dialogue.talk import Beliefs
     from bbq_torchrl.people.language import (
         EndpointGenerator,
