@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.extras import needed
 from bbq_torchrl.people.chat.goals import REASONS
 from bbq_torchrl.people.dialogue.judge import Judge, card
-from bbq_torchrl.people.dialogue.partner import as_act
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -171,7 +170,7 @@ class Chat:
             "": "The conversation is over.",
         }
         self._say(how[ended])
-        said = [(as_act(turn.answer.heard), as_act(turn.answer.said)) for turn in self._turns]
+        said = [(turn.answer.heard, turn.answer.said) for turn in self._turns]
         if self._goal is None:
             complete = self._partner.domain.complete_slot
             offers = [act.informs for _, act in said if complete in act.informs]

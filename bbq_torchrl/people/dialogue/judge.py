@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from bbq_torchrl.domains import Domain, Goal
-    from bbq_torchrl.people.dialogue.talk import Frame
+    from bbq_torchrl.domains.frames import Frame
 
 _NO_MATCH = fold(RESERVED_TEXT[NO_MATCH])
 _AVAILABLE = fold(RESERVED_TEXT[AVAILABLE])

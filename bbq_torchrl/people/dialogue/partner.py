@@ -11,7 +11,6 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.people.dialogue.spelling import Spelling
-from bbq_torchrl.people.dialogue.talk import Frame as Act
 from bbq_torchrl.people.dialogue.tracker import Tracking
 from bbq_torchrl.people.language import Frame, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking
@@ -212,8 +211,3 @@ class Partner:
                 unclear = understood.unclear[0]
                 said = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
         return Answer(sentence, understood, heard, said, now.text())
-
-
-def as_act(frame: Frame, confidence: float | None = None) -> Act:
-    """Returns an act of the language layer as the study writes it."""
-    return Act(frame.act, dict(frame.informs), frame.requests, confidence)

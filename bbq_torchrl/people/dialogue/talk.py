@@ -1,45 +1,20 @@
-"""What the study asks of whoever talks with people: text in; text, frames and beliefs out."""
+"""The protocol of an agent in a study: text in; text, acts and beliefs out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bbq_torchrl.domains import Domain
-
-
-@dataclass(frozen=True)
-class Frame:
-    """An utterance as a dialogue act.
-
-    Attributes:
-        act: the act.
-        informs: slot to value, as the domain spells it; reserved values in their reserved text.
-        requests: the slots asked for.
-        confidence: of the understanding, in [0, 1]; ``None`` where there is none.
-    """
-
-    act: str
-    informs: Mapping[str, str] = field(default_factory=dict)
-    requests: tuple[str, ...] = ()
-    confidence: float | None = None
-
-    def __str__(self) -> str:
-        told = [f"{slot}={value}" for slot, value in self.informs.items()]
-        return f"{self.act}({', '.join([*told, *(f'{slot}?' for slot in self.requests)])})"
-
-    @classmethod
-    def of(cls, content: Mapping[str, Any]) -> Frame:
-        """Returns the frame that was stored as ``content``."""
-        return cls(**{**content, "requests": tuple(content["requests"])})
+    from bbq_torchrl.domains.frames import Frame
 
 
 @dataclass(frozen=True)
 class Belief:
-    """What an agent thinks of one action.
+    """An agent's belief about one action.
 
     Attributes:
         action: the action's name.
@@ -58,7 +33,7 @@ class Belief:
 
 @dataclass(frozen=True)
 class Beliefs:
-    """What an agent thinks before its act.
+    """An agent's beliefs before its act.
 
     Attributes:
         actions: the legal actions, or the best of them.
@@ -71,22 +46,24 @@ class Beliefs:
 
 @dataclass(frozen=True)
 class Reply:
-    """An agent's answer to a person's text, and what there is to store of it.
+    """An agent's answer to a person's text, with all that is stored of it.
 
     Attributes:
         text: what the agent says.
         heard: what was understood of the person's text.
         said: the agent's act, its values filled in. The offer of a booking informs the domain's
             complete slot (``ticket available`` or ``no match``) and all values held.
+        confidence: of the understanding, in [0, 1]; ``None`` where there is none.
         ended: the agent ends the conversation.
         state: whatever the talker needs to answer the next text; the study stores it and gives it
-            back, so that a conversation goes on after any crash.
+            back, so that a conversation continues after any crash.
         beliefs: what the agent thought; ``None`` for an agent without a posterior.
     """
 
     text: str
     heard: Frame
     said: Frame
+    confidence: float | None = None
     ended: bool = False
     state: str = ""
     beliefs: Beliefs | None = None

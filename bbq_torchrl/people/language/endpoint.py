@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.extras import needed
-from bbq_torchrl.people.language.words import TextError, clean
+from bbq_torchrl.people.language.words import legible
+from bbq_torchrl.people.typed import TextError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -125,7 +126,7 @@ class EndpointUnderstander:
             TextError: if nothing of the text can be read, or it is too long.
         """
         own = self._own(text, question)
-        given = {"text": clean(text), "agent_said": str(question) if question is not None else ""}
+        given = {"text": legible(text), "agent_said": str(question) if question is not None else ""}
         try:
             answer = self._endpoint.ask(_UNDERSTAND, given, self._schema())
         except ConnectionError:
@@ -208,7 +209,7 @@ class EndpointGenerator:
             self.fallbacks["no answer"] += 1
             return own
         try:
-            text = clean(answer["text"])
+            text = legible(answer["text"])
         except (KeyError, TypeError, AttributeError, TextError):
             text = ""
         # A value that the own sentence says must be said by the other as well.

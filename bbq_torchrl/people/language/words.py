@@ -6,9 +6,7 @@ import re
 import unicodedata
 
 from bbq_torchrl.people.language.english import pairs
-
-MAX_CHARACTERS = 1_000
-"""The longest text that is read; nobody types more to a ticket agent."""
+from bbq_torchrl.people.typed import TextError, clean
 
 BREAKS = frozenset((".", ";", "!", "?"))
 """The marks between clauses."""
@@ -30,34 +28,16 @@ _SHORT = pairs("short")
 _APOSTROPHES = str.maketrans({"’": "'", "‘": "'", "`": "'", "´": "'", "“": '"', "”": '"', "–": "-"})
 
 
-class TextError(ValueError):
-    """Text that cannot be read as a sentence; the message is fit to be shown to its author."""
-
-
-def clean(text: str) -> str:
-    r"""Returns ``text`` in one line without controls, marks of direction and broken characters.
+def legible(text: str) -> str:
+    """Returns a clean text in plain letters and marks, without marks of direction.
 
     Raises:
-        TextError: if the text is longer than :data:`MAX_CHARACTERS`, or nothing is left of it.
-
-    Examples:
-        >>> clean("  two\x00 tickets\n please ")
-        'two tickets please'
+        TextError: if the text is too long, or blank.
     """
-    if len(text) > MAX_CHARACTERS:
-        raise TextError(
-            f"a sentence may have at most {MAX_CHARACTERS:,} characters, got {len(text):,}"
-        )
-    composed = unicodedata.normalize("NFKC", text.translate(_APOSTROPHES))
-    kept = "".join(
-        " " if letter.isspace() else letter
-        for letter in composed
-        if letter.isspace() or unicodedata.category(letter)[0] != "C"
+    line = unicodedata.normalize("NFKC", clean(text).translate(_APOSTROPHES))
+    return " ".join(
+        "".join(letter for letter in line if unicodedata.category(letter)[0] != "C").split()
     )
-    line = " ".join(kept.split())
-    if not line:
-        raise TextError("a sentence must have at least one character that can be read, got none")
-    return line
 
 
 def normalize(text: str) -> str:
@@ -86,14 +66,14 @@ def tokenize(text: str) -> list[str]:
 
 
 def words_of(text: str) -> list[str]:
-    """Returns the words of what somebody typed, see :func:`clean` and :func:`tokenize`.
+    """Returns the words of what somebody typed, see :func:`legible` and :func:`tokenize`.
 
     Raises:
-        TextError: if the text is longer than :data:`MAX_CHARACTERS`, or has no words.
+        TextError: if the text is too long, or has no words.
     """
-    words = tokenize(clean(text))
+    words = tokenize(legible(text))
     if not words:
-        raise TextError("a sentence must have at least one word, number or mark, got none")
+        raise TextError("a message must have at least one word, number or mark, got none")
     return words
 
 

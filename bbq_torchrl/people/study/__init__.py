@@ -6,7 +6,8 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.people.dialogue.talk import Belief, Beliefs, Frame, Reply, Talker
+from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.people.dialogue.talk import Belief, Beliefs, Reply, Talker
 from bbq_torchrl.people.study.plan import Study, StudyError, load_study
 
 __all__ = ["Belief", "Beliefs", "Frame", "Reply", "Study", "StudyError", "Talker", "load_study"]

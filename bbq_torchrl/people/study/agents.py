@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.people.dialogue.agent import TrainedAgent
-from bbq_torchrl.people.dialogue.partner import Partner, as_act
+from bbq_torchrl.people.dialogue.partner import Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Generator, load_phrases
 from bbq_torchrl.people.language.cache import cached_understander, language_key
@@ -77,8 +77,9 @@ class AgentTalker:
         confidence = None if answer.understood is None else answer.understood.confidence
         return Reply(
             text=answer.text,
-            heard=as_act(answer.heard, confidence),
-            said=as_act(answer.said),
+            heard=answer.heard,
+            said=answer.said,
+            confidence=confidence,
             ended=answer.ended in ("agent", "person"),  # the study counts turns itself
             state=answer.memory,
             beliefs=beliefs,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import re
 import threading
-import unicodedata
 from contextlib import contextmanager
 from http import HTTPStatus
 from typing import TYPE_CHECKING
@@ -13,18 +12,17 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.study.records import SCALES, current
 from bbq_torchrl.people.study.store import JoinRateError
+from bbq_torchrl.people.typed import TextError, clean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from bbq_torchrl.domains import Goal
-    from bbq_torchrl.people.dialogue.talk import Frame, Talker
+    from bbq_torchrl.domains.frames import Frame
+    from bbq_torchrl.people.dialogue.talk import Talker
     from bbq_torchrl.people.study.plan import Study
     from bbq_torchrl.people.study.records import Session, StoredExchange
     from bbq_torchrl.people.study.store import Store
-
-MAX_TEXT = 1_000
-"""Characters of a message."""
 
 _NONCE = re.compile(r"[A-Za-z0-9_-]{20,40}", re.ASCII)
 _LOCKS = 64
@@ -101,10 +99,10 @@ class Conversations:
             if form.get("turn") != str(number):
                 raise RefusedError(
                     HTTPStatus.CONFLICT,
-                    "This conversation has gone on in another window. Here it is as it is now; "
+                    "This conversation has continued in another window. Here it is as it is now; "
                     "your last message was not sent.",
                 )
-            text = clean(form.get("text", ""))
+            text = _message(form)
             state = exchanges[-1].state if exchanges else None
             reply = self._talker.reply(session.agent, state, text, seed_of(session.id, number))
             said = [*_frames(exchanges), (reply.heard, reply.said)]
@@ -169,33 +167,14 @@ class Conversations:
         return self._talker.domain.goals[session.goal - 1]
 
 
-def clean(text: str) -> str:
-    r"""Returns a text as it is stored: one line, composed, without control characters.
-
-    Raises:
-        RefusedError: it is blank or too long.
-
-    Examples:
-        >>> clean(" two\x00 tickets,\n please ")
-        'two tickets, please'
-    """
-    if len(text) > MAX_TEXT:
+def _message(form: Mapping[str, str]) -> str:
+    try:
+        return clean(form.get("text", ""))
+    except TextError as error:
+        text = str(error)
         raise RefusedError(
-            HTTPStatus.UNPROCESSABLE_ENTITY,
-            f"A message may have {MAX_TEXT:,} characters, this one has {len(text):,}: "
-            "please shorten it.",
-        )
-    composed = unicodedata.normalize("NFC", text)
-    plain = "".join(
-        " " if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") else letter
-        for letter in composed
-    )
-    plain = " ".join(plain.split())
-    if not any(unicodedata.category(letter)[0] not in "CZM" for letter in plain):
-        raise RefusedError(
-            HTTPStatus.UNPROCESSABLE_ENTITY, "Please write something before you send it."
-        )
-    return plain
+            HTTPStatus.UNPROCESSABLE_ENTITY, f"{text[:1].upper()}{text[1:]}."
+        ) from error
 
 
 def _frames(exchanges: Sequence[StoredExchange]) -> list[tuple[Frame, Frame]]:

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.study.database import PRIVATE
-from bbq_torchrl.people.study.records import SCALES
+from bbq_torchrl.people.study.records import SCALES, act_content, act_text
 from bbq_torchrl.run_folder import write_text
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def _exchange_rows(results: Results) -> Iterable[Sequence[Any]]:
             yield (
                 *(item.id, said.number, round(said.at - item.exchanges[0].at, 3)),
                 *(without_names(said.text), without_names(said.answer)),
-                *(without_names(str(said.heard)), without_names(str(said.said))),
+                *(without_names(act_text(said.heard)), without_names(act_text(said.said))),
                 said.beliefs["entropy"] if said.beliefs else "",
                 int(results.simulated),
             )
@@ -119,6 +119,8 @@ def _lines(results: Results) -> Iterable[str]:
             said["seconds"] = round(said.pop("at") - item.exchanges[0].at, 3)
             said["text"] = without_names(stored.text)
             said["answer"] = without_names(stored.answer)
+            said["heard"] = act_content(stored.heard, said.pop("confidence"))
+            said["said"] = act_content(stored.said)
             for frame in (said["heard"], said["said"]):
                 frame["informs"] = {
                     slot: without_names(value) for slot, value in frame["informs"].items()

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.people.dialogue.talk import Frame
+from bbq_torchrl.domains.frames import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -16,6 +16,30 @@ SCALES = ("overall", "naturalness", "coherence", "completion")
 
 LOWEST, HIGHEST = 1, 5
 """Ratings."""
+
+
+def act_content(frame: Frame, confidence: float | None = None) -> dict[str, Any]:
+    """Returns an act as it is stored and exported, as plain data."""
+    informs, requests = dict(frame.informs), list(frame.requests)
+    return {"act": frame.act, "informs": informs, "requests": requests, "confidence": confidence}
+
+
+def act_text(frame: Frame) -> str:
+    """Returns an act as transcripts and exports of a study write it.
+
+    Examples:
+        >>> act_text(Frame("request", {"city": "reno"}, ("date",)))
+        'request(city=reno, date?)'
+    """
+    told = [f"{slot}={value}" for slot, value in frame.informs.items()]
+    return f"{frame.act}({', '.join([*told, *(f'{slot}?' for slot in frame.requests)])})"
+
+
+def _read(text: str) -> tuple[Frame, float | None]:
+    """Returns the act and the confidence that are stored as ``text``."""
+    content = json.loads(text)
+    frame = Frame(content["act"], content["informs"], tuple(content["requests"]))
+    return frame, content["confidence"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +52,7 @@ class StoredExchange:
         text: the person's.
         answer: the agent's.
         heard: what was understood.
+        confidence: of the understanding; ``None`` where there is none.
         said: the agent's act.
         beliefs: the agent's, as plain data.
         state: the talker's.
@@ -39,6 +64,7 @@ class StoredExchange:
     text: str
     answer: str
     heard: Frame
+    confidence: float | None
     said: Frame
     beliefs: Mapping[str, Any] | None
     state: str
@@ -48,8 +74,8 @@ class StoredExchange:
     def of(cls, row: tuple[Any, ...]) -> StoredExchange:
         """Returns the exchange in a row of :data:`EXCHANGES`."""
         number, at, text, answer, heard, said, beliefs, state, nonce = row
-        frames = Frame.of(json.loads(heard)), Frame.of(json.loads(said))
         content = None if beliefs is None else json.loads(beliefs)
+        frames = *_read(heard), _read(said)[0]
         return cls(number, at, text, answer, *frames, content, state, nonce)
 
 

@@ -26,6 +26,7 @@ from bbq_torchrl.people.study.records import (
     SESSIONS,
     Session,
     StoredExchange,
+    act_content,
 )
 
 if TYPE_CHECKING:
@@ -232,7 +233,8 @@ class Store:
                 "INSERT INTO exchange VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 (
                     *(session.id, number, nonce, now, text, reply.text),
-                    *(json.dumps(asdict(reply.heard)), json.dumps(asdict(reply.said))),
+                    json.dumps(act_content(reply.heard, reply.confidence)),
+                    json.dumps(act_content(reply.said)),
                     *(beliefs, reply.state),
                 ),
             )

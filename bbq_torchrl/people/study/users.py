@@ -17,7 +17,6 @@ from bbq_torchrl.simulator.tracker import AgentTurn
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from bbq_torchrl.people.study import Frame as Act
     from bbq_torchrl.people.study import Study
 
 _MULTIPLE_CHOICE = "multiple_choice"
@@ -66,7 +65,7 @@ class SimulatedUser:
         is_refused = state["history"] == NO_MATCH
         return bool(state["constraints_met"] & ~(is_left | is_refused).any())
 
-    def say(self, said: Act | None) -> str:
+    def say(self, said: Frame | None) -> str:
         """Returns what it says to the agent's act; ``None`` begins the conversation."""
         if said is None:
             meant = self._meant()
@@ -84,7 +83,7 @@ class SimulatedUser:
         informs, requests = state["meant_informs"].tolist(), state["pending"].tolist()
         return self._coding.frame(int(state["user_act"]), informs, requests)
 
-    def _reply(self, said: Act) -> None:
+    def _reply(self, said: Frame) -> None:
         state, simulator = self._state, self._simulator
         agent = self._turn(said)
         draws = simulator.draw_turn((), self._random)
@@ -93,7 +92,7 @@ class SimulatedUser:
         reply = simulator.user.reply(state, agent, torch.tensor(False), draws)
         self._state = state.replace(**reply)
 
-    def _turn(self, said: Act) -> AgentTurn:
+    def _turn(self, said: Frame) -> AgentTurn:
         """Returns an agent's act as the tracker completes it; an offer of values is a question."""
         domain, coding = self._simulator.domain, self._coding
         informs = torch.tensor(coding.ids(self._spelled(said.informs)))

@@ -18,11 +18,12 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from bbq_torchrl.people.dialogue.judge import card
-from bbq_torchrl.people.study.conversations import MAX_TEXT, Conversations, RefusedError
+from bbq_torchrl.people.study.conversations import Conversations, RefusedError
 from bbq_torchrl.people.study.database import StoreError
 from bbq_torchrl.people.study.guard import Guard
-from bbq_torchrl.people.study.records import current
+from bbq_torchrl.people.study.records import act_text, current
 from bbq_torchrl.people.study.store import ForgottenError
+from bbq_torchrl.people.typed import MAX_CHARACTERS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -58,6 +59,7 @@ _TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
+_TEMPLATES.filters["act"] = act_text
 _log = logging.getLogger(__name__)
 
 
@@ -166,7 +168,7 @@ class _Pages:
             exchanges=[(said.text, said.answer) for said in self._store.exchanges(session.id)],
             nonce=form.get("nonce", "") if keep_nonce else _new_nonce(),
             given=given,
-            max_text=MAX_TEXT,
+            max_text=MAX_CHARACTERS,
             questions=QUESTIONS,
         )
 

@@ -11,7 +11,6 @@ pytest.importorskip("pycrfsuite", reason="needs the extra language")
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.people.chat import Partner
-from bbq_torchrl.people.dialogue.partner import as_act
 from bbq_torchrl.people.language import Frame, Unclear, Understood
 from bbq_torchrl.people.language.asking import MOST_ASKS, Asking
 from bbq_torchrl.people.study.users import SimulatedUser
@@ -63,7 +62,7 @@ def test_the_level_of_text_hears_what_a_chat_hears(movie, agents, mouth, spellin
         meant = user._meant()
         answer, asks = partner.reply(None, user.say(None), 0), 0
         while not answer.acted:
-            answer = partner.reply(answer.memory, user.say(as_act(answer.said)), 0)
+            answer = partner.reply(answer.memory, user.say(answer.said), 0)
             asks += 1
         in_chat = list(ears.questions)
         ears.questions.clear()

@@ -9,8 +9,8 @@ from oracle.small import small_domain
 from study.simulated import Dialogues
 
 from bbq_torchrl.domains import Goal
+from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.dialogue.judge import Judge, card
-from bbq_torchrl.people.dialogue.talk import Frame
 
 WISHES = {"moviename": "Deadpool", "city": "seattle", "numberofpeople": "2"}
 GOAL = Goal(WISHES, ("theater", "date"))

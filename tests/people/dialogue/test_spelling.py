@@ -10,7 +10,6 @@ from chat.test_chat_command import play
 from study.test_users import Letters
 
 from bbq_torchrl.domains import Goal, build_vocabulary
-from bbq_torchrl.people.dialogue.talk import Frame as Act
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.study import users
@@ -72,5 +71,5 @@ def test_a_simulated_user_takes_an_offer_in_another_spelling(movie, spelling, mo
         for offered in (raw.constraints, own.constraints, wrong):
             user = make_user(number, 0)
             user.say(None)
-            told = Act("inform", {**offered, movie.complete_slot: "ticket available"})
+            told = Frame("inform", {**offered, movie.complete_slot: "ticket available"})
             assert (Frame.parse(user.say(told)).act == "deny") == (offered is wrong)

@@ -50,8 +50,9 @@ class FakeTalker:
         )
         return Reply(
             text=answer,
-            heard=Frame("inform" if heard else "request", heard, asked, 0.875),
+            heard=Frame("inform" if heard else "request", heard, asked),
             said=said,
+            confidence=0.875,
             ended=text == "bye",
             state=json.dumps(held),
             beliefs=Beliefs(actions, 0.5625),

@@ -9,7 +9,7 @@ from dataclasses import replace
 import forked
 import pytest
 
-from bbq_torchrl.people.dialogue.talk import Frame
+from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.comparisons import compare_pairs
 from bbq_torchrl.people.study.export import defused, without_names

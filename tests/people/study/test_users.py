@@ -9,9 +9,7 @@ pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.coding import Coding
-from bbq_torchrl.people.dialogue.partner import as_act
 from bbq_torchrl.people.language import Frame
-from bbq_torchrl.people.study import Frame as Act
 from bbq_torchrl.people.study.users import SimulatedUser
 from bbq_torchrl.simulator import Simulator
 
@@ -62,7 +60,7 @@ def test_a_user_says_what_it_means_in_the_simulator(movie, simulator):
                 state, torch.tensor(action), simulator.draw_turn((), generator), active
             )
             numbers = state["agent_informs"].tolist(), state["agent_requests"].tolist()
-            said = as_act(coding.frame(int(state["agent_act"]), *numbers))
+            said = coding.frame(int(state["agent_act"]), *numbers)
             if bool(state["done"]):
                 break
         assert not bool(before["done"])
@@ -75,11 +73,11 @@ def test_a_user_who_is_asked_again_says_it_again(movie, simulator):
     speak = Letters()
     user = SimulatedUser(simulator, speak, 1, 0)
     first = user.say(None)
-    assert user.say(Act("not_sure")) == first
+    assert user.say(Frame("not_sure")) == first
     informs = Frame.parse(first).informs
     slot = next(iter(informs))
-    asked = Act("multiple_choice", {}, (slot,))
+    asked = Frame("multiple_choice", {}, (slot,))
     assert user.say(asked) == str(Frame("inform", {slot: informs[slot]}))
     assert speak.question is None  # no act of the agent's that its words would answer
-    assert user.say(Act("request", {}, (slot,))) == str(Frame("inform", {slot: informs[slot]}))
+    assert user.say(Frame("request", {}, (slot,))) == str(Frame("inform", {slot: informs[slot]}))
     assert speak.question == Frame("request", {}, (slot,))
