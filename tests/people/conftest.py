@@ -50,7 +50,7 @@ def spelling(movie):
 
 @pytest.fixture
 def partner(agents, mouth, spelling):
-    return Partner(agents["bbqn"], Acts(), mouth, spelling)
+    return Partner(agents["bbqn"], Acts(), mouth, spelling, rules=())
 
 
 @pytest.fixture
@@ -59,6 +59,6 @@ def decided(monkeypatch):
 
     def decide(agent, *actions):
         todo = [agent.domain.action_index(action) for action in actions]
-        monkeypatch.setattr(agent, "decide", lambda observation, seed: todo.pop(0))
+        monkeypatch.setattr(agent, "decide", lambda observation, seed, allowed=None: todo.pop(0))
 
     return decide

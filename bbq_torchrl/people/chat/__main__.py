@@ -62,9 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         own = cached_understander(agent.domain, given.labeled, screen.print)
     speak = Generator(agent.domain)
     endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
-    ears = EndpointUnderstander(endpoint, own) if given.nlu == "endpoint" else own
-    mouth = EndpointGenerator(endpoint, speak) if given.nlg == "endpoint" else speak
-    partner = Partner(agent, ears, mouth, spelling, ask_below=given.ask_below)
+    nlu = EndpointUnderstander(endpoint, own) if given.nlu == "endpoint" else own
+    nlg = EndpointGenerator(endpoint, speak) if given.nlg == "endpoint" else speak
+    partner = Partner(agent, nlu, nlg, spelling, ask_below=given.ask_below)
     names = load_phrases(agent.domain).names
     Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
     return 0

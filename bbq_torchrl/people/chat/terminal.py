@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from bbq_torchrl.domains import Goal
-    from bbq_torchrl.people.dialogue.partner import Answer, Partner
+    from bbq_torchrl.people.dialogue.partner import Answer, Memory, Partner
 
 COMMANDS = {
     "/acts": "what was understood, and what the agent thinks of its best actions",
@@ -29,7 +29,7 @@ _SHOWN = 6
 class _Turn:
     """A text with its answer, and what was remembered before it."""
 
-    memory: str | None
+    memory: Memory | None
     answer: Answer
     seed: int
 

@@ -83,6 +83,7 @@ class TrainedAgent:
         domain: what it talks about.
         simulator: of the domain, as the agent was trained in it.
         active: bool ``[S]``, the slots active for the agent.
+        legal: bool ``[A]``, the actions that the agent has.
         name: of the policy, such as ``mean`` or ``greedy``.
 
     Raises:
@@ -107,7 +108,7 @@ class TrainedAgent:
         self.domain: Domain = env.domain
         self.simulator: Simulator = env.simulator
         self.active = env.active_slots
-        self._mask: Tensor = env.simulator.action_mask(env.active_slots)
+        self.legal: Tensor = env.simulator.action_mask(env.active_slots)
         self._replicas, self._replica = config.replicas, replica
         self._policy = policy.eval()
         self._lock = threading.Lock()
@@ -119,18 +120,19 @@ class TrainedAgent:
             if isinstance(value, torch.Tensor):
                 digest.update(key.encode())
                 digest.update(value.detach().cpu().contiguous().numpy().tobytes())
-        digest.update(repr(self._mask.tolist()).encode())
+        digest.update(repr(self.legal.tolist()).encode())
         digest.update(repr(self.domain).encode())
         return digest.hexdigest()
 
-    def decide(self, observation: Tensor, seed: int) -> int:
+    def decide(self, observation: Tensor, seed: int, allowed: Tensor | None = None) -> int:
         """Returns the action that the policy takes, an index of the domain's actions.
 
         Args:
             observation: float32 ``[F]``.
             seed: of what is random in the policy.
+            allowed: bool ``[A]``, the actions to choose from; ``None`` for all legal ones.
         """
-        return int(self._acted(observation, seed)["action"])
+        return int(self._acted(observation, seed, allowed)["action"])
 
     @torch.no_grad()
     def beliefs(self, observation: Tensor, seed: int) -> Beliefs | None:
@@ -147,9 +149,9 @@ class TrainedAgent:
             found = q_draws(self._policy, self._rows(observation), DRAWS)
         if found is None:
             return None
-        values = found[self._replica].masked_fill(~self._mask, -torch.inf)
+        values = found[self._replica].masked_fill(~self.legal, -torch.inf)
         chances = torch.bincount(values.argmax(-1), minlength=values.shape[-1]) / len(values)
-        legal = self._mask.nonzero().flatten()
+        legal = self.legal.nonzero().flatten()
         bands = values[:, legal].quantile(_BANDS, dim=0)
         means = values[:, legal].mean(0)
         actions = []
@@ -163,10 +165,10 @@ class TrainedAgent:
     def values(self, observation: Tensor, seed: int) -> dict[str, float]:
         """Returns the values that the policy acts on, by legal action, the greatest first."""
         values = self._acted(observation, seed)["action_value"]
-        values = values.masked_fill(~self._mask, -torch.inf)
+        values = values.masked_fill(~self.legal, -torch.inf)
         return {
             self.domain.action_names[action]: float(values[action])
-            for action in values.argsort(descending=True)[: int(self._mask.sum())].tolist()
+            for action in values.argsort(descending=True)[: int(self.legal.sum())].tolist()
         }
 
     def reasons(self, observation: Tensor, seed: int) -> Reasons | None:
@@ -223,12 +225,13 @@ class TrainedAgent:
         )
 
     @torch.no_grad()
-    def _acted(self, observation: Tensor, seed: int) -> TensorDict:
+    def _acted(self, observation: Tensor, seed: int, allowed: Tensor | None = None) -> TensorDict:
         """Returns what the policy writes about one observation."""
+        mask = self.legal if allowed is None else allowed
         tensordict = TensorDict(
             {
                 "observation": self._rows(observation),
-                "action_mask": self._mask.expand(self._replicas, 1, -1),
+                "action_mask": mask.expand(self._replicas, 1, -1),
             },
             batch_size=[self._replicas, 1],
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bbq_torchrl.domains.frames import ANY, Frame
+from bbq_torchrl.people.language.asking import Nlu
 from bbq_torchrl.people.language.endpoint import Endpoint, EndpointGenerator, EndpointUnderstander
 from bbq_torchrl.people.language.frames import Unclear, Understood
 from bbq_torchrl.people.language.generate import Generator
@@ -19,6 +20,7 @@ __all__ = [
     "EndpointUnderstander",
     "Frame",
     "Generator",
+    "Nlu",
     "PhrasesError",
     "TextError",
     "Unclear",

@@ -1,32 +1,41 @@
-"""When a system asks again, and what becomes of the answer: one rule for people and simulations."""
+"""Asking again: when a system asks, and how it joins the answer to what it understood before."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from bbq_torchrl.domains.frames import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bbq_torchrl.people.language.endpoint import EndpointUnderstander
     from bbq_torchrl.people.language.frames import Understood
-    from bbq_torchrl.people.language.understand import Understander
 
 MOST_ASKS = 2
 """How often a system asks again in a row: better a mistake, which can be corrected, than no end."""
 
 
+class Nlu(Protocol):
+    """Understands sentences."""
+
+    def __call__(self, text: str, question: Frame | None = None) -> Understood:
+        """Returns what a text means in the light of the agent's last act."""
+
+    def asks(self, understood: Understood) -> bool:
+        """Returns whether a sentence was understood too badly to act on it."""
+
+
 @dataclass(frozen=True)
 class Asking:
-    """What a system has asked again since it last acted; at first nothing.
+    """The questions that a system has asked again since it last acted; at first none.
 
     Attributes:
         times: how often.
-        waiting: what was understood beside what it asked about.
+        waiting: what was understood apart from what it asked about.
         slot: what it asked about; empty where it asked for other words.
         choices: between which values of it; none where it knew none.
+        is_check: whether it asked if ``waiting`` is right.
 
     Examples:
         >>> from bbq_torchrl.people.language import Unclear, Understood
@@ -43,17 +52,18 @@ class Asking:
     waiting: Frame | None = None
     slot: str = ""
     choices: tuple[str, ...] = ()
+    is_check: bool = False
 
     def asks(
         self,
-        ears: Understander | EndpointUnderstander,
+        nlu: Nlu,
         understood: Understood,
         below: float | None = None,
     ) -> bool:
         """Returns whether the system asks again rather than act on what it understood.
 
         Args:
-            ears: who understood.
+            nlu: who understood.
             understood: what.
             below: the confidence below which it asks; where a name is unclear it asks at any.
                 ``None`` for what is usual to who understood, 0 for never.
@@ -61,11 +71,11 @@ class Asking:
         if self.times >= MOST_ASKS or below == 0:
             return False
         if below is None:
-            return ears.asks(understood)
+            return nlu.asks(understood)
         return understood.confidence < below or bool(understood.unclear)
 
     def again(self, understood: Understood | None) -> Asking:
-        """Returns what there is after it has asked again.
+        """Returns the questions after it has asked again.
 
         Args:
             understood: its first unclear name is asked about; where there is none, or nothing
@@ -77,12 +87,18 @@ class Asking:
         waiting = self.joined(understood.frame)
         return Asking(self.times + 1, waiting, unclear.slot, unclear.candidates)
 
+    def checking(self, understood: Understood) -> Asking:
+        """Returns the questions after the system has asked whether it understood a text rightly."""
+        return Asking(self.times + 1, self.joined(understood.frame), is_check=True)
+
     def question(self, said: Frame | None) -> Frame | None:
-        """Returns in the light of what the next text is read.
+        """Returns the act in whose light the next text is read.
 
         Args:
             said: the agent's last act; ``None`` before its first.
         """
+        if self.is_check:
+            return Frame("confirm_question")
         if self.choices:
             return Frame("multiple_choice", {}, (self.slot,), self.choices)
         return Frame("request", {}, (self.slot,)) if self.slot else said
@@ -92,9 +108,10 @@ class Asking:
         is_of_values = frame.act in ("inform", "request", "confirm_question")
         if self.waiting is None or not (frame.informs or frame.requests or is_of_values):
             return frame  # "No, goodbye."
+        act = "inform" if self.is_check and frame.act == "deny" else frame.act  # "No, at 7."
         requests = tuple(dict.fromkeys((*self.waiting.requests, *frame.requests)))
         informs = {**self.waiting.informs, **frame.informs}
-        return Frame("request" if requests else frame.act, informs, requests)
+        return Frame("request" if requests else act, informs, requests)
 
 
 def repeated(meant: Frame, asked: Sequence[str]) -> Frame:

@@ -224,6 +224,10 @@ class EndpointGenerator:
         """Returns how the own generator asks again for what was not understood."""
         return self._own.clarify(understood, session=session, turn=turn)
 
+    def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns how the own generator asks whether it got some values right."""
+        return self._own.check(values, session=session, turn=turn)
+
 
 def _schema(**properties: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the schema of an object with just these properties."""

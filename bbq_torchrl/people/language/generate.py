@@ -137,6 +137,18 @@ class Generator:
         words = {"<words>": [Piece(unclear.text)]}
         return sentence(self._fill(self._phrases.agent["unknown"], rng, unclear.slot, words))
 
+    def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns how an agent asks whether it got some values right.
+
+        Args:
+            values: slot to value.
+            session: with ``turn`` chooses the words.
+            turn: counts the turns of the session.
+        """
+        rng = chance(session, turn, "agent")
+        said = {"<wishes>": self._wishes(values, rng)}
+        return sentence(self._fill(self._phrases.agent["check"], rng, None, said))
+
     def _choose(self, slot: str, choices: Sequence[str], rng: random.Random) -> list[Piece]:
         *most, last = choices
         listed = f"{', '.join(most)} or {last}" if most else last

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 
-from bbq_torchrl.people.language.english import pairs
+from bbq_torchrl.people.language.english import ENGLISH, pairs, word_set
 from bbq_torchrl.people.typed import TextError, clean
 
 BREAKS = frozenset((".", ";", "!", "?"))
@@ -85,3 +85,54 @@ def compact(text: str) -> str:
         True
     """
     return "".join(letter for letter in normalize(text) if letter.isalnum() or letter in "$&%")
+
+
+_YES, _NO, _BESIDE = (word_set(name) for name in ("yes_words", "no_words", "beside_yes_and_no"))
+_ANY_BUT = re.compile(r"\b(any|every)\w*( \w+)? but\b")
+
+
+def is_yes(text: str) -> bool:
+    """Returns whether a text is a plain yes.
+
+    Examples:
+        >>> [is_yes(text) for text in ("Yes, that's right!", "yes but at 7", "not right")]
+        [True, False, False]
+    """
+    words = set(tokenize(text))
+    return bool(words & _YES) and words <= _YES | _BESIDE
+
+
+def is_no(text: str) -> bool:
+    """Returns whether a text is a plain no.
+
+    Examples:
+        >>> [is_no(text) for text in ("No, that's not right", "no, at 7")]
+        [True, False]
+    """
+    words = set(tokenize(text))
+    return bool(words & _NO) and words <= _NO | _YES | _BESIDE
+
+
+def is_farewell(text: str) -> bool:
+    """Returns whether a text has words of somebody who ends the conversation.
+
+    Examples:
+        >>> [is_farewell(text) for text in ("ok, bye", "forget the date. any date")]
+        [True, False]
+    """
+    return _has_phrase(text, "farewell")
+
+
+def is_contrary(text: str) -> bool:
+    """Returns whether a text has words that turn a value round, or make a range of it.
+
+    Examples:
+        >>> [is_contrary(text) for text in ("not on monday", "any day but friday", "on monday")]
+        [True, True, False]
+    """
+    return _has_phrase(text, "contrary") or _ANY_BUT.search(normalize(text)) is not None
+
+
+def _has_phrase(text: str, entry: str) -> bool:
+    words = f" {' '.join(tokenize(text))} "
+    return any(f" {phrase} " in words for phrase in ENGLISH[entry])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.people.dialogue.agent import TrainedAgent
-from bbq_torchrl.people.dialogue.partner import Partner
+from bbq_torchrl.people.dialogue.partner import Memory, Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Generator, load_phrases
 from bbq_torchrl.people.language.cache import cached_understander, language_key
@@ -38,7 +38,7 @@ class AgentTalker:
     """
 
     def __init__(self, study: Study) -> None:
-        ears, mouth = cached_understander(study.domain), Generator(study.domain)
+        nlu, nlg = cached_understander(study.domain), Generator(study.domain)
         self._language = language_key(study.domain)
         self.labels = load_phrases(study.domain).names
         spelling = Spelling(study.domain)
@@ -59,21 +59,23 @@ class AgentTalker:
                     f"not the study's, {study.domain.name}"
                 )
             below = study.terms.ask_below.get(name)
-            self._partners[name] = Partner(agent, ears, mouth, spelling, ask_below=below)
+            self._partners[name] = Partner(agent, nlu, nlg, spelling, ask_below=below)
         if faults:
             raise StudyError(str(study.path), faults)
 
     def fingerprint(self, agent: str) -> str:
-        """Returns a hash of the agent's weights, its domain and the language."""
-        weights = self._partners[agent].agent.fingerprint()
-        return hashlib.sha256(f"{weights} {self._language}".encode()).hexdigest()
+        """Returns a hash of the agent's weights, its domain, the language and the rules."""
+        partner = self._partners[agent]
+        parts = (partner.agent.fingerprint(), self._language, *partner.control.rules)
+        return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
     def reply(self, agent: str, state: str | None, text: str, seed: int) -> Reply:
         """Answers a text; see :class:`~bbq_torchrl.people.study.Talker`."""
         partner = self._partners[agent]
         with self._lock:
-            answer = partner.reply(state, text, seed)
-            beliefs = partner.beliefs(state, answer.heard, seed) if answer.acted else None
+            memory = None if state is None else Memory.from_json(state)
+            answer = partner.reply(memory, text, seed)
+            beliefs = partner.beliefs(memory, answer.heard, seed) if answer.acted else None
         confidence = None if answer.understood is None else answer.understood.confidence
         return Reply(
             text=answer.text,
@@ -81,7 +83,7 @@ class AgentTalker:
             said=answer.said,
             confidence=confidence,
             ended=answer.ended in ("agent", "person"),  # the study counts turns itself
-            state=answer.memory,
+            state=answer.memory.to_json(),
             beliefs=beliefs,
         )
 

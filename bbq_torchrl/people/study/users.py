@@ -69,6 +69,10 @@ class SimulatedUser:
         """Returns what it says to the agent's act; ``None`` begins the conversation."""
         if said is None:
             meant = self._meant()
+        elif said.act == "not_sure" and said.informs:  # "..., is that right?"
+            told = self._meant().informs
+            is_right = all(told.get(slot) == value for slot, value in said.informs.items())
+            meant = Frame("confirm_answer" if is_right else "deny")
         elif said.act == "not_sure" or (said.act == _MULTIPLE_CHOICE and said.requests):
             meant = repeated(self._meant(), said.requests)
         else:

@@ -54,7 +54,7 @@ class Ears:
 def test_the_level_of_text_hears_what_a_chat_hears(movie, agents, mouth, spelling, below):
     simulator = Simulator(tensorize(spelling.domain))
     ears, choices = Ears(), 0
-    partner = Partner(agents["bbqn"], ears, mouth, spelling, ask_below=below)
+    partner = Partner(agents["bbqn"], ears, mouth, spelling, ask_below=below, rules=())
     channel = TextChannel(simulator.domain, ears, Speaker(), below)
     asked = set()
     for goal in range(1, 13):
