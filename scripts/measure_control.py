@@ -19,7 +19,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import load_run, output
-from bbq_torchrl.people.dialogue.control import RULES, Control
+from bbq_torchrl.people.dialogue.control import IN_THE_SIMULATOR, Control
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
@@ -58,7 +58,7 @@ def main() -> None:
     env, policy, config, _ = load_run(given.run, dialogues=_BATCH)
     shape = torch.Size((config.replicas, _BATCH))
     batches = -(-given.dialogues // shape.numel())
-    settings = {"none": (), **{name: (name,) for name in RULES}, "all": tuple(RULES)}
+    settings = {"none": (), **{name: (name,) for name in IN_THE_SIMULATOR}, "all": IN_THE_SIMULATOR}
     rows = []
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         for name, rules in settings.items():

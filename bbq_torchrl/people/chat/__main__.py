@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import sys
@@ -13,9 +14,10 @@ from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.output import between
 from bbq_torchrl.pages import page
+from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Callable, Sequence
 
 _KEY = "BBQ_ENDPOINT_KEY"
@@ -64,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
     nlu = EndpointUnderstander(endpoint, own) if given.nlu == "endpoint" else own
     nlg = EndpointGenerator(endpoint, speak) if given.nlg == "endpoint" else speak
-    partner = Partner(agent, nlu, nlg, spelling, ask_below=given.ask_below)
+    partner = Partner(agent, nlu, nlg, spelling, ask_below=given.ask_below, rules=given.control)
     names = load_phrases(agent.domain).names
     Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
     return 0
@@ -93,6 +95,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="P",
         help="confidence below which it asks you again; 0: never",
     )
+    parser.add_argument(
+        "--control",
+        type=_rules,
+        metavar="RULES",
+        help="rules between the agent's choice and the sentence: all (the default), none, or some "
+        f"of {','.join(RULE_NAMES)}",
+    )
     parser.add_argument("--plain", action="store_true", help="read lines of standard input")
     parser.add_argument(
         "--understander", type=Path, help="file of `bbq language train`; trained unless given"
@@ -107,8 +116,18 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _rules(text: str) -> tuple[str, ...]:
+    """Returns the names of rules in ``all``, ``none`` or ``name,name``."""
+    names = {"all": RULE_NAMES, "none": ()}.get(text, tuple(text.split(",")))
+    if not set(names) <= set(RULE_NAMES):
+        raise argparse.ArgumentTypeError(
+            f"must be all, none, or some of {','.join(RULE_NAMES)}, got {shown(text)}"
+        )
+    return names
+
+
 def _lines() -> Callable[[], str | None]:
-    """Returns what reads the lines of standard input, whatever bytes they are made of."""
+    """Returns a reader of the lines of standard input, whatever their bytes."""
     if isinstance(sys.stdin, io.TextIOWrapper):
         sys.stdin.reconfigure(errors="replace")
 

@@ -1,1 +1,16 @@
-"""Dialogue state, success and beliefs: the parts that chat and study share."""
+"""Dialogue state, policy, control, success and beliefs: the parts that chat and study share."""
+
+from __future__ import annotations
+
+RULE_NAMES = (
+    "yes_ends",
+    "answers_first",
+    "no_unasked_inform",
+    "no_repeat",
+    "drop_no_match",
+    "confirm",
+    "contrary",
+    "farewell",
+    "check",
+)
+"""The rules of :mod:`~bbq_torchrl.people.dialogue.control`, here where no torch is needed."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains.values import AVAILABLE, NO_MATCH, NONE
+from bbq_torchrl.people.dialogue import RULE_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -140,23 +141,33 @@ class Control:
         return ~(is_last & is_same.all(-1, keepdim=True))
 
 
-RULES = {
-    "yes_ends": Rule("A yes to an offer that stands ends the dialogue.", Control._yes_ends),
-    "answers_first": Rule(
-        "A question after an offer is answered before anything else.", Control._answers_first
-    ),
-    "no_unasked_inform": Rule(
-        "With a question open the agent tells nothing else, and does not end the dialogue.",
-        Control._no_unasked_inform,
-    ),
-    "no_repeat": Rule("No act is repeated unchanged.", Control._no_repeat),
-    "drop_no_match": Rule('A remembered "no match" is forgotten when the person tells a value.'),
-    "confirm": Rule(
-        "A sentence understood badly is checked, and its content kept "
-        '("Dune, Tuesday, is that right?").'
-    ),
-    "contrary": Rule('A value said with words such as "not" or "or later" is checked.'),
-    "farewell": Rule("Only words of farewell let a person end the conversation."),
-    "check": Rule('A value that is known is checked ("5:50 pm, is that right?"), not asked for.'),
-}
+RULES = dict(
+    zip(
+        RULE_NAMES,
+        (
+            Rule("A yes to an offer that stands ends the dialogue.", Control._yes_ends),
+            Rule(
+                "A question after an offer is answered before anything else.",
+                Control._answers_first,
+            ),
+            Rule(
+                "With a question open the agent tells nothing else, and does not end the dialogue.",
+                Control._no_unasked_inform,
+            ),
+            Rule("No act is repeated unchanged.", Control._no_repeat),
+            Rule('A remembered "no match" is forgotten when the person tells a value.'),
+            Rule(
+                "A sentence understood badly is checked, and its content kept "
+                '("Dune, Tuesday, is that right?").'
+            ),
+            Rule('A value said with words such as "not" or "or later" is checked.'),
+            Rule("Only words of farewell let a person end the conversation."),
+            Rule('A known value is checked ("5:50 pm, is that right?"), not asked for.'),
+        ),
+        strict=True,
+    )
+)
 """Rules by name, in the order in which they apply."""
+
+IN_THE_SIMULATOR = (*(name for name, rule in RULES.items() if rule.allowed), "drop_no_match")
+"""The rules that concern acts and memory; the others concern sentences alone."""

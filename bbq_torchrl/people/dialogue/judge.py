@@ -50,18 +50,21 @@ class Judge:
     2. that offer says that there is a ticket,
     3. every question of the card was answered, and one record of the knowledge base holds all
        wishes and all answers,
-    4. nothing that was said to be without a match is left so: each such slot got another value
-       afterwards, by either side (as in the simulator, a refused offer counts until the agent
-       informs the ticket itself),
-    5. it ended before it ran out of turns.
+    4. it ended before it ran out of turns.
 
-    In dialogues without errors that the agent ends, this is the simulator's rule.
+    The simulator also asks that nothing said to be without a match is left so: each such slot gets
+    another value afterwards, by either side, and a refused offer counts until the agent informs
+    the ticket itself. A person who has what the card says is not failed for it; of other
+    conversations it is one more reason. With ``as_simulated`` it is a condition, and in dialogues
+    without errors that the agent ends, the rule is the simulator's.
 
     Args:
         domain: what the conversations are about.
+        as_simulated: whether to judge as the simulator does.
     """
 
-    def __init__(self, domain: Domain) -> None:
+    def __init__(self, domain: Domain, *, as_simulated: bool = False) -> None:
+        self._as_simulated = as_simulated
         self._ticket, self._complete = domain.ticket_slot, domain.complete_slot
         self._free = frozenset(domain.free_slots)
         self._all = frozenset(range(len(domain.records)))
@@ -80,7 +83,7 @@ class Judge:
     def reasons(
         self, goal: Goal, exchanges: Iterable[tuple[Frame, Frame]], *, in_time: bool = True
     ) -> tuple[str, ...]:
-        """Returns why a conversation was no success; nothing for a success.
+        """Returns the reasons why a conversation was no success; none for a success.
 
         Args:
             goal: the person's goal card.
@@ -107,9 +110,10 @@ class Judge:
             "wishes": bool(offer) and not _holds(offer, wishes),
             "no ticket": bool(offer) and offer[self._complete] != _AVAILABLE,
             "questions": not self._matching(wishes) & self._holding(asked.items()),
-            "no match left": _NO_MATCH in latest.values(),
-            "out of turns": not in_time,
         }
+        is_strict = self._as_simulated or any(faults.values())
+        faults["no match left"] = is_strict and _NO_MATCH in latest.values()
+        faults["out of turns"] = not in_time
         return tuple(reason for reason, holds in faults.items() if holds)
 
     def _matching(self, values: Mapping[str, str]) -> frozenset[int]:

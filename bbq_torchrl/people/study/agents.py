@@ -58,8 +58,8 @@ class AgentTalker:
                     f"the agent {name} of {source} is of the domain {agent.domain.name}, which is "
                     f"not the study's, {study.domain.name}"
                 )
-            below = study.terms.ask_below.get(name)
-            self._partners[name] = Partner(agent, nlu, nlg, spelling, ask_below=below)
+            below, rules = study.terms.ask_below.get(name), study.terms.control.get(name)
+            self._partners[name] = Partner(agent, nlu, nlg, spelling, ask_below=below, rules=rules)
         if faults:
             raise StudyError(str(study.path), faults)
 

@@ -8,6 +8,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.people.dialogue import RULE_NAMES
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.text import FaultsError, shown
 
@@ -27,6 +28,7 @@ _DEFAULTS: dict[str, Any] = {
     "joins_per_minute": 5,
     "retention": "",
     "ask_below": {},
+    "control": {},
 }
 """Without ``sessions``: one with each agent."""
 _QUOTED = "yes, no, numbers and dates in quotes"
@@ -57,6 +59,8 @@ class Terms:
         retention: how long the data are kept, as the consent page says it; empty where it does not.
         ask_below: name to the confidence below which this agent asks people again, between 0
             (never) and 1; the others as their language layer does.
+        control: name to the rules of the dialogue control that hold for this agent; all rules hold
+            for the others.
     """
 
     name: str
@@ -72,6 +76,7 @@ class Terms:
     joins_per_minute: int = _DEFAULTS["joins_per_minute"]
     retention: str = ""
     ask_below: Mapping[str, float] = field(default_factory=dict)
+    control: Mapping[str, list[str]] = field(default_factory=dict)
 
     def text(self) -> str:
         """Returns the terms as JSON."""
@@ -186,6 +191,13 @@ def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[s
         is_known = isinstance(value, dict) and set(value) <= set(agents or value)
         return is_known and all(map(_is_probability, value.values()))
 
+    def are_rules(value: Any) -> bool:
+        is_known = isinstance(value, dict) and set(value) <= set(agents or value)
+        return is_known and all(
+            isinstance(names, list) and all(name in RULE_NAMES for name in names)
+            for names in value.values()
+        )
+
     kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
         "name": (_is_text, "be text, not blank"),
         "consent": (_is_text, "be text, not blank"),
@@ -199,6 +211,10 @@ def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[s
         ),
         "domain": (_is_text, _DOMAIN),
         "ask_below": (are_limits, "map agents of the study to numbers between 0 and 1"),
+        "control": (
+            are_rules,
+            f"map agents of the study to lists of {', '.join(RULE_NAMES)}",
+        ),
         "participants": _count(10_000),
         "sessions": _count(100),
         "max_turns": _count(500),
