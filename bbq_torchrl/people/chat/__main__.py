@@ -32,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.labeled is not None and given.understander is not None:
         raise ConfigError("--labeled is learned in training: it must not be with --understander")
 
+    rules = _rules(given.control)
     if given.config_dir is not None:
         load_folder(given.config_dir)
 
@@ -51,6 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         load_phrases,
     )
     from bbq_torchrl.people.language.cache import cached_understander
+    from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases
 
     torch.set_num_threads(1)
     screen = console()
@@ -66,9 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
     nlu = EndpointUnderstander(endpoint, own) if given.nlu == "endpoint" else own
     nlg = EndpointGenerator(endpoint, speak) if given.nlg == "endpoint" else speak
-    partner = Partner(agent, nlu, nlg, spelling, ask_below=given.ask_below, rules=given.control)
+    partner = Partner(agent, nlu, nlg, spelling, ask_below=given.ask_below, rules=rules)
     names = load_phrases(agent.domain).names
-    Chat(partner, goal, screen, names=names, seed=given.seed).run(read)
+    if not has_own_phrases(agent.domain):
+        output.write(f"The domain {agent.domain.name} {GENERIC}.\n")
+    is_piped = not sys.stdin.isatty()
+    Chat(partner, goal, screen, names=names, seed=given.seed, echo=is_piped).run(read)
     return 0
 
 
@@ -97,7 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--control",
-        type=_rules,
+        default="all",
         metavar="RULES",
         help="rules between the agent's choice and the sentence: all (the default), none, or some "
         f"of {','.join(RULE_NAMES)}",
@@ -120,8 +125,8 @@ def _rules(text: str) -> tuple[str, ...]:
     """Returns the names of rules in ``all``, ``none`` or ``name,name``."""
     names = {"all": RULE_NAMES, "none": ()}.get(text, tuple(text.split(",")))
     if not set(names) <= set(RULE_NAMES):
-        raise argparse.ArgumentTypeError(
-            f"must be all, none, or some of {','.join(RULE_NAMES)}, got {shown(text)}"
+        raise ConfigError(
+            f"--control must be all, none, or some of {','.join(RULE_NAMES)}, got {shown(text)}"
         )
     return names
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.extras import needed
 from bbq_torchrl.people.chat.goals import REASONS
 from bbq_torchrl.people.dialogue.judge import Judge, card
+from bbq_torchrl.people.typed import TextError, clean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -23,11 +24,18 @@ COMMANDS = {
     "/quit": "end the conversation",
 }
 _SHOWN = 6
+_WITHOUT_ACTION = {
+    "greeting": "it returned a greeting",
+    "closing": "you ended the conversation",
+    "multiple_choice": "it asked which name you meant",
+    "not_sure": "it asked whether it understood you",
+    "request": "you took a value back, and it asked again",
+}
 
 
 @dataclass(frozen=True)
 class _Turn:
-    """A text with its answer, and what was remembered before it."""
+    """A text with its answer, and the memory before it."""
 
     memory: Memory | None
     answer: Answer
@@ -43,6 +51,7 @@ class Chat:
         screen: a console of rich.
         names: how people call the slots.
         seed: of all that is random.
+        echo: whether to show what the person says, where no terminal does.
     """
 
     def __init__(
@@ -53,16 +62,17 @@ class Chat:
         *,
         names: Mapping[str, str],
         seed: int = 0,
+        echo: bool = False,
     ) -> None:
         self._partner, self._goal, self._names, self._seed = partner, goal, names, seed
-        self._screen = screen
+        self._screen, self._echo = screen, echo
         self._turns: list[_Turn] = []
 
     def run(self, read: Callable[[], str | None]) -> bool | None:
-        """Talks until person or agent ends it, and tells the outcome; then commands alone work.
+        """Talks until person or agent ends it and tells the outcome; then takes commands alone.
 
         Args:
-            read: returns the next line; ``None`` where there is none any more.
+            read: returns the next line; ``None`` where there are no more.
 
         Returns:
             Whether it was a success; ``None`` in free talk.
@@ -72,13 +82,17 @@ class Chat:
         success, ended = None, ""
         for text in iter(read, None):
             name, *_ = text.split() or [""]
-            if name == "/quit" or (ended and name and not name.startswith("/")):
+            if name == "/quit":
                 break
+            if self._echo and name:
+                self._say(f"you: {_line(text)}")
             if name.startswith("/"):
                 self._command(name)
+            elif ended and name:
+                self._say("The conversation is over: /acts, /why and /goal work, /quit leaves.")
             elif name and (ended := self._talk(text)):
                 success = self._outcome(ended)
-                self._say("/acts and /why still tell of the last turn; /quit leaves.")
+                self._say("/acts and /why show the last turn; /quit leaves.")
         return success if ended else self._outcome("")
 
     def _talk(self, text: str) -> str:
@@ -128,11 +142,15 @@ class Chat:
             among = f", one of {', '.join(unclear.candidates)}" if unclear.candidates else ""
             self._say(f"unclear: {unclear.text} as {unclear.slot}{among}")
         if not answer.acted:
-            self._say("The agent took no action: this was a question, a greeting or a farewell.")
+            self._say(
+                f"The agent took no action: {_WITHOUT_ACTION.get(answer.said.act, 'it asked')}."
+            )
             return
         if str(answer.heard) != str(understood.frame):
             self._say(f"with what was said before: {answer.heard}")
         self._say(f"the agent's act: {answer.said}")
+        if answer.control:
+            self._say(f"its first choice was kept back by the rules {', '.join(answer.control)}")
         beliefs = self._partner.beliefs(turn.memory, answer.heard, turn.seed)
         if beliefs is None:
             values = self._partner.values(turn.memory, answer.heard, turn.seed).items()
@@ -164,9 +182,9 @@ class Chat:
 
     def _outcome(self, ended: str) -> bool | None:
         how = {
-            "agent": "The agent has ended the conversation.",
-            "person": "You have ended the conversation.",
-            "turns": "The conversation was too long, and is over.",
+            "agent": "The agent ended the conversation.",
+            "person": "You ended the conversation.",
+            "turns": "The conversation ended because it was too long.",
             "": "The conversation is over.",
         }
         self._say(how[ended])
@@ -215,13 +233,20 @@ class Chat:
         self._screen.print(table)
 
 
+def _line(text: str) -> str:
+    try:
+        return clean(text)
+    except TextError as error:
+        return f"({error})"
+
+
 def console() -> Any:
     """Returns a console of rich on standard output."""
     return needed("rich", "rich.console", "chat").Console()
 
 
 def prompt() -> Callable[[], str | None]:
-    """Returns what reads lines at a terminal, with history and completion of the commands."""
+    """Returns a reader of lines at a terminal, with history and completion of commands."""
     toolkit = needed("prompt_toolkit", "prompt_toolkit", "chat")
     completion = needed("prompt_toolkit", "prompt_toolkit.completion", "chat")
     shortcuts = needed("prompt_toolkit", "prompt_toolkit.shortcuts", "chat")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.domains import fold
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.compose import Composer
+from bbq_torchrl.people.language.english import pairs, word_set
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.templates import Piece, choose, plain
 
@@ -29,6 +30,36 @@ _NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
 _PREPOSITION = re.compile(
     r"\b(at|on) (?=(after|around|as|before|by|in|next|this|today|tomorrow|tonight)\b)"
 )
+
+
+_SINGULAR = pairs("singular")
+_ONE = re.compile(rf"\b(1|one) ({'|'.join(_SINGULAR)})\b")
+_SMALL = word_set("small_in_titles")
+
+
+def capitalized(value: str, capitals: frozenset[str]) -> str:
+    """Returns a name as titles are written.
+
+    Args:
+        value: the name in lower case.
+        capitals: the words that are written in capitals.
+
+    Examples:
+        >>> capitalized("spider-man: across the spider-verse", frozenset())
+        'Spider-Man: Across the Spider-Verse'
+        >>> capitalized("amc seattle 10", frozenset({"amc"}))
+        'AMC Seattle 10'
+    """
+    written, is_first = [], True
+    for word in value.split(" "):
+        if word in capitals:
+            written.append(word.upper())
+        elif word in _SMALL and not is_first:
+            written.append(word)
+        else:
+            written.append("-".join(part[:1].upper() + part[1:] for part in word.split("-")))
+        is_first = word.endswith(":")
+    return " ".join(written)
 
 
 def chance(session: str | int, turn: int, side: str) -> random.Random:
@@ -117,7 +148,7 @@ class Generator:
         if not parts:
             agent = self._phrases.agent
             parts.append(self._fill(agent.get(frame.act) or agent["inform"], rng))
-        return _PREPOSITION.sub("", " ".join(sentence(part) for part in parts))
+        return _polished(_PREPOSITION.sub("", " ".join(sentence(part) for part in parts)))
 
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
         """Returns how an agent asks again for what it did not understand.
@@ -147,10 +178,10 @@ class Generator:
         """
         rng = chance(session, turn, "agent")
         said = {"<wishes>": self._wishes(values, rng)}
-        return sentence(self._fill(self._phrases.agent["check"], rng, None, said))
+        return _polished(sentence(self._fill(self._phrases.agent["check"], rng, None, said)))
 
     def _choose(self, slot: str, choices: Sequence[str], rng: random.Random) -> list[Piece]:
-        *most, last = choices
+        *most, last = (self._written(slot, value) for value in choices)
         listed = f"{', '.join(most)} or {last}" if most else last
         return self._fill(self._phrases.agent["choose"], rng, slot, {"<choices>": [Piece(listed)]})
 
@@ -161,7 +192,7 @@ class Generator:
         if value == NO_MATCH_TEXT:
             conflict = self._conflict(wishes, rng)
             return self._fill(phrases["none"], rng, slot, {"<conflict>": conflict})
-        said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(value)]}
+        said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(self._written(slot, value))]}
         return self._fill(phrases["tell"], rng, slot, said)
 
     def _conflict(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
@@ -204,8 +235,13 @@ class Generator:
             if said:
                 said.append(Piece(", "))
             phrases = self._phrases.slots[slot].phrases["wish"]
-            said += self._fill(phrases, rng, slot, {slot: [Piece(value)]})
+            said += self._fill(phrases, rng, slot, {slot: [Piece(self._written(slot, value))]})
         return said or [Piece("as you wish")]
+
+    def _written(self, slot: str, value: str) -> str:
+        """Returns a value as agents write it."""
+        capitals = self._phrases.slots[slot].capitals
+        return value if capitals is None else capitalized(value, capitals)
 
     def _fill(
         self,
@@ -218,6 +254,11 @@ class Generator:
         if slot is not None:
             known["<name>"] = [Piece(self._phrases.slots[slot].name)]
         return choose(options, known, self._phrases.rules, rng)
+
+
+def _polished(text: str) -> str:
+    """Returns a sentence with nouns in the singular after a one: "1 ticket"."""
+    return _ONE.sub(lambda found: f"{found[1]} {_SINGULAR[found[2]]}", text)
 
 
 def _as_spelled(slot: str, value: str, rng: random.Random) -> str:

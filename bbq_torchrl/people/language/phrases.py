@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 
 LANGUAGE_FILE = "language.yaml"
 _GENERIC = Path(__file__).with_name("generic.yaml")
+GENERIC = (
+    f"has no {LANGUAGE_FILE} in its folder, so it is spoken of in generic phrases; "
+    "docs/language.md shows how to write one"
+)
+"""The rest of the sentence that begins "The domain <name>"."""
+
 _SECTIONS = ("rules", "user", "agent")
 _DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
 """Rules that are filled in while a sentence is made."""
@@ -39,6 +45,8 @@ class SlotPhrases:
         nouns: other words for it.
         kind: the kind of quantity its values are; ``None`` to find out.
         aliases: value to other ways to say it.
+        capitals: the words that agents write in capitals; they begin the others with one. ``None``
+            where values are written as the data have them.
         phrases: by use: ask, tell, none, care, want, options, say, with, any, wish, check, clear.
     """
 
@@ -46,6 +54,7 @@ class SlotPhrases:
     nouns: tuple[str, ...]
     kind: Kind | None
     aliases: Mapping[str, tuple[str, ...]]
+    capitals: frozenset[str] | None
     phrases: Mapping[str, tuple[Template, ...]]
 
 
@@ -84,8 +93,8 @@ def load_phrases(domain: Domain) -> Phrases:
     generic = yaml.safe_load(_GENERIC.read_text(encoding="utf-8"))
     own: Any = {}
     source = LANGUAGE_FILE
-    path = None if domain.folder is None else domain.folder / LANGUAGE_FILE
-    if path is not None and path.is_file():
+    if domain.folder is not None and has_own_phrases(domain):
+        path = domain.folder / LANGUAGE_FILE
         source = str(path)
         try:
             own = read_yaml(path.read_text(encoding="utf-8")) or {}
@@ -98,6 +107,11 @@ def load_phrases(domain: Domain) -> Phrases:
     if reader.faults:
         raise PhrasesError(source, reader.faults)
     return phrases
+
+
+def has_own_phrases(domain: Domain) -> bool:
+    """Returns whether the domain has its ``language.yaml``; others speak in generic phrases."""
+    return domain.folder is not None and (domain.folder / LANGUAGE_FILE).is_file()
 
 
 class _Reader:
@@ -133,7 +147,9 @@ class _Reader:
     def _slot(self, slot: str, content: object, generic: dict[str, Any]) -> SlotPhrases:
         where = f"slots.{slot}"
         fallback = dict(generic["slot"])
-        own = self._mapping(where, content, ("name", "nouns", "kind", "aliases", *fallback))
+        own = self._mapping(
+            where, content, ("name", "nouns", "kind", "aliases", "capitals", *fallback)
+        )
         name = own.get("name", slot.replace("_", " "))
         if not isinstance(name, str) or not name.strip():
             self.faults.append(f"{where}.name must be a text, got {shown(name)}")
@@ -154,7 +170,10 @@ class _Reader:
             for key in fallback
         }
         nouns = self._texts(f"{where}.nouns", own.get("nouns", name.lower().split()))
-        return SlotPhrases(name, nouns, kind, aliases, phrases)
+        capitals = None
+        if own.get("capitals") is not None:
+            capitals = frozenset(self._texts(f"{where}.capitals", own["capitals"]))
+        return SlotPhrases(name, nouns, kind, aliases, capitals, phrases)
 
     def _mapping(
         self, where: str, content: object, allowed: tuple[str, ...] | None = None

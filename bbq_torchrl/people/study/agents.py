@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import threading
 from typing import TYPE_CHECKING
 
@@ -13,11 +14,14 @@ from bbq_torchrl.people.dialogue.partner import Memory, Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Generator, load_phrases
 from bbq_torchrl.people.language.cache import cached_understander, language_key
+from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases
 from bbq_torchrl.people.study import Reply, StudyError
 from bbq_torchrl.shipped import run_folder
 
 if TYPE_CHECKING:
     from bbq_torchrl.people.study import Study
+
+_log = logging.getLogger(__name__)
 
 
 class AgentTalker:
@@ -40,6 +44,8 @@ class AgentTalker:
     def __init__(self, study: Study) -> None:
         nlu, nlg = cached_understander(study.domain), Generator(study.domain)
         self._language = language_key(study.domain)
+        if not has_own_phrases(study.domain):
+            _log.warning("the domain %s %s", study.domain.name, GENERIC)
         self.labels = load_phrases(study.domain).names
         spelling = Spelling(study.domain)
         self.domain = spelling.domain

@@ -47,12 +47,16 @@ def test_a_goal_that_is_met_is_a_success(partner, decided):
 
 def test_a_goal_that_is_not_met_says_why_and_commands_work_after_the_end(partner):
     goal = choose_goal(partner.agent.domain, 1, 0)
-    success, shown = play(partner, goal, ["closing", "", "/acts now", "/goal", "more", "/help"])
+    lines = ["closing", "", "/acts now", "/goal", "more", "/help", "/quit", "/goal"]
+    success, shown = play(partner, goal, lines)
+    assert "You ended the conversation." in shown
+    assert "The agent took no action: you ended the conversation." in shown
+    assert shown.count("The conversation is over: /acts") == 1
     assert success is False
     assert "Failure: no booking was offered" in shown
     assert shown.count("understood: closing") == 1
     assert shown.count("Your goal is a booking:") == 2
-    assert "these commands" not in shown
+    assert shown.count("these commands") == 1
 
 
 def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, decided):
@@ -75,7 +79,7 @@ def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, de
         "No booking was offered.",
     ):
         assert text in shown
-    assert re.search("agent: .*godzilla minus one.*godzilla x kong", shown)
+    assert re.search("agent: .*Godzilla Minus One.*Godzilla X Kong", shown)
 
 
 def test_an_agent_without_a_posterior_shows_values_alone(agents, mouth, decided):
@@ -120,6 +124,7 @@ def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypat
     assert "a message may have 1,000 characters, this one has 1,000,000: please shorten it" in shown
     assert "Failure: " in shown
     assert "P(best)" in shown
+    assert "you: two tickets for barbie in seattle please\n" in shown
     assert len(shown) < 20_000
 
 
@@ -130,6 +135,10 @@ def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypat
         (["nowhere"], "nowhere is not a run folder: there is no such folder"),
         (["RUN", "--goal", "0"], "--goal must be between 1 and 200, got 0"),
         (["RUN", "--nlu", "endpoint"], "--nlu endpoint and --nlg endpoint need --url and --model"),
+        (
+            ["RUN", "--control", "yes"],
+            "--control must be all, none, or some of yes_ends,",
+        ),
         (["RUN", "--understander", "gone.npz"], "gone.npz"),
         (["RUN", "--understander", "a", "--labeled", "b"], "must not be with --understander"),
         (["RUN", "--config-dir", "gone"], "--config-dir must be a folder, got "),

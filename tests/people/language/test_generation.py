@@ -183,8 +183,22 @@ def test_phrases_that_do_not_fit_are_refused_by_their_key(tmp_path, content, say
 def test_what_is_unclear_is_asked_about_by_its_words(speak):
     several = Unclear("moviename", "godzilla", ("godzilla minus one", "godzilla x kong"))
     text = speak.clarify(Understood(Frame("inform"), 0.9, (several,)))
-    assert "godzilla minus one or godzilla x kong" in text
+    assert "Godzilla Minus One or Godzilla X Kong" in text
     unknown = Unclear("moviename", "casablanca")
     assert "casablanca" in speak.clarify(Understood(Frame("inform"), 0.9, (unknown,))).lower()
     again = {speak.clarify(Understood(Frame("inform"), 0.1), session=s) for s in range(20)}
     assert len(again) >= 4
+
+
+def test_agents_write_names_as_titles_and_one_in_the_singular(speak):
+    wishes = {"moviename": "dune: part two", "state": "wa", "numberofpeople": "1"}
+    texts = [speak.check(wishes, session=session) for session in range(20)]
+    assert all("Dune: Part Two" in text and "WA" in text for text in texts)
+    assert not any(re.search("1 (people|tickets)", text) for text in texts)
+    assert any(re.search("1 (person|ticket)", text) for text in texts)
+
+
+def test_capitals_are_of_words(tmp_path):
+    (tmp_path / "language.yaml").write_text("slots: {city: {capitals: yes}}\n")
+    with pytest.raises(PhrasesError, match=r"slots\.city\.capitals must be a list of texts"):
+        load_phrases(replace(movie_domain(), folder=tmp_path))
