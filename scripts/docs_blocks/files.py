@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import shutil
 import sys
 
-from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block
+from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, table
 
 EXAMPLES = ROOT / "examples"
 
@@ -42,6 +43,21 @@ def _simulated() -> str:
     text = (RESULTS / "study" / "report.md").read_text(encoding="utf-8")
     text = re.sub(r"\]\((\w+)\.png\)", r"](figures/study_simulated_\1.png)", text)
     return re.sub("^#", "###", text, count=1).replace("\n## ", "\n#### ")
+
+
+@block("chat.control")
+def _control() -> str:
+    """Returns the table of what the rules of the dialogue control cost in the simulator."""
+    with (RESULTS / "control.csv").open(encoding="utf-8", newline="") as file:
+        rows = [
+            (
+                row["rules"],
+                f"{float(row['success']):.3f} ± {float(row['standard_error']):.3f}",
+                row["turns"],
+            )
+            for row in csv.DictReader(file)
+        ]
+    return table(("rules", "success", "turns"), rows)
 
 
 def copy_figures() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import os
 import sys
@@ -18,6 +17,7 @@ from bbq_torchrl.people.dialogue import RULE_NAMES
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Sequence
 
 _KEY = "BBQ_ENDPOINT_KEY"

@@ -142,9 +142,8 @@ class Chat:
             among = f", one of {', '.join(unclear.candidates)}" if unclear.candidates else ""
             self._say(f"unclear: {unclear.text} as {unclear.slot}{among}")
         if not answer.acted:
-            self._say(
-                f"The agent took no action: {_WITHOUT_ACTION.get(answer.said.act, 'it asked')}."
-            )
+            why = _WITHOUT_ACTION.get(answer.said.act, "it asked again")
+            self._say(f"The agent took no action: {why}.")
             return
         if str(answer.heard) != str(understood.frame):
             self._say(f"with what was said before: {answer.heard}")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.domains.values import AVAILABLE, NO_MATCH, NONE
+from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.people.dialogue import RULE_NAMES
 
 if TYPE_CHECKING:
@@ -126,6 +126,10 @@ class Control:
         is_unasked = (self._is_answer & ~open_[..., self._slot]) | self._is_end
         return ~(open_.any(-1, keepdim=True) & is_unasked)
 
+    def _no_asking_back(self, state: TensorDictBase) -> torch.Tensor:
+        known = self._open(state) | (state["user_informs"] > DONT_CARE)
+        return ~(self._is_request & known[..., self._slot])
+
     def _no_repeat(self, state: TensorDictBase) -> torch.Tensor:
         told, asked = state["agent_informs"] != NONE, state["agent_requests"]
         offers = told[..., self._complete, None]
@@ -154,12 +158,18 @@ RULES = dict(
                 "With a question open the agent tells nothing else, and does not end the dialogue.",
                 Control._no_unasked_inform,
             ),
+            Rule(
+                "The agent does not ask for what the person asks for or has just told.",
+                Control._no_asking_back,
+            ),
             Rule("No act is repeated unchanged.", Control._no_repeat),
             Rule('A remembered "no match" is forgotten when the person tells a value.'),
             Rule(
                 "A sentence understood badly is checked, and its content kept "
                 '("Dune, Tuesday, is that right?").'
             ),
+            Rule('"Book it" makes the agent offer, and after an offer it is a yes.'),
+            Rule("An exact name that the understanding dropped is checked."),
             Rule('A value said with words such as "not" or "or later" is checked.'),
             Rule("Only words of farewell let a person end the conversation."),
             Rule('A known value is checked ("5:50 pm, is that right?"), not asked for.'),

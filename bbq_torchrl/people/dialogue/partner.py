@@ -188,7 +188,14 @@ class Partner:
         is_bye = understood.frame.act == "closing"
         if is_bye and "farewell" in self.control.rules and not is_farewell(text):
             understood = replace(understood, frame=Frame("not_sure"), confidence=0.0)
-        if self._doubts(asking, understood, text):
+        missed = {}
+        if "names" in self.control.rules and not (understood.unclear or is_bye):
+            missed = self._spelling.of(self._spelling.missed(text, understood.frame))
+            frame = understood.frame
+            informs = {**frame.informs, **missed}
+            act = "inform" if missed and not frame.requests else frame.act
+            understood = replace(understood, frame=replace(frame, act=act, informs=informs))
+        if self._doubts(asking, understood, text, has_missed=bool(missed)):
             values = _values(asking.joined(understood.frame))
             if understood.unclear or not values or "confirm" not in self.control.rules:
                 return self._ask_again(now, understood, self._nlg.clarify(understood, **words))
@@ -208,10 +215,20 @@ class Partner:
         self, now: Memory, understood: Understood, heard: Frame, seed: int, words: dict[str, int]
     ) -> Answer:
         """Returns the answer of the policy to an act."""
+        legal = self.agent.legal
+        wants_ticket = heard == Frame("request", {}, (self.domain.ticket_slot,))
+        if wants_ticket and now.state is not None and "book" in self.control.rules:
+            last = self._tracking.said(now.state)
+            if last is not None and self.domain.complete_slot in last.informs:
+                heard = Frame("thanks")
+            else:
+                booking = self.domain.action_index(f"inform({self.domain.complete_slot})")
+                legal = torch.arange(len(legal)) == booking
         state = self._hear(now.state, heard)
         observation = self._tracking.observe(state)
         action = self.agent.decide(observation, seed)
-        allowed, left_out = self.control.allowed(state, self.agent.legal)
+        allowed, left_out = self.control.allowed(state, legal)
+        left_out["book"] = self.agent.legal & ~legal
         control = tuple(name for name, actions in left_out.items() if actions[action])
         if control:
             action = self.agent.decide(observation, seed, allowed)
@@ -231,13 +248,16 @@ class Partner:
         now = replace(now, state=after)
         return Answer(sentence, understood, heard, said, now, True, ended, control)
 
-    def _doubts(self, asking: Asking, understood: Understood, text: str) -> bool:
+    def _doubts(
+        self, asking: Asking, understood: Understood, text: str, *, has_missed: bool
+    ) -> bool:
         """Returns whether a sentence is asked about rather than acted on."""
         if asking.asks(self._nlu, understood, self._ask_below):
             return True
         may_ask = asking.times < MOST_ASKS and self._ask_below != 0 and not asking.is_check
         is_turned = "contrary" in self.control.rules and is_contrary(text)
-        return may_ask and is_turned and bool(_values(understood.frame.informs))
+        is_doubtful = has_missed or (is_turned and bool(_values(understood.frame)))
+        return may_ask and is_doubtful
 
     def _answer_to_check(self, before: Memory, text: str, frame: Frame) -> dict[str, Any] | None:
         """Returns what a text means after "..., is that right?"; ``None`` for a plain no."""

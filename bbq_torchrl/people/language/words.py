@@ -88,6 +88,9 @@ def compact(text: str) -> str:
 
 
 _YES, _NO, _BESIDE = (word_set(name) for name in ("yes_words", "no_words", "beside_yes_and_no"))
+POLITE = _YES | _NO | _BESIDE | word_set("polite")
+"""Words of agreement and thanks, which name no value by themselves."""
+
 _ANY_BUT = re.compile(r"\b(any|every)\w*( \w+)? but\b")
 
 

@@ -22,6 +22,7 @@ class Words(Acts):
             "yes": Understood(Frame("confirm_answer"), 0.9),
             "no": Understood(Frame("deny"), 0.9),
             "any day but friday": Understood(Frame("inform", {"date": "friday"}), 0.95),
+            "friday. for past lives": Understood(Frame("inform", {"date": "friday"}), 0.9),
             "lorem ipsum": Understood(Frame("closing"), 0.9),
             "goodbye": Understood(Frame("closing"), 0.9),
             "wonka in reno?": Understood(
@@ -52,6 +53,7 @@ def talk(agents, mouth, spelling, monkeypatch):
     return talk
 
 
+KNOWN = (SHOWING, "request(date)"), ("inform(numberofpeople=2)", "request(city)")
 OFFER = (
     "inform(moviename=guardians of the galaxy vol. 3, city=newark)",
     "inform(taskcomplete)",
@@ -102,16 +104,14 @@ def test_a_no_match_is_forgotten_when_the_person_tells_a_value(talk):
 
 
 def test_what_is_known_is_checked_and_a_yes_confirms_it(talk):
-    check, yes = talk((SHOWING, "request(city)"), ("yes", "request(date)"))
+    _, check, yes = talk(*KNOWN, ("yes", "request(genre)"))
     assert "right?" in check.text
     assert "reno" in check.text.lower()
     assert str(yes.heard) == "inform(city=reno)"
 
 
 def test_a_no_to_a_check_forgets_the_value_and_asks_for_it(talk):
-    _, no, value = talk(
-        (SHOWING, "request(city)"), ("no", "thanks"), ("inform(city=newark)", "request(date)")
-    )
+    *_, no, value = talk(*KNOWN, ("no",), ("inform(city=newark)", "request(genre)"))
     assert (no.acted, str(no.said)) == (False, "request(city)")
     assert "right?" not in no.text
     assert value.heard.informs == {"city": "newark"}
@@ -136,6 +136,33 @@ def test_a_no_to_what_was_in_doubt_asks_for_other_words(talk):
     _, no, said = talk(("wonka in reno?",), ("no",), ("inform(city=newark)", "request(date)"))
     assert (no.acted, no.said) == (False, Frame("not_sure"))
     assert said.heard.informs == {"city": "newark"}
+
+
+def test_book_it_makes_the_agent_offer_and_after_an_offer_it_is_a_yes(talk):
+    told = (OFFER[0], "request(date)")
+    offer, end = talk(
+        told, ("request(ticket)", "request(genre)", OFFER[1]), ("request(ticket)", "thanks")
+    )[1:]
+    assert "taskcomplete" in offer.said.informs
+    assert offer.control == ("book",)
+    assert end.ended == "agent"
+
+
+def test_an_exact_name_that_the_understanding_dropped_is_checked(talk):
+    check, yes = talk(("friday. for past lives",), ("yes", "request(city)"))
+    assert not check.acted
+    assert yes.heard.informs == {"date": "friday", "moviename": "past lives"}
+
+
+def test_what_the_person_asks_for_is_not_asked_back(talk):
+    asks = (
+        "request(moviename) inform(city=reno)",
+        "request(moviename)",
+        "request(city)",
+        "request(date)",
+    )
+    (answer,) = talk(asks)
+    assert str(answer.said) == "request(date)"
 
 
 def test_a_value_that_is_turned_round_is_checked(talk):
