@@ -16,10 +16,14 @@ if TYPE_CHECKING:
 
 RENAMED = {
     "bbq_torchrl.language": "bbq_torchrl.people.language",
+    "bbq_torchrl.language.english": "bbq_torchrl.people.language.words",
+    "bbq_torchrl.language.frames": "bbq_torchrl.people.language.asking",
+    "bbq_torchrl.language.numbers": "bbq_torchrl.people.language.words",
     "bbq_torchrl.language.kept": "bbq_torchrl.people.language.cache",
     "bbq_torchrl.chat": "bbq_torchrl.people.chat",
     "bbq_torchrl.chat.tracking": "bbq_torchrl.people.dialogue.tracker",
     "bbq_torchrl.chat.agent": "bbq_torchrl.people.dialogue.agent",
+    "bbq_torchrl.chat.goals": "bbq_torchrl.people.dialogue.judge",
     "bbq_torchrl.chat.partner": "bbq_torchrl.people.dialogue.partner",
     "bbq_torchrl.chat.posterior": "bbq_torchrl.people.dialogue.posterior",
     "bbq_torchrl.chat.simulated_user": "bbq_torchrl.people.study.users",
@@ -27,6 +31,8 @@ RENAMED = {
     "bbq_torchrl.chat.talker": "bbq_torchrl.people.study.agents",
     "bbq_torchrl.study": "bbq_torchrl.people.study",
     "bbq_torchrl.study.outcome": "bbq_torchrl.people.dialogue.judge",
+    "bbq_torchrl.study.rating": "bbq_torchrl.people.study.simulate",
+    "bbq_torchrl.study.figures": "bbq_torchrl.people.study.report",
     "bbq_torchrl.study.talk": "bbq_torchrl.people.dialogue.talk",
 }
 """Old name -> new name; modules of a renamed package follow it unless they are listed."""

@@ -135,8 +135,8 @@ def draw_chat(file: Path) -> None:
     from rich.console import Console
 
     from bbq_torchrl.people.chat import Partner, TrainedAgent
-    from bbq_torchrl.people.chat.goals import choose_goal
     from bbq_torchrl.people.chat.terminal import Chat
+    from bbq_torchrl.people.dialogue.judge import choose_goal
     from bbq_torchrl.people.language import Generator, load_phrases
     from bbq_torchrl.people.language.cache import cached_understander
 

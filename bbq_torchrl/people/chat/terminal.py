@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.extras import needed
-from bbq_torchrl.people.chat.goals import REASONS
-from bbq_torchrl.people.dialogue.judge import Judge, card
+from bbq_torchrl.people.dialogue.judge import REASONS, Judge, card
 from bbq_torchrl.people.typed import TextError, clean
 
 if TYPE_CHECKING:

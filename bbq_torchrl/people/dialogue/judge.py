@@ -1,11 +1,12 @@
-"""A person's goal, and whether a conversation was a success, and why not.
+"""Goals of people, and the judge of whether a conversation met one.
 
 A simulated user knows what it has asked and what was answered; of a person only the goal card and
-the dialogue acts are known. The rule is the simulator's, said of these.
+the dialogue acts are known.
 """
 
 from __future__ import annotations
 
+import random
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
@@ -135,3 +136,37 @@ def _folded(values: Mapping[str, str]) -> dict[str, str]:
 
 def _holds(offer: Mapping[str, str], wishes: Mapping[str, str]) -> bool:
     return all(value in (offer.get(slot), _DONT_CARE) for slot, value in wishes.items())
+
+
+REASONS = {
+    "no offer": "no booking was offered",
+    "wishes": "the last offer did not hold all of your wishes",
+    "no ticket": "the last offer was not available",
+    "questions": "not every question was answered with what the booking has",
+    "no match left": "something was said to be without a match, and left so",
+    "out of turns": "it ran out of turns",
+}
+"""A judge's reason, in a clause."""
+
+
+def choose_goal(domain: Domain, number: int | None, seed: int) -> Goal:
+    """Returns a goal of the domain.
+
+    Args:
+        domain: whose goals.
+        number: which one, from 1; ``None`` draws one that some record can meet.
+        seed: of the draw.
+
+    Raises:
+        ValueError: there is no such goal, or none that can be met.
+    """
+    goals = domain.goals
+    if number is not None:
+        if not 1 <= number <= len(goals):
+            raise ValueError(f"--goal must be between 1 and {len(goals)}, got {number}")
+        return goals[number - 1]
+    judge = Judge(domain)
+    attainable = [goal for goal in goals if judge.is_attainable(goal)]
+    if not attainable:
+        raise ValueError(f"no goal of the domain {domain.name} can be met: use --free")
+    return random.Random(seed).choice(attainable)

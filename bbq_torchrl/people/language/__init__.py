@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from bbq_torchrl.domains.frames import ANY, Frame
-from bbq_torchrl.people.language.asking import Nlu
+from bbq_torchrl.people.language.asking import Nlu, Unclear, Understood
 from bbq_torchrl.people.language.endpoint import Endpoint, EndpointGenerator, EndpointUnderstander
-from bbq_torchrl.people.language.frames import Unclear, Understood
 from bbq_torchrl.people.language.generate import Generator
 from bbq_torchrl.people.language.labeled import read_lines
 from bbq_torchrl.people.language.phrases import PhrasesError, load_phrases

@@ -7,11 +7,10 @@ import re
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
-from bbq_torchrl.people.language.frames import OPENING, Unclear, asked_slot
+from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
 from bbq_torchrl.people.language.mentions import LONGEST, SHORT, values_of
-from bbq_torchrl.people.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.people.language.tagger import OUTSIDE
-from bbq_torchrl.people.language.words import compact
+from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, compact
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
-from bbq_torchrl.people.language.frames import OPENING, asked_slot
+from bbq_torchrl.people.language.asking import OPENING, asked_slot
 from bbq_torchrl.people.language.templates import (
     Piece,
     Template,

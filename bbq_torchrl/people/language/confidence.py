@@ -14,7 +14,7 @@ from bbq_torchrl.people.language.words import BREAKS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bbq_torchrl.people.language.frames import Unclear
+    from bbq_torchrl.people.language.asking import Unclear
     from bbq_torchrl.people.language.model import Reading
 
 _PEOPLE = 10.0  # how much of the grammar's weights people's sentences must outweigh

@@ -14,7 +14,7 @@ from bbq_torchrl.people.typed import TextError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bbq_torchrl.people.language.frames import Understood
+    from bbq_torchrl.people.language.asking import Understood
     from bbq_torchrl.people.language.generate import Generator
     from bbq_torchrl.people.language.understand import Understander
 

@@ -7,8 +7,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.extras import needed
-from bbq_torchrl.people.language.english import word_set
-from bbq_torchrl.people.language.numbers import COUNT_WORDS, NUMBER_WORDS
 from bbq_torchrl.people.language.quantities import (
     DAY_WORDS,
     MONTH_WORDS,
@@ -18,7 +16,7 @@ from bbq_torchrl.people.language.quantities import (
     RELATION_WORDS,
 )
 from bbq_torchrl.people.language.tagger import OUTSIDE, spans_of
-from bbq_torchrl.people.language.words import compact
+from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, compact, word_set
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

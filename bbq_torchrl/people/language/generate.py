@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.domains import fold
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.compose import Composer
-from bbq_torchrl.people.language.english import pairs, word_set
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.templates import Piece, choose, plain
+from bbq_torchrl.people.language.words import pairs, word_set
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.people.language.frames import Understood
+    from bbq_torchrl.people.language.asking import Understood
     from bbq_torchrl.people.language.templates import Template
 
 _MOST_IN_CONFLICT = 4

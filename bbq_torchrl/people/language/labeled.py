@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.domains.frames import ANY, Frame
+from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.corpus import Example
-from bbq_torchrl.people.language.frames import OPENING
 from bbq_torchrl.people.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.people.language.words import compact, tokenize, words_of
 from bbq_torchrl.text import FaultsError

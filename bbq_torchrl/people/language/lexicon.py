@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
 from bbq_torchrl.extras import needed
-from bbq_torchrl.people.language.english import pairs, word_set
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of
-from bbq_torchrl.people.language.words import compact, tokenize
+from bbq_torchrl.people.language.words import compact, pairs, tokenize, word_set
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain

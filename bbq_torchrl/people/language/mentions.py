@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.people.language.english import word_set
-from bbq_torchrl.people.language.frames import Unclear, asked_slot
-from bbq_torchrl.people.language.numbers import COUNT_WORDS, NUMBER_WORDS
+from bbq_torchrl.people.language.asking import Unclear, asked_slot
 from bbq_torchrl.people.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
 from bbq_torchrl.people.language.tagger import spans_of
+from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, word_set
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

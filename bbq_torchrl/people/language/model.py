@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.people.language.asking import asked_slot
 from bbq_torchrl.people.language.features import Features
-from bbq_torchrl.people.language.frames import asked_slot
 from bbq_torchrl.people.language.intents import IntentNet, train_intents
 from bbq_torchrl.people.language.tagger import OUTSIDE, Tagger
 from bbq_torchrl.people.language.words import BREAKS

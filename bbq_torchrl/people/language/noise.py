@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.people.language.english import pairs, word_set
 from bbq_torchrl.people.language.tagger import OUTSIDE
+from bbq_torchrl.people.language.words import pairs, word_set
 
 if TYPE_CHECKING:
     import random

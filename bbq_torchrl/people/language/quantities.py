@@ -10,9 +10,16 @@ import calendar
 import re
 from typing import TYPE_CHECKING, Literal, get_args
 
-from bbq_torchrl.people.language.english import ENGLISH, pairs, word_set
-from bbq_torchrl.people.language.numbers import ORDINALS, TEN_WORDS, number_of, read_count
-from bbq_torchrl.people.language.words import tokenize
+from bbq_torchrl.people.language.words import (
+    ENGLISH,
+    ORDINALS,
+    TEN_WORDS,
+    number_of,
+    pairs,
+    read_count,
+    tokenize,
+    word_set,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -7,9 +7,7 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.people.language.english import ENGLISH
-from bbq_torchrl.people.language.numbers import ORDINALS, TENS, UNITS
-from bbq_torchrl.people.language.words import compact
+from bbq_torchrl.people.language.words import ENGLISH, ORDINALS, TENS, UNITS, compact
 
 if TYPE_CHECKING:
     import random

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from bbq_torchrl.people.language.asking import OPENING, Understood
 from bbq_torchrl.people.language.assemble import assemble
 from bbq_torchrl.people.language.confidence import CUES, cues_of, fit_confidence, probability
 from bbq_torchrl.people.language.corpus import make_examples, spoiled
 from bbq_torchrl.people.language.features import Features
-from bbq_torchrl.people.language.frames import OPENING, Understood
 from bbq_torchrl.people.language.intents import IntentNet
 from bbq_torchrl.people.language.labeled import (
     DRILLED_FILE,
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.domains.frames import Frame
+    from bbq_torchrl.people.language.asking import Unclear
     from bbq_torchrl.people.language.corpus import Example
-    from bbq_torchrl.people.language.frames import Unclear
     from bbq_torchrl.people.language.labeled import Line
 
 SENTENCES = 7_200

@@ -12,9 +12,8 @@ from rich.console import Console
 
 from bbq_torchrl.domains import Goal
 from bbq_torchrl.people.chat import Partner, __main__
-from bbq_torchrl.people.chat.goals import choose_goal
 from bbq_torchrl.people.chat.terminal import Chat
-from bbq_torchrl.people.dialogue.judge import Judge
+from bbq_torchrl.people.dialogue.judge import Judge, choose_goal
 from bbq_torchrl.people.language import Understander
 
 

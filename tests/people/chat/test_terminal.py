@@ -10,8 +10,8 @@ from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 from rich.console import Console
 
-from bbq_torchrl.people.chat.goals import choose_goal
 from bbq_torchrl.people.chat.terminal import Chat, prompt
+from bbq_torchrl.people.dialogue.judge import choose_goal
 
 
 @pytest.fixture

@@ -19,9 +19,9 @@ from bbq_torchrl.people.language import (
     read_lines,
 )
 from bbq_torchrl.people.language import __main__ as command
+from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.assemble import assemble, chosen
 from bbq_torchrl.people.language.cache import cached_understander
-from bbq_torchrl.people.language.frames import OPENING
 from bbq_torchrl.people.language.model import Reading
 from bbq_torchrl.people.language.tagger import OUTSIDE
 from bbq_torchrl.people.language.words import tokenize

@@ -12,11 +12,10 @@ import pytest
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import StoreError
 from bbq_torchrl.people.study.export import export
-from bbq_torchrl.people.study.rating import RATING_RULE, drawn_ratings
 from bbq_torchrl.people.study.records import SCALES
 from bbq_torchrl.people.study.report import report_text
 from bbq_torchrl.people.study.results import read_results
-from bbq_torchrl.people.study.simulate import simulate
+from bbq_torchrl.people.study.simulate import RATING_RULE, drawn_ratings, simulate
 from bbq_torchrl.people.study.store import Store
 
 from .conftest import STUDY
