@@ -23,7 +23,7 @@ __all__ = ["__version__", "config_dir", "load_run", "train"]
 
 __version__ = "0.2.0.dev0"
 
-renamed.keep_old_names()
+renamed.install(__name__)
 
 if sys.argv[:1] == ["-m"] and f"{__name__}." in " ".join(sys.orig_argv):
     # `python -m` is about to run one of our modules, whose packages take seconds to import: Ctrl-C

@@ -1,4 +1,4 @@
-"""Old names of modules, kept for one version: they import the new ones, with a warning."""
+"""Old names of modules, kept for one version: they lead to the new ones, with a warning."""
 
 from __future__ import annotations
 
@@ -8,54 +8,107 @@ import sys
 import warnings
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
-from typing import TYPE_CHECKING
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from types import CodeType, ModuleType
+    from types import CodeType
 
-RENAMED = {
-    "bbq_torchrl.language": "bbq_torchrl.people.language",
-    "bbq_torchrl.language.english": "bbq_torchrl.people.language.words",
-    "bbq_torchrl.language.frames": "bbq_torchrl.people.language.asking",
-    "bbq_torchrl.language.numbers": "bbq_torchrl.people.language.words",
-    "bbq_torchrl.language.kept": "bbq_torchrl.people.language.cache",
-    "bbq_torchrl.chat": "bbq_torchrl.people.chat",
-    "bbq_torchrl.chat.tracking": "bbq_torchrl.people.dialogue.tracker",
-    "bbq_torchrl.chat.agent": "bbq_torchrl.people.dialogue.agent",
-    "bbq_torchrl.chat.goals": "bbq_torchrl.people.dialogue.judge",
-    "bbq_torchrl.chat.partner": "bbq_torchrl.people.dialogue.partner",
-    "bbq_torchrl.chat.posterior": "bbq_torchrl.people.dialogue.posterior",
-    "bbq_torchrl.chat.simulated_user": "bbq_torchrl.people.study.users",
-    "bbq_torchrl.chat.spelling": "bbq_torchrl.people.dialogue.spelling",
-    "bbq_torchrl.chat.talker": "bbq_torchrl.people.study.agents",
-    "bbq_torchrl.study": "bbq_torchrl.people.study",
-    "bbq_torchrl.study.outcome": "bbq_torchrl.people.dialogue.judge",
-    "bbq_torchrl.study.rating": "bbq_torchrl.people.study.simulate",
-    "bbq_torchrl.study.figures": "bbq_torchrl.people.study.report",
-    "bbq_torchrl.study.talk": "bbq_torchrl.people.dialogue.talk",
+PACKAGES = {
+    "chat": "people.chat",
+    "chat.agent": "people.dialogue.agent",
+    "chat.goals": "people.dialogue.judge",
+    "chat.partner": "people.dialogue.partner",
+    "chat.posterior": "people.dialogue.posterior",
+    "chat.simulated_user": "people.study.users",
+    "chat.spelling": "people.dialogue.spelling",
+    "chat.talker": "people.study.agents",
+    "chat.tracking": "people.dialogue.tracker",
+    "language": "people.language",
+    "language.english": "people.language.words",
+    "language.frames": "people.language.asking",
+    "language.kept": "people.language.cache",
+    "language.numbers": "people.language.words",
+    "study": "people.study",
+    "study.figures": "people.study.report",
+    "study.outcome": "people.dialogue.judge",
+    "study.rating": "people.study.simulate",
+    "study.talk": "people.dialogue.talk",
 }
-"""Old name -> new name; modules of a renamed package follow it unless they are listed."""
+"""Old package -> new package; its modules follow, except those that are listed."""
+
+_PAGES = {
+    "agent": ("bbqn", "bootstrap", "dqn"),
+    "domain": ("folder", "miulab", "movie"),
+    "env": ("domain_ext", "full"),
+    "explore": (
+        *("boltzmann", "bootstrap", "epsilon_greedy", "greedy", "noisy"),
+        *("thompson", "thompson_boltzmann", "thompson_epsilon"),
+    ),
+    "intrinsic": ("none", "vime"),
+    "logger": ("csv", "mlflow", "tensorboard", "wandb"),
+    "protocol": ("paper", "quick"),
+    "spike": ("none", "rule"),
+}
+
+MODULES = {
+    **{f"options.{page}.{name}": (f"options.{page}",) for page in _PAGES for name in _PAGES[page]},
+    **dict.fromkeys(
+        ("hooks", "data.hooks", "exploration.hooks", "objectives.hooks", "trainers.hooks"),
+        ("protocols",),
+    ),
+    "bayes.settings": ("bayes.replicas",),
+    "data.validation": ("data.rows",),
+    "domains.validate": ("domains.parts",),
+    "envs.checks": ("envs.turns",),
+    "envs.compiled": ("envs.turns",),
+    "exploration.boltzmann": ("exploration.annealed",),
+    "exploration.egreedy": ("exploration.annealed",),
+    "exploration.greedy": ("exploration.evaluation",),
+    "exploration.noisy": ("exploration.thompson",),
+    "objectives.bootstrap": ("objectives.dqn",),
+    "objectives.num_data": ("objectives.rows",),
+    "options.base": ("options.registry",),
+    "simulator.bits": ("simulator.choices",),
+    "trainers.memory": ("trainers.learn",),
+    "vime.running_median": ("vime.information_gain",),
+}
+"""Old module -> the modules that have its names now."""
 
 
-class _Renamed(MetaPathFinder, Loader):
-    """Finds modules by their old names. Python asks it last."""
+class _Stand(ModuleType):
+    """Stands for a module that is gone: takes what is asked for from its new place."""
 
-    def __init__(self) -> None:
+    def __getattr__(self, name: str) -> Any:
+        package, _, old = self.__name__.partition(".")
+        for new in () if name.startswith("__") else MODULES[old]:
+            module = importlib.import_module(f"{package}.{new}")
+            if hasattr(module, name):
+                _warn(self.__name__, module.__name__)
+                return getattr(module, name)
+        raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+
+
+class _Finder(MetaPathFinder, Loader):
+    """Finds the modules of a package by its old name, also for `python -m`. Python asks it last."""
+
+    def __init__(self, package: str) -> None:
+        self._package = package
         self._specs: dict[str, ModuleSpec | None] = {}
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        new = _new_name(name)
+        new = self._new_name(name)
         found = None if new is None else importlib.util.find_spec(new)
-        if found is None:
+        if new is None or found is None:
             return None
-        warnings.warn(f"{name} is now {new}", DeprecationWarning, stacklevel=2)
+        _warn(name, new)
         return ModuleSpec(name, self, is_package=found.submodule_search_locations is not None)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        module = importlib.import_module(_new_name(spec.name) or "")
+        module = importlib.import_module(self._new_name(spec.name) or "")
         self._specs[spec.name] = module.__spec__
         return module
 
@@ -65,22 +118,28 @@ class _Renamed(MetaPathFinder, Loader):
 
     def get_code(self, name: str) -> CodeType | None:
         """Returns the code of a module that `python -m` runs by its old name."""
-        spec = importlib.util.find_spec(_new_name(name) or "")
+        spec = importlib.util.find_spec(self._new_name(name) or "")
         code: CodeType | None = spec.loader.get_code(spec.name)  # type: ignore[union-attr]
         return code
 
+    def _new_name(self, name: str) -> str | None:
+        package, _, head = name.partition(".")
+        tail = ""
+        while package == self._package and head:
+            if head in PACKAGES:
+                return f"{package}.{PACKAGES[head]}{tail}"
+            head, _, last = head.rpartition(".")
+            tail = f".{last}{tail}"
+        return None
 
-def _new_name(name: str) -> str | None:
-    head, tail = name, ""
-    while head:
-        if head in RENAMED:
-            return RENAMED[head] + tail
-        head, _, last = head.rpartition(".")
-        tail = f".{last}{tail}"
-    return None
+
+def _warn(old: str, new: str) -> None:
+    warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=3)
 
 
-def keep_old_names() -> None:
-    """Has Python find modules by their old names, too."""
-    if not any(isinstance(finder, _Renamed) for finder in sys.meta_path):
-        sys.meta_path.append(_Renamed())
+def install(package: str) -> None:
+    """Makes the old names of a package importable; imports nothing by itself."""
+    for old in MODULES:
+        sys.modules.setdefault(f"{package}.{old}", _Stand(f"{package}.{old}"))
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.append(_Finder(package))
