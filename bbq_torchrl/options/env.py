@@ -281,7 +281,7 @@ class FullDomain(EnvOption):
         features = torch.zeros(env.layout.size, dtype=torch.bool)
         for group in ("filled", "user_requested"):
             features[env.layout[group]] = True
-        features[env.layout.column("agent_informed", "taskcomplete")] = True
+        features[env.layout["agent_informed"]][env.simulator.domain.complete] = True
         return features
 
 

@@ -47,9 +47,9 @@ def test_a_job_that_fails_leaves_the_others_alone_and_is_named(launcher, tmp_pat
         code=1,
     )
     finished = sorted(file.parent.name for file in (tmp_path / "sweep").glob("*/result.json"))
-    assert finished == ["1_dqn_epsilon_greedy_full_seed0", "3_bbqn_thompson_full_seed0"]
+    assert finished == ["1_dqn_epsilon_greedy_full_seed0", "3_bbqn_thompson_boltzmann_full_seed0"]
     assert "2 of 4 runs in sweep are finished" in err
-    for failed in ("0_dqn_epsilon_greedy_full_seed0", "2_bbqn_thompson_full_seed0"):
+    for failed in ("0_dqn_epsilon_greedy_full_seed0", "2_bbqn_thompson_boltzmann_full_seed0"):
         line = next(line for line in err.splitlines() if line.startswith(failed))
         assert "agent.lr=1e+30" in line  # as Hydra writes it
         assert "not finished: train.log in it says why" in line

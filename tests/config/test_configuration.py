@@ -20,6 +20,7 @@ RECIPES = {  # the paper's name, network, exploration, target, intrinsic reward
     "agents/dqn_vime_map": ("DQN-VIME-MAP", "dqn", "epsilon_greedy", None, "map"),
     "agents/dqn_vime_mc": ("DQN-VIME-MC", "dqn", "epsilon_greedy", None, "mc"),
     "agents/bbqn_map": ("BBQN-MAP", "bbqn", "thompson", "map", None),
+    "agents/bbqn_map_soft": ("Soft BBQN-MAP", "bbqn", "thompson_boltzmann", "map", None),
     "agents/bbqn_mc": ("BBQN-MC", "bbqn", "thompson", "mc", None),
     "agents/bbqn_vime_map": ("BBQN-VIME-MAP", "bbqn", "thompson", "map", "map"),
     "agents/bbqn_vime_mc": ("BBQN-VIME-MC", "bbqn", "thompson", "mc", "mc"),
