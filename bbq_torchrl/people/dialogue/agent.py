@@ -38,7 +38,7 @@ _BANDS = torch.tensor([0.05, 0.25, 0.75, 0.95])
 
 @dataclass(frozen=True)
 class Reason:
-    """What one group of features adds to the difference of two Q-values.
+    """The part of one group of features in the difference of two Q-values.
 
     Attributes:
         group: of the features; "nothing known" is the difference before anything is.
@@ -53,7 +53,7 @@ class Reason:
 
 @dataclass(frozen=True)
 class Reasons:
-    """Why an action was taken and not the next one, by an agent's own network.
+    """The reasons for an action over the next one, by the agent's own network.
 
     Attributes:
         action: what was taken.
@@ -136,7 +136,7 @@ class TrainedAgent:
 
     @torch.no_grad()
     def beliefs(self, observation: Tensor, seed: int) -> Beliefs | None:
-        """Returns what the agent thinks of its legal actions, the best first.
+        """Returns the agent's beliefs about its legal actions, the best first.
 
         Args:
             observation: float32 ``[F]``.
@@ -226,7 +226,7 @@ class TrainedAgent:
 
     @torch.no_grad()
     def _acted(self, observation: Tensor, seed: int, allowed: Tensor | None = None) -> TensorDict:
-        """Returns what the policy writes about one observation."""
+        """Returns the output of the policy for one observation."""
         mask = self.legal if allowed is None else allowed
         tensordict = TensorDict(
             {

@@ -24,7 +24,7 @@ _DONT_CARE = fold(RESERVED_TEXT[DONT_CARE])
 
 
 def card(goal: Goal, labels: Mapping[str, str]) -> dict[str, Any]:
-    """Returns what a goal card shows.
+    """Returns the content of a goal card.
 
     Args:
         goal: the person's.

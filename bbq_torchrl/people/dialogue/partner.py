@@ -174,7 +174,8 @@ class Partner:
         """
         before = memory or Memory()
         now = replace(before, texts=before.texts + 1, checked="")
-        asking, words = before.asking, {"session": seed, "turn": now.texts}
+        asking = before.asking
+        words: dict[str, Any] = {"session": seed, "turn": now.texts}
         last = None if before.state is None else self._tracking.said(before.state)
         try:
             understood = self._understood(text, asking.question(last))
@@ -212,7 +213,7 @@ class Partner:
         return self._act(now, understood, heard, seed, words)
 
     def _act(
-        self, now: Memory, understood: Understood, heard: Frame, seed: int, words: dict[str, int]
+        self, now: Memory, understood: Understood, heard: Frame, seed: int, words: dict[str, Any]
     ) -> Answer:
         """Returns the answer of the policy to an act."""
         legal = self.agent.legal
@@ -260,7 +261,7 @@ class Partner:
         return may_ask and is_doubtful
 
     def _answer_to_check(self, before: Memory, text: str, frame: Frame) -> dict[str, Any] | None:
-        """Returns what a text means after "..., is that right?"; ``None`` for a plain no."""
+        """Returns the meaning of a text after "..., is that right?"; ``None`` for a plain no."""
         is_bare = not (frame.informs or frame.requests)
         if is_no(text) or (is_bare and frame.act == "deny"):
             return None
@@ -274,7 +275,7 @@ class Partner:
         return {"frame": before.asking.waiting, "confidence": 1.0, "unclear": ()}
 
     def _after_no(
-        self, before: Memory, now: Memory, understood: Understood, words: dict[str, int]
+        self, before: Memory, now: Memory, understood: Understood, words: dict[str, Any]
     ) -> Answer:
         """Returns the next question after a no to "..., is that right?"."""
         if not before.checked:
@@ -289,7 +290,7 @@ class Partner:
         return Answer(self._nlg.agent(said, **words), understood, understood.frame, said, now)
 
     def beliefs(self, memory: Memory | None, heard: Frame, seed: int) -> Beliefs | None:
-        """Returns what the agent thought when it heard an act; ``None`` without a posterior.
+        """Returns the agent's beliefs when it heard an act; ``None`` without a posterior.
 
         Args:
             memory: before the text.
@@ -315,7 +316,7 @@ class Partner:
         return self.control.remember(self._tracking.hear(state, heard))
 
     def _understood(self, text: str, question: Frame | None) -> Understood:
-        """Returns what a text means, its values in the one spelling."""
+        """Returns the meaning of a text, its values in the one spelling."""
         understood = self._nlu(text, question)
         frame = understood.frame
         return replace(understood, frame=replace(frame, informs=self._spelling.of(frame.informs)))

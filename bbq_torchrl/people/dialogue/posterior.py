@@ -48,7 +48,7 @@ def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor 
 def path_draws(
     policy: TensorDictModuleBase, inputs: Tensor, draws: int
 ) -> tuple[int, Callable[[Tensor], Tensor]] | None:
-    """Returns how many networks there are, and what they say of inputs between two states.
+    """Returns the number of networks, and the function that evaluates them between two states.
 
     Along a path the weights must stay, which local reparameterization does not give: these are
     draws of all weights. The function takes ``[*replicas, K, F]`` and returns

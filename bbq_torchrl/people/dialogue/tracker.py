@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Tracking:
-    """What the agent knows of one dialogue, as pure functions on a state.
+    """The agent's knowledge of one dialogue, as pure functions on a state.
 
     The state is a TensorDict of batch size ``[]`` with those keys of the
     :class:`~bbq_torchrl.simulator.Simulator`'s that the features are made of, and
@@ -125,7 +125,7 @@ class Tracking:
         )
 
     def observe(self, state: TensorDict) -> torch.Tensor:
-        """Returns what the agent sees, float32 ``[F]``."""
+        """Returns the observation, float32 ``[F]``."""
         return self._simulator.observe(state, self._active)
 
     def said(self, state: TensorDict) -> Frame | None:

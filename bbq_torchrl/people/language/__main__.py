@@ -109,7 +109,7 @@ def _count(given: argparse.Namespace, domain: Domain) -> None:
 
 
 def _agent(name: str, domain: Domain) -> TensorDictModuleBase:
-    """Returns what a run folder, or a shipped agent, has learned to do in a domain."""
+    """Returns the policy of a run folder or a shipped agent in a domain."""
     from bbq_torchrl import load_run
 
     run = load_run(name, dialogues=1)

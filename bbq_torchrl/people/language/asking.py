@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 OPENING = Frame("none")
-"""What stands for the agent's last act where it has said nothing yet."""
+"""The agent's last act at the opening, where there is none."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Unclear:
 
 @dataclass(frozen=True)
 class Understood:
-    """What was understood of a sentence.
+    """The understanding of a sentence.
 
     Args:
         frame: the act with values of the domain.
@@ -52,14 +52,14 @@ def asked_slot(question: Frame) -> str | None:
 
 
 MOST_ASKS = 2
-"""How often a system asks again in a row: better a mistake, which can be corrected, than no end."""
+"""The most times to ask again in a row: a mistake can be corrected, endless asking cannot."""
 
 
 class Nlu(Protocol):
     """Understands sentences."""
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
-        """Returns what a text means in the light of the agent's last act."""
+        """Returns the meaning of a text in the light of the agent's last act."""
 
     def asks(self, understood: Understood) -> bool:
         """Returns whether a sentence was understood too badly to act on it."""
@@ -154,7 +154,7 @@ class Asking:
 
 
 def repeated(meant: Frame, asked: Sequence[str]) -> Frame:
-    """Returns what a simulated user says who is asked again.
+    """Returns the act of a simulated user who is asked again.
 
     Args:
         meant: what it has said.

@@ -1,4 +1,4 @@
-"""What a user says, from a frame: clauses of the grammar, put together by chance."""
+"""Sentences of users, from frames: clauses of the grammar, put together at random."""
 
 from __future__ import annotations
 

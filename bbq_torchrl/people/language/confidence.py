@@ -1,4 +1,4 @@
-"""How sure the understanding of a sentence is: the probability that its frame is right."""
+"""The confidence in a frame: the probability that it is right."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def cues_of(
     chance: float,
     is_steady: bool,
 ) -> np.ndarray:
-    """Returns what tells whether a frame is right, ``[CUES]``.
+    """Returns the cues of whether a frame is right, ``[CUES]``.
 
     The log-probability of the tags, of all requests and of all that does not matter, the
     probability of the frame's act, the share of unknown words, whether something is unclear,

@@ -120,7 +120,7 @@ class EndpointUnderstander:
         return self._own.asks(understood)
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
-        """Returns what ``text`` means, with the confidence of the own understander where it agrees.
+        """Returns the meaning of ``text``; where the own understander agrees, with its confidence.
 
         Raises:
             TextError: if nothing of the text can be read, or it is too long.
@@ -200,7 +200,7 @@ class EndpointGenerator:
         session: str | int = 0,
         turn: int = 0,
     ) -> str:
-        """Returns what an agent says; arguments as those of the own generator."""
+        """Returns an agent's sentence; arguments as those of the own generator."""
         own = self._own.agent(frame, held, session=session, turn=turn)
         given = {"act": str(frame), "for_example": own}
         try:
@@ -221,11 +221,11 @@ class EndpointGenerator:
         return text
 
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns how the own generator asks again for what was not understood."""
+        """Returns the own generator's question about what was not understood."""
         return self._own.clarify(understood, session=session, turn=turn)
 
     def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns how the own generator asks whether it got some values right."""
+        """Returns the own generator's question whether some values are right."""
         return self._own.check(values, session=session, turn=turn)
 
 

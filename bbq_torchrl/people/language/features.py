@@ -1,4 +1,4 @@
-"""What the tagger and the net see of a sentence."""
+"""Features of a sentence for the tagger and the net."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Features:
         return next(close, UNKNOWN)
 
     def share_unknown(self, words: Sequence[str]) -> float:
-        """Returns which share of the words is not known, after correction."""
+        """Returns the share of unknown words, after correction."""
         letters = [word for word in words if word[0].isalpha()]
         return sum(self.spelled(word) == UNKNOWN for word in letters) / max(len(letters), 1)
 
@@ -125,7 +125,7 @@ class Features:
         return rows
 
     def _quantities(self, words: Sequence[str], found: list[list[str]]) -> None:
-        """Adds for each word of which kinds it begins, or goes on, a quantity."""
+        """Adds for each word of which kinds it begins, or continues, a quantity."""
         for kind in QUANTITIES:
             end = 0
             for start, word in enumerate(words):
@@ -144,7 +144,7 @@ class Features:
                         break
 
     def _windows(self, words: Sequence[str]) -> list[list[str]]:
-        """Returns for each word of which slots it begins, or goes on, a name."""
+        """Returns for each word of which slots it begins, or continues, a name."""
         found: list[list[str]] = [[] for _ in words]
         for slot, by_first in self._names.items():
             if by_first.keys().isdisjoint(words):
@@ -219,7 +219,7 @@ def _question(question: Frame) -> list[str]:
 
 
 def _class(word: str) -> str:
-    """Returns what sort of word it is: a number, a day, a clock, ..."""
+    """Returns the sort of a word: a number, a day, a clock, ..."""
     if word == UNKNOWN:
         return "unknown"
     if word.isdecimal():

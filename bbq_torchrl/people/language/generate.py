@@ -63,7 +63,7 @@ def capitalized(value: str, capitals: frozenset[str]) -> str:
 
 
 def chance(session: str | int, turn: int, side: str) -> random.Random:
-    """Returns what chooses the words of one turn: a hash of session, turn and side."""
+    """Returns the generator of one turn's words, seeded by session, turn and side."""
     digest = hashlib.blake2b(f"{session}/{turn}/{side}".encode(), digest_size=8).digest()
     return random.Random(int.from_bytes(digest, "big"))
 
@@ -100,7 +100,7 @@ class Generator:
     def user(
         self, frame: Frame, question: Frame | None = None, *, session: str | int = 0, turn: int = 0
     ) -> str:
-        """Returns what a user says who means ``frame``.
+        """Returns the sentence of a user who means ``frame``.
 
         Args:
             frame: the user's act.
@@ -121,7 +121,7 @@ class Generator:
         session: str | int = 0,
         turn: int = 0,
     ) -> str:
-        """Returns what an agent says.
+        """Returns the sentence of an agent.
 
         Args:
             frame: the agent's act, its values filled in.
@@ -151,7 +151,7 @@ class Generator:
         return _polished(_PREPOSITION.sub("", " ".join(sentence(part) for part in parts)))
 
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns how an agent asks again for what it did not understand.
+        """Returns an agent's question about what it did not understand.
 
         Args:
             understood: what it did: the first of its unclear names is asked about, and where
@@ -169,7 +169,7 @@ class Generator:
         return sentence(self._fill(self._phrases.agent["unknown"], rng, unclear.slot, words))
 
     def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns how an agent asks whether it got some values right.
+        """Returns an agent's question whether some values are right.
 
         Args:
             values: slot to value.
@@ -227,7 +227,7 @@ class Generator:
         return ()
 
     def _wishes(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
-        """Returns what is wished, in the order of the domain's slots."""
+        """Returns the wishes in words, in the order of the domain's slots."""
         said: list[Piece] = []
         for slot in self._domain.slots:
             if (value := wishes.get(slot, ANY)) in _NO_WISH:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.surfaces import Surfaces
 
 LEARNED_FILE = "learned.txt"
-"""Labeled lines in a domain's folder, as people type them: learned beside the grammar's."""
+"""Labeled lines in a domain's folder, as people type them: learned with the grammar's."""
 
 DRILLED_FILE = "drilled.txt"
 """Labeled lines written for what is hard: learned, but no measure of how sure to be."""

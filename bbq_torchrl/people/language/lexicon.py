@@ -28,7 +28,7 @@ _SAME_WORD = pairs("same_word")
 
 @dataclass(frozen=True)
 class Link:
-    """What a name was found to mean.
+    """The values that a name may mean.
 
     Args:
         values: one value; several that fit equally well; none for an unknown name.
@@ -223,7 +223,7 @@ class _Names:
         self._keys = list(names.values())
         self._joined = [compact(name) for name in names]
         # No sets: sums and ties would follow the order of their hashes, another in every process.
-        self._words = [dict.fromkeys(_telling(name)) for name in names]
+        self._words = [dict.fromkeys(_important_words(name)) for name in names]
         count = Counter(word for words in self._words for word in words)
         total = 1 + len(self._words)
         self._weight = {
@@ -250,7 +250,7 @@ class _Names:
             for name, key in zip(self._joined, self._keys, strict=True):
                 if name.startswith(joined):
                     scored[key] = max(0.85, scored.get(key, 0.0))
-        likenesses = [(word, self._like(word)) for word in dict.fromkeys(_telling(text))]
+        likenesses = [(word, self._like(word)) for word in dict.fromkeys(_important_words(text))]
         total = sum(
             max((self._weight[other] for other in like), default=0.0)
             or _importance(word) * self._unknown
@@ -289,7 +289,7 @@ def _importance(word: str) -> float:
     return 0.15 if word in _SMALL else 1.0
 
 
-def _telling(text: str) -> list[str]:
+def _important_words(text: str) -> list[str]:
     """Returns the words of a name, numbers as digits: ``"creed iii"`` and ``"Creed 3"`` agree."""
     words = tokenize(text.replace("-", "") if not any(c.isdigit() for c in text) else text)
     return [_SAME_WORD.get(word, word) for word in words if any(c.isalnum() for c in word)]

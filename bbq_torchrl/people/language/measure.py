@@ -1,4 +1,4 @@
-"""How well the language layer understands and speaks, as one table of numbers."""
+"""Measures how well the language layer understands and speaks."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ _SURE = 0.75
 
 @dataclass(frozen=True)
 class Reading:
-    """What the learned parts say of one sentence.
+    """The output of the learned parts for one sentence.
 
     Attributes:
         tags: the best tag of each word.

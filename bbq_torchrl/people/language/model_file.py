@@ -57,7 +57,7 @@ def write_model(path: Path, about: Mapping[str, Any], arrays: Mapping[str, np.nd
 
 
 def read_model(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Returns what :func:`write_model` was given.
+    """Returns the arguments of :func:`write_model`.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -86,7 +86,7 @@ def read_model(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _fault(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> str | None:
-    """Returns what is wrong with the content of a file, if anything is."""
+    """Returns the fault of a file's content, if there is one."""
     if arrays.keys() != _ARRAYS.keys():
         return f"it must have the arrays {', '.join(_ARRAYS)}, got {shown(sorted(arrays))}"
     for name, (kind, dimensions) in _ARRAYS.items():

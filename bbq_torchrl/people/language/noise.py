@@ -1,4 +1,4 @@
-"""What becomes of sentences when people type them: typos, slang, filler, missing words."""
+"""Noise of typing: typos, slang, filler, missing words."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class PhrasesError(FaultsError):
 
 @dataclass(frozen=True)
 class SlotPhrases:
-    """How one slot is spoken of.
+    """The phrases of one slot.
 
     Attributes:
         name: what people call it.
@@ -76,7 +76,7 @@ class Phrases:
 
     @property
     def names(self) -> dict[str, str]:
-        """What people call each slot."""
+        """The name that people have for each slot."""
         return {slot: entry.name for slot, entry in self.slots.items()}
 
 

@@ -240,7 +240,7 @@ READERS: dict[Kind, Callable[[str], str | None]] = {
     "count": read_count,
     "price": read_price,
 }
-"""How the values of each kind but ``text`` are read."""
+"""The reader of each kind of value but ``text``."""
 
 
 def kind_of(values: Iterable[str]) -> Kind:

@@ -1,4 +1,4 @@
-"""What is said in simulated dialogues: the acts that sentences must exist for."""
+"""Acts of simulated dialogues, for which sentences must exist."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BATCH = 500
 def play(
     domain: Domain, dialogues: int, *, seed: int = 0, kept: int = 4
 ) -> list[tuple[Frame | None, Frame]]:
-    """Returns what is said in dialogues of agents that are half scripted, half random.
+    """Returns the acts of dialogues with agents that are half scripted, half random.
 
     Args:
         domain: what is spoken of.

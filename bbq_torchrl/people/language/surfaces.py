@@ -1,4 +1,4 @@
-"""How people write values: other clocks, other dates, short names, words for numbers."""
+"""Other ways to write values: clocks, dates, short names, words for numbers."""
 
 from __future__ import annotations
 

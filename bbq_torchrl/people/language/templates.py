@@ -42,7 +42,7 @@ class _Name:
 
     @cached_property
     def key(self) -> str:
-        """What it is called among the values of a sentence."""
+        """Its name among the values of a sentence."""
         return self.name if self.kind == "slot" else f"<{self.name}>"
 
 

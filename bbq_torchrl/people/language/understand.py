@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.labeled import Line
 
 SENTENCES = 7_200
-"""How many sentences of people to learn from, at most."""
+"""The most sentences of people to learn from."""
 
 THRESHOLD = 0.75
 """The confidence below which to ask again: .8 of the sentences of unseen hands are above it."""
@@ -98,7 +98,7 @@ class Understander:
 
         Args:
             domain: what is spoken of. Its folder may have its ``language.yaml``, and labeled lines
-                of people, which are learned beside the own sentences: ``learned.txt``, as people
+                of people, which are learned with the own sentences: ``learned.txt``, as people
                 type, and ``drilled.txt``, written for what is hard. The confidence is fitted to a
                 quarter of the former, as a smaller model understands them that has learned from
                 half of it.
@@ -149,7 +149,7 @@ class Understander:
         return cls(lexicon, model, calibration, threshold)
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
-        """Returns what ``text`` means.
+        """Returns the meaning of ``text``.
 
         Args:
             text: what the user typed.

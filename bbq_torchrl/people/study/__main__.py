@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     serve = commands.add_parser("serve", help="serve a study to browsers")
-    serve.add_argument("study", type=_path, help="the study file; its data is beside it")
+    serve.add_argument("study", type=_path, help="the study file; its data is next to it")
     serve.add_argument(
         "--talker",
         default=TALKER,
@@ -133,7 +133,7 @@ def _serve(given: argparse.Namespace) -> None:
     from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
     talker = make(study)
-    interruption.tell(lambda: "while serving", lambda: "the same command goes on with the study")
+    interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
     prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
     with closing(Store(study.data, study.terms, prints)) as store:
         site = f"http://{given.host}:{given.port}"
@@ -164,7 +164,7 @@ def _simulate(given: argparse.Namespace) -> None:
     # Another name: the study's data are for people.
     given.study = _simulated(study.path)
     study = replace(study, path=given.study)
-    interruption.tell(lambda: "while simulating", lambda: "the same command goes on with it")
+    interruption.tell(lambda: "while simulating", lambda: "the same command continues it")
     simulate(study, make_talker(study), make_users(study), seed=given.seed, tell=_say)
     _report(given)
 

@@ -1,4 +1,4 @@
-"""Two agents of a study compared: the declared test, and the usual ones beside it."""
+"""Two agents of a study compared: the declared test, and the usual ones next to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people do in a study, step by step: say something, end the conversation, rate it."""
+"""The steps of people in a study: say something, end the conversation, rate it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who meets which agent when: Williams rows, so that order and carry-over are balanced."""
+"""The order in which people meet agents: Williams rows, which balance order and carry-over."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every request passes before the pages see it, and the headers that every answer carries."""
+"""Checks of every request before the pages see it, and the headers of every answer."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class StudyError(FaultsError):
 
 @dataclass(frozen=True)
 class Terms:
-    """What a study was declared to be before its first person.
+    """The terms of a study, declared before its first person.
 
     Attributes:
         name: of the study, shown as the pages' heading.

@@ -1,4 +1,4 @@
-"""How likely a study finds a difference, before anyone is invited."""
+"""The power of a study, before anyone is invited."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEVEL = 0.05
 
 @dataclass(frozen=True)
 class Power:
-    """How often a difference was found.
+    """Shares of simulated studies that found the difference.
 
     Attributes:
         sign_flip: share of simulated studies in which the declared test found it.

@@ -1,4 +1,4 @@
-"""What is stored of a study, as objects: people's sessions and what was said in them."""
+"""Stored records of a study: people's sessions and what was said in them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 SCALES = ("overall", "naturalness", "coherence", "completion")
-"""What people rate from 1 to 5; the first is the paper's one figure."""
+"""The scales that people rate from 1 to 5; the first is the paper's one figure."""
 
 LOWEST, HIGHEST = 1, 5
 """Ratings."""

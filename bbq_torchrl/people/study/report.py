@@ -190,7 +190,7 @@ def _uncertainty(results: Results) -> Iterator[str]:
 def _warning(
     people: Collection[Sequence[Result]], sign: Callable[[Result], float | None]
 ) -> Interval:
-    """Returns how well a sign tells sessions that fail, where there is one."""
+    """Returns how well a sign predicts sessions that fail, where it is present."""
     return auroc(
         [
             [(value, not item.success) for item in sessions if (value := sign(item)) is not None]

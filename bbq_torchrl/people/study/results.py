@@ -1,4 +1,4 @@
-"""What a study has found so far: its ended sessions, read from its file."""
+"""Results of a study so far: its ended sessions, read from its file."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class Results:
         return self.by_person(lambda item: item.ratings[scale] if item.ratings else None, agent)
 
     def flags(self) -> dict[str, list[str]]:
-        """Returns what is conspicuous of people; nobody is left out of anything for it."""
+        """Returns the flags of conspicuous people; nobody is excluded for them."""
         people = self.by_person(lambda session: session)
         found = {person: _flags(people[person]) for person in sorted(people, key=_number)}
         return {person: flags for person, flags in found.items() if flags}
@@ -113,7 +113,7 @@ def _number(person: str) -> int:
 
 
 FAST_SECONDS = 2.0
-"""Who mostly answers sooner has hardly read the answer."""
+"""A person who mostly answers sooner has hardly read the answer."""
 
 
 def _flags(sessions: Sequence[Result]) -> list[str]:

@@ -31,7 +31,7 @@ class User(Protocol):
     satisfied: bool
 
     def say(self, said: Frame | None) -> str:
-        """Returns what it says to the agent's act; ``None`` begins the conversation."""
+        """Returns its reply to the agent's act; ``None`` begins the conversation."""
 
 
 class _Clock:
@@ -51,13 +51,13 @@ def simulate(
     seed: int,
     tell: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Has simulated users take all places of a study, one after the other.
+    """Plays a study with simulated users, one after the other.
 
     They go the way of people: consent, conversation, rating, through the same code and store. What
-    is stored already is not said again, so a simulation that was stopped goes on.
+    is stored already is not said again, so a simulation that was stopped continues.
 
     Args:
-        study: whose data is beside its file.
+        study: whose data is next to its file.
         talker: the agents.
         users: makes a user from the number of its goal, from 1, and a seed.
         seed: of the plan, the users and their ratings.
@@ -110,7 +110,7 @@ RATING_RULE = (
     "message beyond the fifth, plus normal noise of standard deviation 0.75, rounded, from 1 to 5. "
     "So ratings say nothing that verdict and length do not."
 )
-"""What reports of simulated studies tell of :func:`drawn_ratings`."""
+"""The rule of :func:`drawn_ratings`, as reports state it."""
 
 
 def drawn_ratings(satisfied: bool, messages: int, seed: int) -> dict[str, int]:

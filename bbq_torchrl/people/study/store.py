@@ -115,7 +115,7 @@ class Store:
             if name in stored and stored[name] != fingerprint
         ]
         if faults:
-            advice = "a study goes on as it was begun; a changed one needs a new file name"
+            advice = "a study continues as it was begun; a changed one needs a new file name"
             raise StoreError(self._path, *(f"{fault} ({advice})" for fault in faults))
         connection.execute("UPDATE study SET terms = ?", (self._terms.text(),))
         return str(found[2])
@@ -204,7 +204,7 @@ class Store:
     # -- conversations -----------------------------------------------------------------------------
 
     def exchanges(self, session: int) -> list[StoredExchange]:
-        """Returns what was said in a session, first to last."""
+        """Returns the exchanges of a session, first to last."""
         return list(map(StoredExchange.of, self.rows(EXCHANGES, session)))
 
     def add_exchange(
@@ -279,7 +279,7 @@ class Store:
     # -- the researcher's view ---------------------------------------------------------------------
 
     def progress(self) -> tuple[dict[str, int], list[Session]]:
-        """Returns how far the study is.
+        """Returns the progress of the study.
 
         Returns:
             How many people there are, by ``wanted``, ``enrolled``, ``finished``, ``active`` and
@@ -320,12 +320,12 @@ def _end(
 
 
 def hashed(token: str) -> str:
-    """Returns what is stored of a token: who reads the file learns no link."""
+    """Returns the hash of a token, which is stored in its place: the file reveals no link."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 
 def _changed(old: Terms, new: Terms) -> list[str]:
-    """Returns what differs beyond the numbers of people, which may change."""
+    """Returns the differences beyond the numbers of people, which may change."""
     joins = old.joins_per_minute
     same = asdict(replace(new, participants=old.participants, joins_per_minute=joins))
     # As text: the order of the agents counts too.

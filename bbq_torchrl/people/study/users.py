@@ -66,7 +66,7 @@ class SimulatedUser:
         return bool(state["constraints_met"] & ~(is_left | is_refused).any())
 
     def say(self, said: Frame | None) -> str:
-        """Returns what it says to the agent's act; ``None`` begins the conversation."""
+        """Returns its reply to the agent's act; ``None`` begins the conversation."""
         if said is None:
             meant = self._meant()
         elif said.act == "not_sure" and said.informs:  # "..., is that right?"
@@ -126,7 +126,7 @@ class SimulatedUser:
 
 
 def make_users(study: Study) -> Callable[[int, int], SimulatedUser]:
-    """Returns what makes a user of a study from the number of its goal, from 1, and a seed."""
+    """Returns a function that makes a user from the number of its goal, from 1, and a seed."""
     spelling = Spelling(study.domain)
     simulator = Simulator(tensorize(spelling.domain))
     speak = Generator(study.domain)

@@ -98,7 +98,7 @@ class _Pages:
     # -- taking part -------------------------------------------------------------------------------
 
     def consent(self, request: Request) -> Response:
-        """What people agree to."""
+        """Shows the consent form."""
         self._check(request, JOIN)
         return self._consent(HTTPStatus.OK, "")
 
@@ -112,7 +112,7 @@ class _Pages:
         return _to(token)
 
     def now(self, request: Request) -> Response:
-        """What the person does next."""
+        """Shows the next step of a person."""
         return self._page(self._token(request))
 
     def step(self, request: Request) -> Response:
@@ -182,7 +182,7 @@ class _Pages:
     # -- the researcher ----------------------------------------------------------------------------
 
     def progress(self, request: Request) -> Response:
-        """How far the study is. Outcomes by agent are in the report: looking early misleads."""
+        """Shows the progress. Outcomes by agent are in the report: looking early misleads."""
         self._check(request, RESEARCHER)
         counts, sessions = self._store.progress()
         begun = [session for session in reversed(sessions) if session.messages]

@@ -80,4 +80,4 @@ def test_a_served_study_ends_when_it_is_told_to(tmp_path):
     server = Server(tmp_path / "study.yaml").start()
     server.process.send_signal(signal.SIGTERM)
     _, errors = server.process.communicate(timeout=60)
-    assert errors == "interrupted while serving: the same command goes on with the study\n"
+    assert errors == "interrupted while serving: the same command continues the study\n"

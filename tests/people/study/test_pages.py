@@ -124,7 +124,7 @@ def test_a_second_window_is_told_that_the_conversation_went_on(site):
     site.say(link, "city=philly")
     page = site.client.post(f"{link}/say", data=stale)
     assert page.status_code == 409
-    assert "gone on in another window" in page.text
+    assert "continued in another window" in page.text
     assert 'value="from the other window"' in page.text
     assert site.session(link).messages == 1
     assert site.say(link, "from the other window").status_code == 200

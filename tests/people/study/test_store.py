@@ -79,7 +79,7 @@ def test_what_is_another_study_is_refused_all_at_once_but_more_people_are_welcom
         "the weights of agent 'secret-bbqn' are not those the study was begun with",
         "the weights of agent 'secret-dqn' are not those the study was begun with",
     ]
-    assert [fault.partition(" (a study goes on")[0] for fault in error.value.faults] == faults
+    assert [fault.partition(" (a study continues")[0] for fault in error.value.faults] == faults
     open_store(replace(study.terms, participants=50, joins_per_minute=1))
 
 
