@@ -24,8 +24,7 @@ def clean(text: str) -> str:
     """
     if len(text) > MAX_CHARACTERS:
         raise TextError(
-            f"a message may have {MAX_CHARACTERS:,} characters, this one has {len(text):,}: "
-            "please shorten it"
+            f"a message may have at most {MAX_CHARACTERS:,} characters, this one has {len(text):,}"
         )
     plain = "".join(
         " " if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") else letter
@@ -33,5 +32,5 @@ def clean(text: str) -> str:
     )
     line = " ".join(plain.split())
     if not any(unicodedata.category(letter)[0] not in "CZM" for letter in line):
-        raise TextError("please write something before you send it")
+        raise TextError("a message must have at least one word, number or mark")
     return line

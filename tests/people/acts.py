@@ -10,7 +10,7 @@ class Acts:
 
     def __call__(self, text, question=None):
         if text.startswith("\x00"):
-            raise TextError("a sentence must have at least one character")
+            raise TextError("a message must have at least one character")
         if text == "?":
             return Understood(Frame("inform"), 0.2)
         if text == "two for godzilla":

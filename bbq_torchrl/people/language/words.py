@@ -92,7 +92,7 @@ def words_of(text: str) -> list[str]:
     """
     words = tokenize(legible(text))
     if not words:
-        raise TextError("a message must have at least one word, number or mark, got none")
+        raise TextError("a message must have at least one word, number or mark")
     return words
 
 

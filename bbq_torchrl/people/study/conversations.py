@@ -171,9 +171,8 @@ def _message(form: Mapping[str, str]) -> str:
     try:
         return clean(form.get("text", ""))
     except TextError as error:
-        text = str(error)
         raise RefusedError(
-            HTTPStatus.UNPROCESSABLE_ENTITY, f"{text[:1].upper()}{text[1:]}."
+            HTTPStatus.UNPROCESSABLE_ENTITY, f"Your message was not sent: {error}."
         ) from error
 
 

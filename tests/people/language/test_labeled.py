@@ -121,7 +121,7 @@ def test_lines_that_cannot_be_read_are_all_named(tmp_path):
     assert "line 1 must be written" in text
     assert "line 2: the act must be one of" in text
     assert "line 3: a slot must be one of" in text
-    assert "line 4: a sentence must have" in text
+    assert "line 4: a message must have" in text
 
 
 @pytest.mark.parametrize(

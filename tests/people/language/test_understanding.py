@@ -169,7 +169,7 @@ def test_hostile_text_gives_a_frame_of_the_domain(understand, text, question):
 
 @pytest.mark.parametrize("text", ["", " \n\t", "\x00\x01", "\u200b\u202e", "x" * 1_000_000, "__"])
 def test_text_without_words_or_end_is_refused_in_a_sentence(understand, text):
-    with pytest.raises(TextError, match="a sentence m"):
+    with pytest.raises(TextError, match="a message m"):
         understand(text, Frame("confirm_question", {"city": "reno"}))
 
 

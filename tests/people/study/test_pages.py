@@ -88,10 +88,22 @@ def test_hostile_text_is_stored_and_shown_as_text(site, text):
     ("said", "step", "given", "status", "sentence"),
     [
         *(
-            ([], "say", {"text": text}, 422, "Please write something before you send it.")
+            (
+                [],
+                "say",
+                {"text": text},
+                422,
+                "Your message was not sent: a message must have at least one word",
+            )
             for text in ("", "   ", "\x00", "\u202e")
         ),
-        ([], "say", {"text": "x" * 1_001}, 422, "may have 1,000 characters, this one has 1,001"),
+        (
+            [],
+            "say",
+            {"text": "x" * 1_001},
+            422,
+            "may have at most 1,000 characters, this one has 1,001",
+        ),
         ([], "end", {}, 409, "Please say something to the assistant before you end."),
         (["city=philly"], "rate", RATED, 409, "Please end the conversation before you rate it."),
         (["bye"], "say", {"text": "more"}, 409, "That conversation has ended"),

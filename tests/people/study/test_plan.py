@@ -89,6 +89,11 @@ def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
         ({"domain": "7"}, "domain must be movie or a domain's folder, got 7"),
         ({"ask_below": "{three: .9}"}, "ask_below must map agents of the study to numbers between"),
         ({"ask_below": "{one: 2}"}, "ask_below must map agents of the study to numbers between"),
+        ({"control": "{three: []}"}, "control must map agents of the study to lists of yes_ends,"),
+        (
+            {"control": "{one: [shout]}"},
+            "control must map agents of the study to lists of yes_ends",
+        ),
         ({"color": "red"}, "'color' is not a key of a study; allowed are name, consent"),
     ],
 )
