@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl import interruption
 
 if TYPE_CHECKING:
-    from bbq_torchrl.cli.loading import load_run
     from bbq_torchrl.cli.notebook import config_dir, train
+    from bbq_torchrl.runs.loading import load_run
 
 __all__ = ["__version__", "config_dir", "load_run", "train"]
 
@@ -32,7 +32,7 @@ if sys.argv[:1] == ["-m"] and f"{__name__}." in " ".join(sys.orig_argv):
 def __getattr__(name: str) -> Any:
     # Imported when it is asked for: torch and torchrl take seconds.
     if name == "load_run":
-        from bbq_torchrl.cli.loading import load_run
+        from bbq_torchrl.runs.loading import load_run
 
         return load_run
     if name in ("config_dir", "train"):

@@ -14,11 +14,11 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.messages import take_config_dir
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains import importing
 from bbq_torchrl.options import CalibrateConfig, ConfigError
 from bbq_torchrl.pages import page
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -99,11 +99,11 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     import torch
     from scipy.optimize import brentq
 
-    from bbq_torchrl.cli.checks import check_device
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
     from bbq_torchrl.options.env.full import FullDomain
+    from bbq_torchrl.runs.checks import check_device
     from bbq_torchrl.trainers import derive_seed, keep_freed_memory
 
     option = config.env

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.messages import take_config_dir
-from bbq_torchrl.cli.resume import run_config
-from bbq_torchrl.cli.store import compose, run_of
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.pages import page
-from bbq_torchrl.shipped import run_folder
+from bbq_torchrl.runs.compose import compose, run_of
+from bbq_torchrl.runs.overrides import take_config_dir
+from bbq_torchrl.runs.resume import run_config
+from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -89,12 +89,12 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     """
     import torch
 
-    from bbq_torchrl.cli.checks import check_device
-    from bbq_torchrl.cli.loading import trained_policy
-    from bbq_torchrl.cli.training import make_domain
     from bbq_torchrl.domains.validate import RANDOM_POLICY
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.evaluation.statistics import binomial_standard_error
+    from bbq_torchrl.runs.build import make_domain
+    from bbq_torchrl.runs.checks import check_device
+    from bbq_torchrl.runs.loading import trained_policy
     from bbq_torchrl.trainers import keep_freed_memory
 
     check_device(config.device)

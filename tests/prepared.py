@@ -6,7 +6,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from bbq_torchrl.cli import checks, preparation
+from bbq_torchrl.cli import preparation
+from bbq_torchrl.runs import checks
 
 
 def prepare(arguments, check=lambda config: None):

@@ -14,9 +14,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import __version__
 from bbq_torchrl.chat.posterior import path_draws, q_draws
-from bbq_torchrl.cli.loading import load_run
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.runs.loading import load_run
 from bbq_torchrl.study.talk import Belief, Beliefs
 
 if TYPE_CHECKING:

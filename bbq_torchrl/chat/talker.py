@@ -13,7 +13,7 @@ from bbq_torchrl.chat.partner import Partner, as_act
 from bbq_torchrl.chat.spelling import Spelling
 from bbq_torchrl.language import Generator, load_phrases
 from bbq_torchrl.language.kept import kept_understander, language_key
-from bbq_torchrl.shipped import run_folder
+from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.study import Reply, StudyError
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
-from bbq_torchrl.cli.messages import unreadable
 from bbq_torchrl.cli.preparation import SingleRun, prepare
-from bbq_torchrl.cli.store import register_options
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import conf_folder, load_folder
-from bbq_torchrl.run import run
+from bbq_torchrl.runs.compose import register_options
+from bbq_torchrl.runs.overrides import unreadable
+from bbq_torchrl.runs.train import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

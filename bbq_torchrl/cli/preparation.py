@@ -22,15 +22,15 @@ from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, open_dict, read_write
 
 from bbq_torchrl import output
-from bbq_torchrl.cli.folders import refuse_other_folder, run_folder, run_lock
-from bbq_torchrl.cli.messages import refuse_second_folder, too_large
-from bbq_torchrl.cli.resume import folder_to_resume, resumed
-from bbq_torchrl.cli.store import compose_raw, register_options, searched, session, to_config
 from bbq_torchrl.cli.sweeps import Sweep, prepare_sweep, refuse_unswept
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
+from bbq_torchrl.runs.compose import compose_raw, register_options, searched, session, to_config
+from bbq_torchrl.runs.folders import refuse_other_folder, run_folder, run_lock
+from bbq_torchrl.runs.overrides import refuse_second_folder, too_large
+from bbq_torchrl.runs.resume import folder_to_resume, resumed
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def prepare(arguments: Sequence[str], held: ExitStack) -> SingleRun | Sweep | No
         else:
             composed, config = new
         refuse_other_folder(parsed.overrides, "sweep", "a sweep (--multirun)", "run")
-        from bbq_torchrl.cli.checks import check  # torch and torchrl take ten seconds
+        from bbq_torchrl.runs.checks import check  # torch and torchrl take ten seconds
 
         domain = check(config)
         with read_write(composed), open_dict(composed):

@@ -18,10 +18,6 @@ from hydra.errors import HydraException
 from omegaconf import open_dict, read_write
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.folders import named_folder, refuse_links, refuse_other_folder, reserve
-from bbq_torchrl.cli.messages import LAUNCHER, explain, key_of
-from bbq_torchrl.cli.resume import NOT_SWEPT, is_finished, restarted_config, run_config
-from bbq_torchrl.cli.store import compose_raw, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
@@ -34,6 +30,10 @@ from bbq_torchrl.run_folder import (
     folder_of,
     numbers_in_order,
 )
+from bbq_torchrl.runs.compose import compose_raw, to_config
+from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_folder, reserve
+from bbq_torchrl.runs.overrides import LAUNCHER, explain, key_of
+from bbq_torchrl.runs.resume import NOT_SWEPT, is_finished, restarted_config, run_config
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
@@ -86,14 +86,14 @@ def prepare_sweep(hydra_session: Any, overrides: Sequence[str]) -> Sweep:
     """Composes and checks every job of a sweep, and makes its folder.
 
     Args:
-        hydra_session: of :func:`~bbq_torchrl.cli.store.session`.
+        hydra_session: of :func:`~bbq_torchrl.runs.compose.session`.
         overrides: the command line.
 
     Raises:
         ConfigError: one sentence that says what is wrong and what is allowed.
         ValueError or OSError: a corpus that cannot be used.
     """
-    from bbq_torchrl.cli.checks import check  # torch and torchrl take ten seconds
+    from bbq_torchrl.runs.checks import check  # torch and torchrl take ten seconds
 
     composed, jobs = _composed(hydra_session, overrides)
     refuse_other_folder(overrides, "run", "a single run", "sweep")

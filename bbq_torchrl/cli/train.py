@@ -22,16 +22,16 @@ from hydra.core.utils import env_override
 from hydra.errors import CompactHydraException, HydraException
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.folders import quoted
-from bbq_torchrl.cli.messages import explain, train_command
 from bbq_torchrl.cli.preparation import SingleRun, prepare
-from bbq_torchrl.cli.resume import is_finished, restarted_config
-from bbq_torchrl.cli.store import to_config
 from bbq_torchrl.cli.sweeps import FULL_ERROR, tell_no_job
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CONFIG
+from bbq_torchrl.runs.compose import to_config
+from bbq_torchrl.runs.folders import quoted
+from bbq_torchrl.runs.overrides import explain, train_command
+from bbq_torchrl.runs.resume import is_finished, restarted_config
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -90,9 +90,9 @@ def main() -> None:
 
 def _train(config: Config, folder: Path, domain: Domain | None) -> float:
     """Returns the final success rate, which is what sweepers get."""
-    from bbq_torchrl import run  # torch and torchrl take ten seconds
+    from bbq_torchrl.runs import train  # torch and torchrl take ten seconds
 
-    return run.run(config, folder, domain=domain).success_rate
+    return train.run(config, folder, domain=domain).success_rate
 
 
 def _job_of_a_sweep(composed: DictConfig) -> float:

@@ -8,11 +8,11 @@ import sys
 from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.extras import needed
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.pages import page
+from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.search.definition import SEARCH, compose_search
 from bbq_torchrl.text import sentence
 
@@ -50,8 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         search = compose_search(take_config_dir(arguments))
         # Imported here: torch, torchrl and Optuna take seconds, what is refused above takes none.
         optuna = needed("optuna", "optuna", "search")
-        from bbq_torchrl.cli.checks import check
-        from bbq_torchrl.run import run
+        from bbq_torchrl.runs.checks import check
+        from bbq_torchrl.runs.train import run
         from bbq_torchrl.search.study import run_search
 
         for config in search.corners:

@@ -21,8 +21,6 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from bbq_torchrl.cli.messages import too_large, unreadable
-from bbq_torchrl.cli.store import compose, load_yaml
 from bbq_torchrl.options.registry import config_folders, options
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
@@ -35,6 +33,8 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
+from bbq_torchrl.runs.compose import compose, load_yaml
+from bbq_torchrl.runs.overrides import too_large, unreadable
 from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
 from bbq_torchrl.text import conceal_environment, sentence, shown
 

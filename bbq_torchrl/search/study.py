@@ -20,10 +20,10 @@ from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
-from bbq_torchrl.cli.folders import refuse_links
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.run_folder import CONFIG, write_text
+from bbq_torchrl.runs.folders import refuse_links
 from bbq_torchrl.search.space import Choices, as_entry
 from bbq_torchrl.search.trials import (
     Outcome,
@@ -64,7 +64,7 @@ def run_search(
 
     Args:
         search: what to search.
-        runner: trains one trial: ``bbq_torchrl.run.run``, called with configuration, folder,
+        runner: trains one trial: ``bbq_torchrl.runs.train.run``, called with configuration, folder,
             callbacks after every round, and ``domain=``. The search goes on after a
             TrainingError of it; any other error ends the search, and the trial is taken up when it
             is started again.

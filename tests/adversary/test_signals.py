@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from forked import ROOT, environment
 
-from bbq_torchrl.cli.folders import run_lock
+from bbq_torchrl.runs.folders import run_lock
 
 from .cases import CONFIGURATIONS, KILLS, TINY
 from .folders import assert_same

@@ -7,9 +7,9 @@ from tiny import TINY, without_drawing
 
 from bbq_torchrl.chat import Partner, TrainedAgent
 from bbq_torchrl.chat.spelling import Spelling
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.language import Frame, Generator, TextError, Unclear, Understood
-from bbq_torchrl.run import run
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 
 SHRUNKEN = (*TINY, "protocol.rounds=1", "protocol.eval_every=0", "spike.policy=random")
 

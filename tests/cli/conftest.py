@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.run import run
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 
 from .trusted import DQN
 

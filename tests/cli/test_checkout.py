@@ -7,9 +7,9 @@ import subprocess
 
 import pytest
 
-from bbq_torchrl.cli.checkout import Checkout, checkout
-from bbq_torchrl.cli.resume import is_finished
 from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.runs.checkout import Checkout, checkout
+from bbq_torchrl.runs.resume import is_finished
 
 
 def git(folder, *command):

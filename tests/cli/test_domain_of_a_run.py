@@ -10,10 +10,10 @@ import shutil
 import pytest
 from tiny import TINY
 
-import bbq_torchrl.run as runs
+import bbq_torchrl.runs.train as runs
 from bbq_torchrl import evaluate
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.runs.compose import compose
 
 
 @pytest.fixture

@@ -14,11 +14,11 @@ from own_options import own_options
 from tiny import TINY, rows
 from torchrl.record.loggers import Logger
 
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.options import ConfigError, LoggerOption, register
 from bbq_torchrl.options.settings import option
-from bbq_torchrl.run import run
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 from bbq_torchrl.trainers import TrainingError
 
 RUN = ["agent=dqn", *TINY, "replicas=2"]

@@ -8,10 +8,11 @@ import yaml
 from tiny import TINY
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl import evaluate, load_run, shipped
-from bbq_torchrl.cli.store import compose
+from bbq_torchrl import evaluate, load_run
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.run import run
+from bbq_torchrl.runs import shipped
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 from scripts import ship_agent
 
 SHRUNKEN = (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from tiny import TINY
 
-from bbq_torchrl.cli import resume
-from bbq_torchrl.cli.store import session
-from bbq_torchrl.run import run
 from bbq_torchrl.run_folder import LOCK
+from bbq_torchrl.runs import resume
+from bbq_torchrl.runs.compose import session
+from bbq_torchrl.runs.train import run
 
 DQN = (
     *TINY,

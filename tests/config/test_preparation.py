@@ -9,10 +9,11 @@ import pytest
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from prepared import prepare
 
-from bbq_torchrl.cli import checks, train
-from bbq_torchrl.cli.resume import save_config
-from bbq_torchrl.cli.store import compose
+from bbq_torchrl.cli import train
 from bbq_torchrl.options import ConfigError, registry
+from bbq_torchrl.runs import checks
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.resume import save_config
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +51,7 @@ def test_jobs_that_only_another_sweeper_knows_are_left_to_it():
 def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatch):
     check, run = Mock(), Mock(return_value=Mock(success_rate=0.0))
     monkeypatch.setattr(checks, "check", check)
-    monkeypatch.setattr("bbq_torchrl.run.run", run)
+    monkeypatch.setattr("bbq_torchrl.runs.train.run", run)
     monkeypatch.setattr(sys, "argv", ["train.py", "agent=dqn", f"hydra.run.dir={tmp_path / 'it'}"])
     load = ConfigLoaderImpl.load_configuration
     with patch.object(ConfigLoaderImpl, load.__name__, autospec=True, side_effect=load) as composed:

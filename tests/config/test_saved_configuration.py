@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from bbq_torchrl import text
-from bbq_torchrl.cli import resume
-from bbq_torchrl.cli.resume import load_config, save_config
-from bbq_torchrl.cli.store import compose, session
 from bbq_torchrl.evaluate import composed
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.runs import resume
+from bbq_torchrl.runs.compose import compose, session
+from bbq_torchrl.runs.resume import load_config, save_config
 from bbq_torchrl.text import sentence
 
 SAVED_BY_0_1_0 = Path(__file__).parent.parent / "data" / "runs_of_0_1_0"

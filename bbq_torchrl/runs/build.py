@@ -11,7 +11,6 @@ from torch import nn
 from torchrl.envs import Compose
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.cli.resume import description
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.while_training import RoundEvaluator
@@ -19,6 +18,7 @@ from bbq_torchrl.options import ConfigError, Task
 from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.task import action_mask_key, check_env
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.runs.resume import description
 from bbq_torchrl.trainers import RoundTrainer, derive_seed, episode_stats, rollouts
 
 if TYPE_CHECKING:

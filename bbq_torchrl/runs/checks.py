@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.cli.resume import description, result_of
-from bbq_torchrl.cli.training import make_domain, spike_policy
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
+from bbq_torchrl.runs.build import make_domain, spike_policy
+from bbq_torchrl.runs.resume import description, result_of
 from bbq_torchrl.text import shown
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,

@@ -10,16 +10,6 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl import interruption
-from bbq_torchrl.cli.checkout import checkout
-from bbq_torchrl.cli.final import final_result
-from bbq_torchrl.cli.folders import run_lock
-from bbq_torchrl.cli.resume import result_of, save_config
-from bbq_torchrl.cli.training import (
-    build_trainer,
-    make_domain,
-    opened_loggers,
-    spike_policy,
-)
 from bbq_torchrl.domains.validate import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import read_groups
@@ -32,6 +22,16 @@ from bbq_torchrl.evaluation.results import (
 )
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
+from bbq_torchrl.runs.build import (
+    build_trainer,
+    make_domain,
+    opened_loggers,
+    spike_policy,
+)
+from bbq_torchrl.runs.checkout import checkout
+from bbq_torchrl.runs.final import final_result
+from bbq_torchrl.runs.folders import run_lock
+from bbq_torchrl.runs.resume import result_of, save_config
 from bbq_torchrl.trainers import keep_freed_memory
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.cli.messages import key_of, not_an_option
-from bbq_torchrl.cli.store import compose_raw, load_yaml, read_config, run_of, to_config
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
+from bbq_torchrl.runs.compose import compose_raw, load_yaml, read_config, run_of, to_config
+from bbq_torchrl.runs.overrides import key_of, not_an_option
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:

@@ -29,17 +29,6 @@ from omegaconf.errors import (
 )
 from yaml import YAMLError
 
-from bbq_torchrl.cli.folders import quoted
-from bbq_torchrl.cli.messages import (
-    allowed,
-    explain,
-    groups_of,
-    key_of,
-    not_an_option,
-    too_large,
-    train_command,
-    unknown_key,
-)
 from bbq_torchrl.options import (
     AgentOption,
     CalibrateConfig,
@@ -55,6 +44,17 @@ from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.values import keys_with_lists
 from bbq_torchrl.pages import page
 from bbq_torchrl.plain_yaml import check_yaml
+from bbq_torchrl.runs.folders import quoted
+from bbq_torchrl.runs.overrides import (
+    allowed,
+    explain,
+    groups_of,
+    key_of,
+    not_an_option,
+    too_large,
+    train_command,
+    unknown_key,
+)
 from bbq_torchrl.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:

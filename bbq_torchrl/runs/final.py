@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
 
-    from bbq_torchrl.cli.checkout import Checkout
-    from bbq_torchrl.cli.training import Agent
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
+    from bbq_torchrl.runs.build import Agent
+    from bbq_torchrl.runs.checkout import Checkout
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
 
 _LOG = logging.getLogger(__name__)

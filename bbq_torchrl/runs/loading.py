@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bbq_torchrl.bayes.settings import check_choice
-from bbq_torchrl.cli.resume import description, run_config
-from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.run_folder import CHECKPOINTS
-from bbq_torchrl.shipped import is_shipped, run_folder
+from bbq_torchrl.runs.build import make_agent, make_domain
+from bbq_torchrl.runs.resume import description, run_config
+from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
 from bbq_torchrl.trainers.hooks import enter_round
 
