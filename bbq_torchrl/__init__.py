@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl import interruption
 
 if TYPE_CHECKING:
-    from bbq_torchrl.cli.notebook import config_dir, train
     from bbq_torchrl.runs.loading import load_run
+    from bbq_torchrl.runs.notebook import config_dir, train
 
 __all__ = ["__version__", "config_dir", "load_run", "train"]
 
@@ -36,7 +36,7 @@ def __getattr__(name: str) -> Any:
 
         return load_run
     if name in ("config_dir", "train"):
-        from bbq_torchrl.cli import notebook
+        from bbq_torchrl.runs import notebook
 
         return getattr(notebook, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

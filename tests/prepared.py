@@ -6,8 +6,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from bbq_torchrl.cli import preparation
-from bbq_torchrl.runs import checks
+from bbq_torchrl.runs import checks, preparation
 
 
 def prepare(arguments, check=lambda config: None):

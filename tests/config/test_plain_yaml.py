@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from bbq_torchrl.cli.sweeps import table_of_runs
 from bbq_torchrl.plain_yaml import check_yaml, read_yaml
+from bbq_torchrl.runs.sweeps import table_of_runs
 from bbq_torchrl.study.plan import StudyError, load_study
 
 

@@ -9,9 +9,9 @@ import pytest
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from prepared import prepare
 
-from bbq_torchrl.cli import train
 from bbq_torchrl.options import ConfigError, registry
 from bbq_torchrl.runs import checks
+from bbq_torchrl.runs import job as train
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import save_config
 

@@ -9,10 +9,10 @@ import pytest
 import yaml
 from result_folders import run_result
 
-from bbq_torchrl.cli.sweeps import table_of_runs
 from bbq_torchrl.evaluation.results import write_json
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import save_config
+from bbq_torchrl.runs.sweeps import table_of_runs
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,6 +1,6 @@
 """``bbq train``, and ``python train.py`` in a checkout: configuration in, result out.
 
-Everything is checked before Hydra runs anything (:mod:`bbq_torchrl.cli.preparation`). A single run
+Everything is checked before Hydra runs anything (:mod:`bbq_torchrl.runs.preparation`). A single run
 is then run as it was composed and checked; only the jobs of a sweep, which may start on another
 machine, are composed again by Hydra.
 """
@@ -22,8 +22,6 @@ from hydra.core.utils import env_override
 from hydra.errors import CompactHydraException, HydraException
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.preparation import SingleRun, prepare
-from bbq_torchrl.cli.sweeps import FULL_ERROR, tell_no_job
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.options.settings import ConfigError
@@ -31,7 +29,9 @@ from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.runs.compose import to_config
 from bbq_torchrl.runs.folders import quoted
 from bbq_torchrl.runs.overrides import explain, train_command
+from bbq_torchrl.runs.preparation import SingleRun, prepare
 from bbq_torchrl.runs.resume import is_finished, restarted_config
+from bbq_torchrl.runs.sweeps import FULL_ERROR, tell_no_job
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
 
-    from bbq_torchrl.cli.sweeps import Sweep
     from bbq_torchrl.domains import Domain
+    from bbq_torchrl.runs.sweeps import Sweep
 
 _LOG = logging.getLogger(__name__)
 

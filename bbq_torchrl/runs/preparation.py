@@ -22,7 +22,6 @@ from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, open_dict, read_write
 
 from bbq_torchrl import output
-from bbq_torchrl.cli.sweeps import Sweep, prepare_sweep, refuse_unswept
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.options.settings import ConfigError
@@ -31,6 +30,7 @@ from bbq_torchrl.runs.compose import compose_raw, register_options, searched, se
 from bbq_torchrl.runs.folders import refuse_other_folder, run_folder, run_lock
 from bbq_torchrl.runs.overrides import refuse_second_folder, too_large
 from bbq_torchrl.runs.resume import folder_to_resume, resumed
+from bbq_torchrl.runs.sweeps import Sweep, prepare_sweep, refuse_unswept
 from bbq_torchrl.text import sentence
 
 if TYPE_CHECKING:

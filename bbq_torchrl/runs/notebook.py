@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
-from bbq_torchrl.cli.preparation import SingleRun, prepare
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import conf_folder, load_folder
 from bbq_torchrl.runs.compose import register_options
 from bbq_torchrl.runs.overrides import unreadable
+from bbq_torchrl.runs.preparation import SingleRun, prepare
 from bbq_torchrl.runs.train import run
 
 if TYPE_CHECKING:
