@@ -10,10 +10,9 @@ environment, policy and configuration; :func:`config_dir` is for Hydra's Compose
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import interruption
+from bbq_torchrl import moved
 
 if TYPE_CHECKING:
     from bbq_torchrl.runs.loading import load_run
@@ -23,10 +22,7 @@ __all__ = ["__version__", "config_dir", "load_run", "train"]
 
 __version__ = "0.2.0.dev0"
 
-if sys.argv[:1] == ["-m"] and f"{__name__}." in " ".join(sys.orig_argv):
-    # `python -m` is about to run one of our modules, whose packages take seconds to import: Ctrl-C
-    # in these ends in a line, too.
-    interruption.listen()
+moved.register(__name__)
 
 
 def __getattr__(name: str) -> Any:

@@ -47,7 +47,7 @@ _STEP = 0.02  # of the probability, over which the slope is taken
 
 
 class Calibration(NamedTuple):
-    """What was found.
+    """A calibrated error probability.
 
     Attributes:
         slot_error_prob: four decimals.

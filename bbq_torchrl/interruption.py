@@ -27,11 +27,11 @@ _ORPHANED = 1  # the exit code of a worker that nobody waits for any more
 
 
 class Interrupted(BaseException):
-    """What a signal has stopped in good order; :func:`line` is what the command ends by."""
+    """Raised where a signal has stopped the work in good order; :func:`line` says how far it is."""
 
 
 class _State:
-    """What the handler knows: a process has one."""
+    """State of the signal handler of this process."""
 
     received: int | None = None
     stop: Callable[[], None] | None = None
@@ -42,7 +42,7 @@ class _State:
 
 
 def listen() -> None:
-    """Has Ctrl-C and SIGTERM end this process by a line, where nobody else handles them."""
+    """Makes Ctrl-C and SIGTERM end this process with a line, unless something else handles them."""
     # Python's process that clears away semaphores would add a warning to the line.
     quiet, others = "ignore:resource_tracker:UserWarning", os.environ.get("PYTHONWARNINGS", "")
     if quiet not in others:

@@ -1,7 +1,7 @@
-"""What commands print, and how they end where it cannot be printed.
+"""Output of commands, and their exit codes where it cannot be written.
 
 The reader of a pipe may have gone (``| head``), a disk may be full, a stream may be closed. Python
-alone would end such a command in a traceback, or by an exit code of its own.
+alone would end such a command in a traceback, or with another exit code.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def complain(line: str) -> None:
 
 
 def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
-    """Has a command line end with exit code 2, after a sentence, where what is given is wrong.
+    """Makes a command line end with a sentence and exit code 2 where an argument is wrong.
 
     That is a ValueError, an OSError, or a library of an extra that is not installed.
     """

@@ -18,8 +18,9 @@ from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, OVERRIDES, RESULT
 from bbq_torchrl.runs import shipped
-from bbq_torchrl.runs.build import make_agent, make_domain
+from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.resume import description, run_config, save_config
+from bbq_torchrl.runs.train import make_agent
 from bbq_torchrl.trainers import CheckpointFolder
 
 

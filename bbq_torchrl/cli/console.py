@@ -9,7 +9,7 @@ from bbq_torchrl import __version__, interruption, output
 from bbq_torchrl.text import shown
 
 COMMANDS = {
-    "train": ("bbq_torchrl.runs.job", "train an agent and evaluate it, or many (--multirun)"),
+    "train": ("bbq_torchrl.runs.train", "train an agent and evaluate it, or many (--multirun)"),
     "evaluate": ("bbq_torchrl.evaluate", "play dialogues with a run or a scripted policy"),
     "search": ("bbq_torchrl.search.__main__", "search for hyper-parameters"),
     "report": ("bbq_torchrl.evaluation.report", "compare finished runs over their seeds"),

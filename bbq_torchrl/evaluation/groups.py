@@ -13,7 +13,7 @@ from bbq_torchrl.evaluation.results import reference_lines
 from bbq_torchrl.evaluation.runs import names_option, read_run, telling
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from bbq_torchrl.evaluation.results import RunResult
@@ -84,7 +84,7 @@ class Group:
 
     @property
     def members(self) -> list[tuple[int, int, str, int]]:
-        """Which random numbers each seed has trained with, in the order of the values."""
+        """Identifies the random numbers that each seed trained with, in the order of the values."""
         return [replica.member for replica in self.replicas]
 
     @property
@@ -130,13 +130,18 @@ class Group:
 def read_groups(folders: Sequence[Path]) -> list[Group]:
     """Reads result folders. Returns a group for each setting, in the order in which they come.
 
-    Replicas of a run that have values of their own are of different settings.
+    Replicas of a run with different values are of different settings.
 
     Raises:
         ValueError: two runs are of the same setting and seed; and see :func:`read_run`.
     """
+    return grouped(replica for folder in folders for replica in read_run(folder))
+
+
+def grouped(replicas: Iterable[Replica]) -> list[Group]:
+    """Returns a group for each setting, as :func:`read_groups` does."""
     together: list[list[Replica]] = []
-    for replica in (replica for folder in folders for replica in read_run(folder)):
+    for replica in replicas:
         same = next((one for one in together if one[0].setting == replica.setting), None)
         if same is None:
             together.append([replica])
@@ -148,10 +153,10 @@ def read_groups(folders: Sequence[Path]) -> list[Group]:
                     f"({replica.result.seed}): seeds must differ to count as independent trainings"
                 )
         same.append(replica)
-    settings = [(replicas[0].agent, replicas[0].setting) for replicas in together]
+    settings = [(members[0].agent, members[0].setting) for members in together]
     return [
-        Group(label(*own, settings), tuple(replicas))
-        for own, replicas in zip(settings, together, strict=True)
+        Group(label(*own, settings), tuple(members))
+        for own, members in zip(settings, together, strict=True)
     ]
 
 
@@ -161,7 +166,7 @@ def know_commits(groups: Sequence[Group]) -> bool:
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:
-    """Returns who stands beside the groups in figures, as :func:`reference_lines` has it.
+    """Returns the policies that figures compare the groups with, as :func:`reference_lines` has it.
 
     Each rate is the mean over the runs that know it. Privileged policies are left out where a run
     does not know them, and all is where the users differ.

@@ -1,4 +1,4 @@
-"""When agents learned: rounds until a success rate is reached, and the area under the curve."""
+"""Speed of learning: rounds until a success rate is reached, and the area under the curve."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WINDOW = 5
 
 @dataclass(frozen=True)
 class Reach:
-    """How long the seeds of a group took to a success rate.
+    """The time that the seeds of a group took to reach a success rate.
 
     Attributes:
         rounds: of training until then, one value for each seed; infinite where it was not reached.
@@ -38,7 +38,7 @@ class Reach:
 
     @property
     def reached(self) -> int:
-        """How many seeds reached it."""
+        """The number of seeds that reached it."""
         return sum(map(math.isfinite, self.rounds))
 
     @property

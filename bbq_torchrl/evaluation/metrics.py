@@ -11,6 +11,7 @@ from bbq_torchrl.run_folder import METRICS
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
 _NEEDED = ("round", "replica", "dialogues", "success_rate")
@@ -38,6 +39,14 @@ class Metrics:
     def __init__(self, columns: dict[str, Any]) -> None:
         self.columns = columns
         self.rounds, self.replicas = columns["success_rate"].shape
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, float]]) -> Metrics:
+        """Returns the metrics of a trainer's rows, replica after replica and round after round."""
+        replicas = sum(row["round"] == rows[0]["round"] for row in rows)
+        table = np.array([list(row.values()) for row in rows], dtype=float)
+        columns = table.reshape(-1, replicas, table.shape[1])
+        return cls({name: columns[..., index] for index, name in enumerate(rows[0])})
 
     def __getitem__(self, name: str) -> Any:
         """A column, shape [rounds, replicas].

@@ -1,4 +1,4 @@
-"""What the paper calls an agent, from the configuration that composes it."""
+"""The paper's name of an agent, from its configuration."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ _OF_DIALOGUES = (
     "protocol.rounds",
     "protocol.dialogues",
 )
-"""How keys begin that decide which dialogues are seen."""
+"""Prefixes of the keys that decide which dialogues are seen."""
 
 NO_PARTNER = (
     "no replica has a partner (one of the same number in a run of the same seed, number of "

@@ -5,6 +5,11 @@ What is on the results page of the documentation is made by the same functions.
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl import interruption
+
+    interruption.listen()
+
 import sys
 from dataclasses import replace
 from pathlib import Path

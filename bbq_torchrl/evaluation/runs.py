@@ -79,7 +79,7 @@ class Replica:
 
     @property
     def member(self) -> tuple[int, int, str, int]:
-        """Which random numbers it has trained with: the same ones as any that is equal in this.
+        """Identifies the random numbers it trained with: equal members share them.
 
         The run's seed, how many replicas it has (random numbers are drawn for all of them
         together), the type of its device, and the replica's number.
@@ -118,7 +118,7 @@ def telling(keys: Iterable[str]) -> list[str]:
 
 
 def names_option(key: str) -> bool:
-    """Whether a dotted key is the name of a group's option: ``explore.name``."""
+    """Returns whether a dotted key is the name of a group's option: ``explore.name``."""
     return key.partition(".")[2] == "name"
 
 
@@ -149,8 +149,7 @@ def find_results(places: Iterable[Path]) -> list[Path]:
 def find_unfinished(places: Iterable[Path]) -> list[Path]:
     """Returns the run folders in or below the given folders that have no result yet.
 
-    The result of a run that goes on to more rounds is none yet. A job of a sweep that never began
-    is among them.
+    Those include runs that continue to more rounds, and jobs of a sweep that never began.
     """
     files = [file for place in places for name in (CONFIG, METRICS) for file in place.rglob(name)]
     known = {folder_of(file).resolve(): file for file in files}  # the metrics where there are
@@ -164,13 +163,13 @@ def find_unfinished(places: Iterable[Path]) -> list[Path]:
 
 
 def _is_of_a_run(file: Path) -> bool:
-    """Whether a configuration is that of a training; other programs call theirs so, too."""
+    """Returns whether a configuration is a training's; other programs have files of that name."""
     config = _readable(file)
     return isinstance(config, dict) and {"agent", "protocol"} <= config.keys()
 
 
 def _is_extended(folder: Path) -> bool:
-    """Whether a run with a result goes on to more rounds; not where a file is damaged."""
+    """Returns whether a run with a result continues to more rounds; False for a damaged file."""
     try:
         rounds = _readable(folder / CONFIG)["protocol"]["rounds"]
         return bool(read_result(folder).rounds < rounds)

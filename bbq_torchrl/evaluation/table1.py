@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class PaperCell(NamedTuple):
-    """What the paper reports of an agent, on its own corpus and with its own noise.
+    """The paper's numbers for an agent, on its corpus and with its noise.
 
     Attributes:
         success_rate: of 10,000 dialogues after training, mean of five runs.
@@ -70,7 +70,7 @@ PAPER = {
 """Environment -> agent -> the paper's cell (AAAI 2018, Table 1)."""
 
 OURS = "BBQN-MAP"
-"""What each other agent is compared with."""
+"""The agent that each other one is compared with."""
 
 FAMILIES = {
     "BBQN": ("BBQN-MC", "BBQN-VIME-MAP", "BBQN-VIME-MC"),

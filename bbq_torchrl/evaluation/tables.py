@@ -1,4 +1,4 @@
-"""What a report is made of: rows, which are shown as Markdown and kept as CSV, text and figures."""
+"""Parts of a report: tables (shown as Markdown, kept as CSV), text and figures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NONE = "–"
 
 @runtime_checkable
 class Cell(Protocol):
-    """What is shown as one cell of a table, by ``str``, and kept as several columns."""
+    """A value shown as one cell of a table, by ``str``, and kept as several columns."""
 
     def columns(self) -> Mapping[str, float]:
         """Returns what the names of the columns end in -> the numbers, with all their digits."""

@@ -1,9 +1,9 @@
-"""What the configuration alone does not tell, such as device, corpus and checkpoint."""
+"""Checks beyond the configuration: device, corpus, scripted policy and checkpoint."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
@@ -24,15 +24,25 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
 
 
-def check(config: Config) -> Domain | None:
-    """Checks device, logger, corpus, scripted policy and checkpoint before anything runs.
+class Checked(NamedTuple):
+    """Parts that the checks of a configuration load and the run needs as well.
 
-    Returns the domain, which it has to load; None where the environment has none.
+    Attributes:
+        domain: of the dialogues; None where the environment has none.
+        spiking: the scripted policy that spikes the buffer; None where nothing is spiked.
+    """
+
+    domain: Domain | None
+    spiking: str | None
+
+
+def check(config: Config) -> Checked:
+    """Checks device, logger, corpus, scripted policy and checkpoint before anything runs.
 
     Raises:
         ConfigError: the device is absent, the logger cannot be used here, the domain has
             no such scripted policy, or the spike would fill the replay buffer.
-        TrainingError: the run to resume has nothing that it can go on from.
+        TrainingError: the run to resume has nothing to continue from.
         ValueError or OSError: the corpus is damaged or not there, or the spike cannot be played
             in the first round.
     """
@@ -50,11 +60,12 @@ def check(config: Config) -> Domain | None:
             f"spike.policy must be one of {', '.join(policies)} or null, got {shown(spike.policy)}"
         )
     config.env.check_domain(domain)
-    if spike.dialogues:
-        _check_spike(config, domain, spike_policy(config, domain))
+    spiking = spike_policy(config, domain) if spike.dialogues else None
+    if spiking is not None:
+        _check_spike(config, domain, spiking)
     if config.resume is not None:
         _check_resumable(Path(config.resume), config)
-    return domain
+    return Checked(domain, spiking)
 
 
 def _check_resumable(folder: Path, config: Config) -> None:

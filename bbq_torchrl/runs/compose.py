@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import os
+import re
 import shlex
 import textwrap
 from dataclasses import fields, is_dataclass
@@ -22,11 +23,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.utils import to_absolute_path
 from omegaconf import DictConfig, OmegaConf, open_dict
-from omegaconf.errors import (
-    InterpolationResolutionError,
-    OmegaConfBaseException,
-    ValidationError,
-)
+from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 from yaml import YAMLError
 
 from bbq_torchrl.options import (
@@ -48,9 +45,11 @@ from bbq_torchrl.runs.folders import quoted
 from bbq_torchrl.runs.overrides import (
     allowed,
     explain,
+    group_choices,
     groups_of,
     key_of,
     not_an_option,
+    of_a_key,
     too_large,
     train_command,
     unknown_key,
@@ -107,7 +106,7 @@ def register_options() -> None:
 
 
 def explorations_table() -> str:
-    """Which strategies an agent can use, as text, one line an agent.
+    """Returns the strategies that each agent can use, as text, one line an agent.
 
     Examples:
         >>> next(line for line in explorations_table().splitlines() if "=bootstrap " in line)
@@ -180,17 +179,13 @@ def compose_raw(
     refusal = too_large(overrides) or not_an_option(overrides, root)
     if refusal is not None:
         raise ConfigError(refusal)
-    given = {key_of(override) for override in overrides}
-    its = groups_of(root) if root is EvaluateConfig else [item.name for item in fields(root)]
-    own = [] if run is None else [name for name in its if name not in given]
-    chosen = [f"{group}={getattr(run, group).name}" for group in own if group in schemas()]
+    chosen = [] if run is None else options_of(run, overrides, root)
     try:
         composed = hydra_compose(
             ROOTS[root], searched([*chosen, *overrides]), return_hydra_config=True
         )
-        for key, _, value in () if run is None else walk(run):
-            if key.partition(".")[0] in own and key not in given:
-                OmegaConf.update(composed, key, value)
+        if run is not None:
+            take_values(composed, run, overrides, root)
         return composed
     # The last three: very long or deep texts, and numbers of thousands of digits.
     except (
@@ -202,7 +197,34 @@ def compose_raw(
         OverflowError,
         RecursionError,
     ) as error:
-        raise ConfigError(explain(error, overrides, root)) from error
+        raise ConfigError(why_refused(error, [*chosen, *overrides], root)) from error
+
+
+def options_of(run: Config, overrides: Sequence[str], root: type = Config) -> list[str]:
+    """Returns the overrides that choose a run's options where a command line chooses none."""
+    given = set(map(key_of, overrides))
+    return [f"{name}={getattr(run, name).name}" for name in groups_of(root) if name not in given]
+
+
+def take_values(
+    composed: DictConfig, run: Config, overrides: Sequence[str], root: type = Config
+) -> None:
+    """Gives a configuration with a run's options the run's values where a command line has none."""
+    given = set(map(key_of, overrides))
+    shared = groups_of(root) if root is EvaluateConfig else [item.name for item in fields(root)]
+    for key, _, value in walk(run):
+        if key.partition(".")[0] in shared and not {key, key.partition(".")[0]} & given:
+            OmegaConf.update(composed, key, value)
+
+
+def why_refused(error: Exception, overrides: Sequence[str], root: type = Config) -> str:
+    """One sentence for overrides that Hydra cannot compose; inside a :func:`session`."""
+    composed = None
+    with contextlib.suppress(Exception):  # an option or a file that cannot be read
+        composed = hydra_compose(
+            ROOTS[root], searched(group_choices(overrides)), return_hydra_config=True
+        )
+    return explain(error, overrides, root, composed)
 
 
 def run_of(overrides: Sequence[str], key: str) -> str | None:
@@ -220,7 +242,7 @@ def run_of(overrides: Sequence[str], key: str) -> str | None:
 
 
 def searched(overrides: Sequence[str]) -> list[str]:
-    """Overrides by which the YAML files of a folder of options are found beside ours."""
+    """Returns overrides by which Hydra finds the YAML files of a folder of options next to ours."""
     folder = options_folder()
     if folder is None:
         return list(overrides)
@@ -245,7 +267,7 @@ def to_config(typed: DictConfig, root: type[Root]) -> Root:
     try:
         missing = sorted(OmegaConf.missing_keys(typed))
     except InterpolationResolutionError as error:
-        given = error.child_node._value() if error.child_node is not None else None
+        given = _unresolved(typed, str(error.full_key))
         raise ConfigError(
             f"{error.full_key}={given} cannot be resolved: {str(error).splitlines()[0]}"
         ) from error
@@ -269,11 +291,19 @@ def to_config(typed: DictConfig, root: type[Root]) -> Root:
     return config
 
 
+def _unresolved(typed: DictConfig, key: str) -> Any:
+    """Returns a value as it was written, with the references in it."""
+    plain: Any = OmegaConf.to_container(typed, resolve=False)
+    for name in re.findall(r"[^.\[\]]+", key):
+        plain = plain[int(name) if isinstance(plain, list) else name]
+    return plain
+
+
 def load_yaml(file: Path, of: str) -> DictConfig | ListConfig:
     """Reads a YAML file.
 
     Raises:
-        ConfigError: it cannot be read, or is none; says what it should be the file of.
+        ConfigError: it cannot be read as YAML; the message says what it should be the file of.
     """
     try:
         check_yaml(file.read_text(encoding="utf-8"))
@@ -298,12 +328,10 @@ def read_config(plain: DictConfig) -> Config:
                 _check_saved(group, plain[group], typed[group])
         typed.merge_with(plain)
         return to_config(typed, Config)
-    except ValidationError as error:
-        key = str(error.full_key).split("[")[0]
-        text, value = allowed(key, error.object_type), OmegaConf.select(plain, key)
-        raise ConfigError(f"{key} must be {text}, got {shown(value)}") from error
     except OmegaConfBaseException as error:
-        raise ConfigError(explain(error, ())) from error
+        key = str(error.full_key).split("[")[0]
+        got = shown(OmegaConf.select(plain, key))
+        raise ConfigError(of_a_key(error, key, got, Config)) from error
 
 
 def _not_given(key: str) -> ConfigError:

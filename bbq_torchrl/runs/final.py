@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import platform
 import time
@@ -10,34 +11,43 @@ from typing import TYPE_CHECKING
 
 import bbq_torchrl
 from bbq_torchrl.domains.validate import RANDOM_POLICY
-from bbq_torchrl.evaluation.metrics import read_metrics
+from bbq_torchrl.evaluation.figures import draw_run
+from bbq_torchrl.evaluation.groups import grouped, read_groups
+from bbq_torchrl.evaluation.metrics import Metrics
 from bbq_torchrl.evaluation.results import (
     RunResult,
     TrainingEvaluation,
+    reference_lines,
     replica_result,
     training_evaluation,
 )
 from bbq_torchrl.evaluation.rollouts import evaluate
+from bbq_torchrl.evaluation.runs import Replica
+from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.run_folder import CURVE
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
 from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.domains import Domain
+    from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.build import Agent
     from bbq_torchrl.runs.checkout import Checkout
+    from bbq_torchrl.runs.train import Agent
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
+    from bbq_torchrl.trainers.metrics import MetricRow
 
 _LOG = logging.getLogger(__name__)
 
 OTHERS_DIALOGUES = 1_000
-"""Dialogues of each policy that the agent is set beside: all of them take a second."""
+"""Dialogues of each policy that the agent is compared with: all of them take a second."""
 
 
 def final_result(
@@ -46,7 +56,6 @@ def final_result(
     domain: Domain | None,
     agent: Agent,
     trainer: RoundTrainer,
-    trained: float,
     code: Checkout,
 ) -> RunResult:
     """Plays the final evaluation, in the state of the domain in which training ended.
@@ -57,18 +66,19 @@ def final_result(
         domain: what it was about.
         agent: what has learned.
         trainer: what trained it.
-        trained: seconds of the training.
-        code: what has trained it.
+        code: the state of the code that trained it.
     """
-    started = time.perf_counter()
+    started, rows = time.perf_counter(), trainer.metrics.rows
+    trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
     protocol = config.protocol
+    _LOG.info("evaluating on %d dialogues a replica", protocol.eval_dialogues)
     places = protocol.places(protocol.eval_dialogues, config.replicas)
     env = _last_env(config, domain, config.replicas, places)
     name, policy = config.agent.make_evaluation(agent.actor)
     NonFiniteWeightsError.check(policy, folder)
     played = _played(config, env, policy, protocol.eval_dialogues)
     RunFolderGoneError.check(folder)
-    metrics = read_metrics(folder)
+    metrics = Metrics.of(rows)
     training_success = metrics.training_success
     evaluated: list[TrainingEvaluation | None] = [None] * config.replicas
     if trainer.evaluator is not None:
@@ -110,6 +120,41 @@ def final_result(
         skipped=() if domain is None else domain.skipped,
         **_others(config, domain),
     )
+
+
+def draw_curve(
+    config: Config,
+    folder: Path,
+    result: RunResult,
+    trainer: RoundTrainer,
+    domain: Domain | None,
+    spiking: str | None,
+) -> None:
+    """Draws the learning curve: of the metrics in memory, or in the folder of a finished run."""
+    rows = trainer.metrics.rows
+    try:
+        groups = _groups(config, folder, result, rows) if rows else read_groups([folder])
+    except ValueError as error:
+        raise ConfigError(f"the curve cannot be drawn: {error}") from error
+    named = {"explore": result.explore, "env": result.env, "domain": result.domain}
+    draw_run(
+        folder / CURVE,
+        groups,
+        title="Success: " + ", ".join(f"{key}={name}" for key, name in named.items() if name),
+        spiked=None
+        if spiking is None
+        else f"spiked with {config.spike.dialogues} {spiking} dialogues",
+        extensions=config.env.additions(domain),
+        references=reference_lines(result.scripted, result.references),
+    )
+
+
+def _groups(
+    config: Config, folder: Path, result: RunResult, rows: Sequence[MetricRow]
+) -> list[Group]:
+    metrics, plain = Metrics.of(rows), dataclasses.asdict(config)
+    numbers = range(config.replicas)
+    return grouped(Replica(folder, number, plain, result, metrics) for number in numbers)
 
 
 def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]]:

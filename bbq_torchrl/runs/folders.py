@@ -1,4 +1,4 @@
-"""The folder of a run or a sweep: named, made, and nobody else's."""
+"""The folder of a run or a sweep: its name, how it is made, and its lock."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def run_folder(composed: DictConfig, overrides: Sequence[str], held: ExitStack) 
 
 
 def named_folder(composed: DictConfig, kind: str) -> Path:
-    """What ``hydra.run.dir`` or ``hydra.sweep.dir`` names."""
+    """Returns the folder that ``hydra.run.dir`` or ``hydra.sweep.dir`` names."""
     key = f"hydra.{kind}.dir"
     try:
         name = str(composed.hydra[kind].dir)
@@ -95,7 +95,7 @@ def refuse_links(folder: Path) -> None:
 
 @contextmanager
 def run_lock(folder: Path) -> Iterator[None]:
-    """Holds the lock of a run folder; in a process that holds it already, it is held on.
+    """Locks a run folder; a process may do so several times.
 
     The operating system lets the lock go when the process ends, however it ends.
 

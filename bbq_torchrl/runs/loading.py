@@ -8,9 +8,10 @@ from bbq_torchrl.bayes.settings import check_choice
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.run_folder import CHECKPOINTS
-from bbq_torchrl.runs.build import make_agent, make_domain
+from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.resume import description, run_config
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
+from bbq_torchrl.runs.train import make_agent
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
 from bbq_torchrl.trainers.hooks import enter_round
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class LoadedRun(NamedTuple):
-    """What :func:`load_run` returns.
+    """A loaded run.
 
     Attributes:
         env: the run's environment, in the round in which the training ended, with as many

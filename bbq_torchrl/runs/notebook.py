@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
+from hydra.types import RunMode
 
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import conf_folder, load_folder
-from bbq_torchrl.runs.compose import register_options
-from bbq_torchrl.runs.overrides import unreadable
-from bbq_torchrl.runs.preparation import SingleRun, prepare
+from bbq_torchrl.runs.compose import compose_raw, register_options, session
+from bbq_torchrl.runs.job import begin
+from bbq_torchrl.runs.overrides import key_of, too_large, unreadable
+from bbq_torchrl.runs.resume import Resumption
 from bbq_torchrl.runs.train import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bbq_torchrl.evaluation.results import RunResult
+
+
+_SWEEP = (
+    "train runs one training, got a sweep: give each key one value, or use the command bbq train "
+    "--multirun"
+)
 
 
 class TrainedRun(NamedTuple):
@@ -66,17 +74,19 @@ def train(overrides: Sequence[str] = (), *, options: Path | str | None = None) -
     threads = torch.get_num_threads()
     try:
         with ExitStack() as held, torch.random.fork_rng(devices=[]):
-            prepared = prepare(overrides, held)
-            if not isinstance(prepared, SingleRun):
-                if prepared is not None:
-                    with suppress(OSError):
-                        prepared.folder.rmdir()  # it was made for the sweep
-                raise ConfigError(
-                    "train runs one training, got a sweep: give each key one value, or use the "
-                    "command bbq train --multirun"
-                )
-            folder = Path(prepared.composed.hydra.run.dir).resolve()
-            return TrainedRun(folder, run(prepared.config, folder, domain=prepared.domain))
+            if any(key_of(item) == "hydra.mode" and "MULTIRUN" in item for item in overrides):
+                raise ConfigError(_SWEEP)
+            if (refusal := too_large(overrides)) is not None:
+                raise ConfigError(refusal)
+            resumption = Resumption.of(overrides, held)
+            with session():
+                composed = compose_raw(overrides if resumption is None else resumption.arguments())
+                if resumption is None and composed.hydra.mode is RunMode.MULTIRUN:
+                    raise ConfigError(_SWEEP)
+                start = begin(composed, overrides, held, resumption)
+            folder = Path(composed.hydra.run.dir).resolve()
+            result = run(start.config, folder, domain=start.domain, spiking=start.spiking)
+            return TrainedRun(folder, result)
     finally:
         torch.set_num_threads(threads)
 

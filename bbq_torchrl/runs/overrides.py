@@ -1,4 +1,4 @@
-"""Hydra's and OmegaConf's refusals, said in one sentence that names what is allowed."""
+"""Checks of a command line's overrides against the options' schemas, refused in one sentence."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ import sys
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
-from itertools import accumulate
+from itertools import accumulate, filterfalse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import OmegaConf
 from omegaconf.errors import (
+    ConfigAttributeError,
     ConfigKeyError,
     InterpolationResolutionError,
     OmegaConfBaseException,
-    ValidationError,
 )
 from yaml import YAMLError
 
@@ -42,6 +44,8 @@ from bbq_torchrl.text import sentence, shown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from hydra.core.override_parser.types import Override
+
 LAUNCHER = "hydra/launcher"
 """The group of the launchers, Hydra's own."""
 
@@ -54,34 +58,130 @@ _LONGEST = 100_000  # characters of an override: Hydra's parser takes seconds fo
 _DEEPEST = 20  # brackets within brackets: it takes minutes for thousands
 
 
-def explain(error: Exception, overrides: Sequence[str], root: type = Config) -> str:
+def explain(error: Exception, overrides: Sequence[str], root: type, composed: Any = None) -> str:
     """One sentence for a configuration that could not be composed.
 
     Args:
         error: what Hydra or OmegaConf raised.
         overrides: the command line it was composed from.
         root: the schema of the whole configuration.
+        composed: what the groups of the command line alone compose to, if that can be: the other
+            overrides are put on it one by one, until one does not fit.
     """
-    cause: BaseException | None = error
-    if not isinstance(error, OmegaConfBaseException):
-        cause = error.__cause__ or error.__context__  # the latter where a YAML file is at fault
-    if isinstance(error, OverrideParseException):
-        return unreadable(str(error.override), "write key=value, and quote special characters")
+    refusal = not_an_option(overrides, root) or _misread(overrides, root)
+    if refusal is not None:
+        return refusal
     if isinstance(error, MissingConfigException):
         return _missing_option(error)
+    cause = error.__cause__ or error.__context__  # the latter where a YAML file is at fault
     if isinstance(error, YAMLError):
         return f"a YAML file cannot be read: {sentence(error)}"
     if isinstance(cause, InterpolationResolutionError):
         return f"{cause.full_key}: {_first_line(cause)}" if cause.full_key else _first_line(cause)
-    if not isinstance(error, (HydraException, OmegaConfBaseException)):
-        return _too_much(error, overrides)
-    return (
-        _several_values(error, root)
-        or _wrong_value(error, cause)
-        or _removed(overrides)
-        or _unknown_key(error, cause, root)
-        or sentence(error)
-    )
+    if not isinstance(error, HydraException):
+        longest = max(overrides, key=len, default="the configuration")
+        return unreadable(longest, getattr(error, "strerror", None) or _first_line(error))
+    if composed is not None:
+        for override in filterfalse(_chooses_options, overrides):
+            if (refusal := _put(composed, override, root)) is not None:
+                return refusal
+    return _of_a_file(error, cause) or sentence(error)
+
+
+def of_a_key(error: OmegaConfBaseException, key: str, got: str, root: type) -> str:
+    """One sentence for a key that its schema lacks, or whose value has another type.
+
+    Args:
+        error: what OmegaConf raised.
+        key: the dotted key.
+        got: the value as it was written.
+        root: the schema of the whole configuration.
+    """
+    schema = error.object_type
+    if isinstance(error, (ConfigKeyError, ConfigAttributeError)):
+        if key.startswith("hydra.") and not is_dataclass(schema):  # a mapping, which takes any key
+            return unreadable(
+                key, f"a key of Hydra that is not there is added by a plus, +{key}=..."
+            )
+        return unknown_key(key, schema if is_dataclass(schema) else root)
+    if (text := allowed(key, schema)) is not None:
+        return f"{key} must be {text}, got {got}"
+    return _below_a_value(key) or f"{key}: {_first_line(error)}"
+
+
+def read_override(override: str, parser: OverridesParser | None = None) -> Override:
+    """Returns an override as Hydra reads it.
+
+    Raises:
+        ConfigError: it is no key and value.
+    """
+    try:
+        (parsed,) = (parser or OverridesParser.create()).parse_overrides([override])
+        return parsed
+    except HydraException as error:
+        hint = "write key=value, and quote special characters"
+        raise ConfigError(unreadable(override, hint)) from error
+
+
+def _misread(overrides: Sequence[str], root: type) -> str | None:
+    """A sentence for an override that is no key and one value."""
+    for override in overrides:
+        try:
+            if read_override(override).is_sweep_override():
+                return several_values(override, root)
+        except ConfigError as error:
+            return str(error)
+        except (ValueError, RecursionError, OverflowError):
+            continue  # a number of thousands of digits, which Hydra's error tells of
+    for override in overrides:
+        if override.startswith("~"):
+            return f"{override} cannot be read: no key can be removed, each has a value"
+        if (group := key_of(override)) in schemas() and group not in groups_of(root):
+            return unknown_key(group, root)
+    return None
+
+
+def without_sweeps(overrides: Sequence[str]) -> list[str]:
+    """Returns the overrides of a sweep that are the same in all its jobs."""
+
+    def is_swept(override: str) -> bool:
+        with suppress(ConfigError, ValueError, RecursionError, OverflowError):
+            return read_override(override).is_sweep_override()
+        return False
+
+    return list(filterfalse(is_swept, overrides))
+
+
+def several_values(override: str, root: type) -> str:
+    """A sentence for a sweep over a key where there is to be one run."""
+    if root is not Config:
+        return f"{override} has several values: {ONE_VALUE}"
+    takes_a_list = key_of(override) in keys_with_lists(schemas())
+    or_list = ", or put them in brackets for the replicas of one run" if takes_a_list else ""
+    return f"{override} has several values: add --multirun to run them all{or_list}"
+
+
+def _chooses_options(override: str) -> bool:
+    group = key_of(override).partition("@")[0]
+    return group in schemas() or group.partition("/")[0] in (EXPERIMENT, "hydra")
+
+
+def group_choices(overrides: Sequence[str]) -> list[str]:
+    """Returns the overrides that choose options, whose keys the others change."""
+    return list(filter(_chooses_options, overrides))
+
+
+def _put(composed: Any, override: str, root: type) -> str | None:
+    """Changes one key of a configuration; a sentence if that cannot be."""
+    parsed = read_override(override)
+    key, is_added = parsed.key_or_group, parsed.is_add() or parsed.is_force_add()
+    if parsed.is_add() and OmegaConf.select(composed, key, throw_on_missing=False) is not None:
+        return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
+    try:
+        OmegaConf.update(composed, key, parsed.value(), merge=True, force_add=is_added)
+    except OmegaConfBaseException as error:
+        return of_a_key(error, key, _typed(override.partition("=")[2]), root)
+    return None
 
 
 def take_config_dir(arguments: Sequence[str]) -> list[str]:
@@ -145,12 +245,6 @@ def unreadable(override: str, hint: str = "write key=value") -> str:
     return f"{shown(override)} cannot be read: {hint}"
 
 
-def _too_much(error: Exception, overrides: Sequence[str]) -> str:
-    """A sentence for what Python or the operating system gave up on: very long or deep texts."""
-    longest = max(overrides, key=len, default="the configuration")
-    return unreadable(longest, getattr(error, "strerror", None) or _first_line(error))
-
-
 def _first_line(error: BaseException) -> str:
     return str(error).splitlines()[0]
 
@@ -167,20 +261,6 @@ def _missing_option(error: MissingConfigException) -> str:
             of = f"{file[1]}.yaml: " if file else ""
             return f"{of}{group} must be one of {', '.join(options(group))}, got {shown(option)}"
     return _first_line(error)
-
-
-def _wrong_value(error: Exception, cause: BaseException | None) -> str | None:
-    """A sentence for a value that does not fit its key."""
-    match = re.match(r"Error merging override ([^=]+)=(.*)", _first_line(error))
-    if not isinstance(cause, OmegaConfBaseException) or not (
-        match or isinstance(cause, ValidationError)
-    ):
-        return None
-    key = key_of(match[1]) if match else str(cause.full_key).split("[")[0]
-    got = f", got {_typed(match[2])}" if match else f": {_first_line(cause)}"
-    if (text := allowed(key, cause.object_type)) is not None:
-        return f"{key} must be {text}{got}"
-    return _below_a_value(key) or f"{key}: {_first_line(cause)}"
 
 
 def _typed(text: str) -> str:
@@ -214,40 +294,17 @@ def allowed(key: str, schema: Any) -> str | None:
     return None
 
 
-def _several_values(error: Exception, root: type) -> str | None:
-    match = re.match(r"(?:Ambiguous value for argument|Sweep parameters) '([^']+)'", str(error))
-    if match is None:
+def _of_a_file(error: HydraException, cause: BaseException | None) -> str | None:
+    """A sentence for a YAML file, such as an experiment's, that sets what there is not."""
+    # Only Hydra's message says which file it was reading.
+    file = re.match(r"In '([^']+)'", str(error))
+    if file is None or not isinstance(cause, (ConfigKeyError, ConfigAttributeError)):
         return None
-    given = match[1]
-    if root is not Config:
-        return f"{given} has several values: {ONE_VALUE}"
-    takes_a_list = given.partition("=")[0] in keys_with_lists(schemas())
-    or_list = ", or put them in brackets for the replicas of one run" if takes_a_list else ""
-    return f"{given} has several values: add --multirun to run them all{or_list}"
-
-
-def _removed(overrides: Sequence[str]) -> str | None:
-    removed = next((item for item in overrides if item.startswith("~")), None)
-    return removed and f"{removed} cannot be read: no key can be removed, each has a value"
-
-
-def _unknown_key(error: Exception, cause: BaseException | None, root: type) -> str | None:
-    if (file := re.match(r"In '([^']+)'", str(error))) and isinstance(cause, ConfigKeyError):
-        group = str(cause.full_key).rpartition(".")[0]
-        place = _place(group, cause.object_type)
-        # Where no option is known yet, the file does not say which it changes.
-        lacks = "; it lacks defaults: [<option>, _self_]" if place == group else ""
-        return f"{file[1]} sets {cause.full_key}, which {place} does not have{lacks}"
-    match = re.match(r"(?:Could not (\w+) |Key )[^']*'([^']+)'", _first_line(error))
-    if match is None:
-        return None
-    key = key_of(match[2]) if match[1] else str(getattr(cause, "full_key", match[2]))
-    if match[1] == "append":
-        return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
-    schema = getattr(cause, "object_type", None)
-    if key.startswith("hydra.") and not is_dataclass(schema):  # a mapping, which takes any key
-        return unreadable(key, f"a key of Hydra that is not there is added by a plus, +{key}=...")
-    return unknown_key(key, schema if is_dataclass(schema) else root)
+    group = str(cause.full_key).rpartition(".")[0]
+    place = _place(group, cause.object_type)
+    # Where no option is known yet, the file does not say which it changes.
+    lacks = "; it lacks defaults: [<option>, _self_]" if place == group else ""
+    return f"{file[1]} sets {cause.full_key}, which {place} does not have{lacks}"
 
 
 def unknown_key(key: str, schema: Any) -> str:

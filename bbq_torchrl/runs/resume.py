@@ -1,11 +1,11 @@
-"""The configuration in a run folder: written, read, also of earlier versions, and gone on with."""
+"""The configuration in a run folder: written, read (of earlier versions too), and resumed."""
 
 from __future__ import annotations
 
 import dataclasses
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
@@ -15,12 +15,21 @@ from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
-from bbq_torchrl.runs.compose import compose_raw, load_yaml, read_config, run_of, to_config
+from bbq_torchrl.runs.compose import (
+    load_yaml,
+    options_of,
+    read_config,
+    run_of,
+    take_values,
+    to_config,
+)
+from bbq_torchrl.runs.folders import quoted, run_lock
 from bbq_torchrl.runs.overrides import key_of, not_an_option
 from bbq_torchrl.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from contextlib import ExitStack
 
     from bbq_torchrl.evaluation.results import RunResult
 
@@ -38,7 +47,7 @@ CHANGEABLE = (
     "device",
     "domain.path",  # a folder may be moved
 )
-"""What may be given beside ``resume``; the rest is the run's own."""
+"""Keys and groups that may be given together with ``resume``; the run determines the rest."""
 
 _NOT_OF_THE_TRAINING = (
     *CHANGEABLE,
@@ -62,7 +71,7 @@ _REMOVED_KEYS = ("cuda_graph",)
 
 
 def description(config: Config) -> dict[str, Any]:
-    """What a checkpoint of a run depends on, as JSON values by dotted key."""
+    """Returns the settings that a checkpoint depends on, as JSON values by dotted key."""
     return {
         key: value
         for key, _, value in walk(config)
@@ -71,7 +80,7 @@ def description(config: Config) -> dict[str, Any]:
 
 
 def result_of(folder: Path, rounds: int) -> RunResult | None:
-    """The final evaluation of a training of so many rounds; None if there is none to be read."""
+    """Returns the final evaluation after so many rounds; None if no such result can be read."""
     if not (folder / RESULT).is_file():
         return None
     # Imported here: it takes a second, and most folders have none.
@@ -85,7 +94,7 @@ def result_of(folder: Path, rounds: int) -> RunResult | None:
 
 
 def is_finished(folder: Path, rounds: int) -> bool:
-    """Whether nothing is left to do in a run folder whose configuration asks for so many rounds."""
+    """Returns whether a run folder has the result and the curve of so many rounds."""
     return result_of(folder, rounds) is not None and (folder / CURVE).is_file()
 
 
@@ -157,70 +166,97 @@ def _rename(plain: DictConfig) -> None:
             explore.anneal_fraction = min(1.0, explore.pop("anneal_rounds") / max(1, rounds))
 
 
-def folder_to_resume(overrides: Sequence[str]) -> Path | None:
-    """The folder that ``resume=`` names on a command line; None where a run is to begin."""
-    given = run_of(overrides, "resume")
-    return Path(expanduser(given)).resolve() if given else None
+class Resumption(NamedTuple):
+    """A run that continues.
 
-
-def resumed(folder: Path, overrides: Sequence[str]) -> tuple[DictConfig, Config]:
-    """The configuration of the run in a folder, with the changes that a command line may make.
-
-    Args:
+    Attributes:
         folder: the run folder.
-        overrides: the command line, which is read on the values of the run.
-
-    Returns:
-        what Hydra composed, with its own part, and the configuration.
-
-    Raises:
-        ConfigError: no run folder, a finished run, an override that contradicts the run, or a run
-            that cannot be gone on with so.
+        run: its configuration.
+        overrides: those of the command line that may change it, without ``resume``.
     """
-    run = run_config(folder)
-    if (refusal := not_an_option(overrides, Config)) is not None:
-        raise ConfigError(refusal)
 
-    def contradiction(override: str) -> ConfigError:
-        return ConfigError(
-            f"{override} contradicts the run in {folder}: beside resume only "
-            f"{', '.join(CHANGEABLE)} can be given"
-        )
+    folder: Path
+    run: Config
+    overrides: Sequence[str]
 
-    rest = []
-    for override in overrides:
-        key, value = key_of(override), override.partition("=")[2]
-        is_option = dataclasses.is_dataclass(getattr(run, key, None)) and key not in CHANGEABLE
-        if is_option and value.strip("'\"") == _value(run, key):
-            continue  # the run's own
-        if is_option or key.partition("/")[0] == EXPERIMENT or key == "hydra.run.dir":
-            raise contradiction(override)
-        if not override.startswith(("resume=", "++resume=")):
-            rest.append(override)
-    composed = compose_raw(rest, run=run)
-    if composed.hydra.mode is RunMode.MULTIRUN:
-        raise ConfigError(NOT_SWEPT)
-    config = to_config(composed, Config)
-    config.resume = str(folder)
-    for override in rest:
-        key = key_of(override)
-        changes = _value(config, key) != _value(run, key)
-        if changes and not {key, key.partition(".")[0]} & set(CHANGEABLE):
-            raise contradiction(override)
-    rounds = config.protocol.rounds
-    if rounds < run.protocol.rounds:
-        raise ConfigError(
-            f"protocol.rounds must be at least {run.protocol.rounds}, which {folder} was started "
-            f"with, got {rounds}"
-        )
-    if is_finished(folder, rounds):
-        only = " of a run with protocol.keep_checkpoints=last"
-        extended = only if config.protocol.keep_checkpoints == "weights" else ""
-        raise ConfigError(
-            f"the run in {folder} is finished ({rounds} rounds): protocol.rounds=<more> goes on "
-            f"beyond the end{extended}"
-        )
-    return composed, config
+    @classmethod
+    def of(cls, overrides: Sequence[str], held: ExitStack) -> Resumption | None:
+        """Returns the run that ``resume=`` names on a command line; None for a new run.
+
+        Args:
+            overrides: the command line.
+            held: takes the lock of the run folder.
+
+        Raises:
+            ConfigError: no run folder, one in use, or an option that contradicts the run.
+        """
+        given = run_of(overrides, "resume")
+        if not given:
+            return None
+        folder = Path(expanduser(given)).resolve()
+        if (folder / CONFIG).is_file():
+            held.enter_context(run_lock(folder))
+        run = run_config(folder)
+        if (refusal := not_an_option(overrides, Config)) is not None:
+            raise ConfigError(refusal)
+        rest = []
+        for override in overrides:
+            key, value = key_of(override), override.partition("=")[2]
+            is_option = dataclasses.is_dataclass(getattr(run, key, None)) and key not in CHANGEABLE
+            if is_option and value.strip("'\"") == _value(run, key):
+                continue  # the run's own
+            if is_option or key.partition("/")[0] == EXPERIMENT or key == "hydra.run.dir":
+                raise _contradiction(override, folder)
+            if not override.startswith(("resume=", "++resume=")):
+                rest.append(override)
+        return cls(folder, run, rest)
+
+    def arguments(self) -> list[str]:
+        """Returns the command line by which Hydra composes the options of the run."""
+        options = options_of(self.run, self.overrides)
+        return [*options, *self.overrides, f"resume={quoted(self.folder)}"]
+
+    def config(self, composed: DictConfig) -> Config:
+        """Returns the configuration of the run with the changes of the command line.
+
+        Args:
+            composed: what Hydra made of :meth:`arguments`; it gets the values of the run.
+
+        Raises:
+            ConfigError: a finished run, an override that contradicts the run, or a run that cannot
+                continue with it.
+        """
+        if composed.hydra.mode is RunMode.MULTIRUN:
+            raise ConfigError(NOT_SWEPT)
+        run, folder = self.run, self.folder
+        take_values(composed, run, [*self.overrides, "resume="])
+        config = to_config(composed, Config)
+        for override in self.overrides:
+            key = key_of(override)
+            changes = _value(config, key) != _value(run, key)
+            if changes and not {key, key.partition(".")[0]} & set(CHANGEABLE):
+                raise _contradiction(override, folder)
+        rounds = config.protocol.rounds
+        if rounds < run.protocol.rounds:
+            raise ConfigError(
+                f"protocol.rounds must be at least {run.protocol.rounds}, which {folder} was "
+                f"started with, got {rounds}"
+            )
+        if is_finished(folder, rounds):
+            only = " of a run with protocol.keep_checkpoints=last"
+            extended = only if config.protocol.keep_checkpoints == "weights" else ""
+            raise ConfigError(
+                f"the run in {folder} is finished ({rounds} rounds): protocol.rounds=<more> goes "
+                f"on beyond the end{extended}"
+            )
+        return config
+
+
+def _contradiction(override: str, folder: Path) -> ConfigError:
+    return ConfigError(
+        f"{override} contradicts the run in {folder}: beside resume only "
+        f"{', '.join(CHANGEABLE)} can be given"
+    )
 
 
 def restarted_config(config: Config, folder: Path, *, way: str = ANOTHER_SWEEP) -> Config:

@@ -9,13 +9,12 @@ import sys
 from collections import Counter
 from contextlib import contextmanager, nullcontext, redirect_stderr
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
-from omegaconf import open_dict, read_write
+from omegaconf import OmegaConf, open_dict, read_write
 
 from bbq_torchrl import interruption, output
 from bbq_torchrl.options import Config
@@ -30,9 +29,9 @@ from bbq_torchrl.run_folder import (
     folder_of,
     numbers_in_order,
 )
-from bbq_torchrl.runs.compose import compose_raw, to_config
+from bbq_torchrl.runs.compose import compose_raw, session, to_config
 from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_folder, reserve
-from bbq_torchrl.runs.overrides import LAUNCHER, explain, key_of
+from bbq_torchrl.runs.overrides import LAUNCHER, key_of, read_override
 from bbq_torchrl.runs.resume import NOT_SWEPT, is_finished, restarted_config, run_config
 from bbq_torchrl.text import sentence, shown
 
@@ -40,21 +39,23 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from typing import TextIO
 
+    from hydra.core.override_parser.types import Override
     from omegaconf import DictConfig
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
 
 _OF_A_JOB = "Error executing job with overrides"
+_SWEEPER = "BasicSweeper"  # Hydra's own, the default
 _SLURM = ("slurm", "submitit_slurm")
 _HEAD = ("run", "overrides", "final success", "state")
 
 SWEEP_CONFIG = "multirun.yaml"
-"""What Hydra writes into the folder of a sweep before its first job."""
+"""The file that Hydra writes into the folder of a sweep before its first job."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Where a sweep's runs are, and how many (0 where only its sweeper knows)."""
+    """The folder of a sweep, and the number of its jobs (0 where only its sweeper knows)."""
 
     folder: Path
     jobs: int
@@ -77,25 +78,25 @@ class Sweep:
         output.complain(table_of_runs(self.folder, self.jobs))
 
     def how_to_go_on(self) -> str:
-        """What is finished, and what goes on with the others."""
+        """Returns how many runs are finished, and the command that continues the others."""
         finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
         return f"{finished}; the same command with hydra.sweep.dir={self.folder} goes on"
 
 
-def prepare_sweep(hydra_session: Any, overrides: Sequence[str]) -> Sweep:
+def prepare_sweep(overrides: Sequence[str]) -> Sweep:
     """Composes and checks every job of a sweep, and makes its folder.
 
     Args:
-        hydra_session: of :func:`~bbq_torchrl.runs.compose.session`.
         overrides: the command line.
 
     Raises:
         ConfigError: one sentence that says what is wrong and what is allowed.
         ValueError or OSError: a corpus that cannot be used.
     """
-    from bbq_torchrl.runs.checks import check  # torch and torchrl take ten seconds
+    from bbq_torchrl.runs import checks  # torch and torchrl take ten seconds
 
-    composed, jobs = _composed(hydra_session, overrides)
+    with session() as hydra_session:
+        composed, jobs = _composed(hydra_session, overrides)
     refuse_other_folder(overrides, "run", "a single run", "sweep")
     launcher = composed.hydra.runtime.choices[LAUNCHER]
     if composed.hydra.launcher.get("n_jobs") == 0:
@@ -110,7 +111,7 @@ def prepare_sweep(hydra_session: Any, overrides: Sequence[str]) -> Sweep:
         if job.resume is not None:
             raise ConfigError(NOT_SWEPT)
         configs.append(to_config(job, Config))
-        check(configs[-1])
+        checks.check(configs[-1])
     subfolders = [_job_subfolder(job, number) for number, job in enumerate(jobs)]
     _check_subfolders(composed, subfolders)
     folder = _sweep_folder(composed, overrides)
@@ -156,23 +157,22 @@ def _composed(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig,
     are returned: each job is checked when it starts.
     """
     parser = OverridesParser.create(config_loader=hydra_session.config_loader)
-    try:
-        parsed = parser.parse_overrides(list(arguments))
-        of_sweeper = [
-            str(item.input_line)
-            for item in parsed
-            if not item.is_sweep_override()
-            and item.key_or_group.partition(".")[0].partition("/")[0] in ("hydra", EXPERIMENT)
-        ]
-        composed = compose_raw(of_sweeper)
-        sweeper = composed.hydra.sweeper
-        if not str(sweeper._target_).endswith(f".{BasicSweeper.__name__}"):
-            return composed, []
-        swept = [f"{key}={value}" for key, value in (sweeper.params or {}).items()]
-        parsed = parser.parse_overrides([*swept, *arguments])
-        jobs = [list(job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch]
-    except HydraException as error:
-        raise ConfigError(explain(error, arguments)) from error
+    parsed = [read_override(item, parser) for item in arguments]
+    of_sweeper = [
+        str(item.input_line)
+        for item in parsed
+        if not item.is_sweep_override()
+        and item.key_or_group.partition(".")[0].partition("/")[0] in ("hydra", EXPERIMENT)
+    ]
+    composed = compose_raw(of_sweeper)
+    sweeper = composed.hydra.sweeper
+    if not str(sweeper._target_).endswith(f".{_SWEEPER}"):
+        return composed, []
+    swept = [f"{key}={value}" for key, value in (sweeper.params or {}).items()]
+    choices: dict[str, list[str]] = {}
+    for item in [*(read_override(text, parser) for text in swept), *parsed]:
+        choices[item.get_key_element()] = _elements(item)
+    jobs = [list(job) for job in product(*choices.values())]
     if not jobs:
         raise ConfigError(
             f"{sentence(' '.join(arguments))} is a sweep without a job: a range() is empty, or a "
@@ -183,6 +183,17 @@ def _composed(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig,
     for composed, job in zip(composed_jobs, jobs, strict=True):
         refuse_unswept(composed, job)
     return composed_jobs[0], composed_jobs
+
+
+def _elements(override: Override) -> list[str]:
+    """Returns the overrides of the jobs that one override of a sweep stands for."""
+    key = override.get_key_element()
+    if not override.is_sweep_override():
+        return [f"{key}={override.get_value_element_as_str()}"]
+    if not override.is_discrete_sweep():
+        kind = "" if override.value_type is None else override.value_type.name
+        raise ConfigError(f"{_SWEEPER} does not support sweep type : {kind}")
+    return [f"{key}={value}" for value in override.sweep_string_iterator()]
 
 
 def refuse_unswept(composed: DictConfig, overrides: Sequence[str]) -> None:
@@ -234,7 +245,8 @@ def _job_subfolder(composed: DictConfig, number: int) -> str:
 
 def _check_subfolders(composed: DictConfig, subfolders: Sequence[str]) -> None:
     """Refuses folders of jobs that are not each job's own, in that of the sweep."""
-    name = str(composed.hydra.sweep._get_node("subdir")._value())  # with what is known in a job
+    plain: Any = OmegaConf.to_container(composed.hydra.sweep, resolve=False)
+    name = str(plain["subdir"])  # with what is known in a job
     parts = Path(name).parts
     shared = [folder for folder, count in Counter(subfolders).items() if count > 1]
     if not parts or Path(name).is_absolute() or ".." in parts or shared:

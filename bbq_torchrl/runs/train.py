@@ -1,50 +1,48 @@
-"""A whole run: training, final evaluation, and what its folder then holds."""
+"""``bbq train`` and ``python train.py``: one page from the configuration to the trained agent.
+
+Hydra composes the configuration, and :mod:`bbq_torchrl.runs.job` refuses what cannot be run before
+a folder exists. What follows is on this page: environment, actor, exploration, loss, replay with
+its spike, trainer, evaluation. Each part is made by the option that the command line chose
+(:mod:`bbq_torchrl.options`). Functions import torch and TorchRL themselves, for ``--help`` does
+without.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-import logging
-import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-import torch
+import hydra
 
 from bbq_torchrl import interruption
-from bbq_torchrl.domains.validate import RANDOM_POLICY
-from bbq_torchrl.evaluation.figures import draw_run
-from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.names import agent_name
-from bbq_torchrl.evaluation.results import (
-    RunResult,
-    flat_numbers,
-    reference_lines,
-    write_json,
-)
-from bbq_torchrl.options import ConfigError
-from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT
-from bbq_torchrl.runs.build import (
-    build_trainer,
-    make_domain,
-    opened_loggers,
-    spike_policy,
-)
-from bbq_torchrl.runs.checkout import checkout
-from bbq_torchrl.runs.final import final_result
-from bbq_torchrl.runs.folders import run_lock
-from bbq_torchrl.runs.resume import result_of, save_config
-from bbq_torchrl.trainers import keep_freed_memory
+from bbq_torchrl.options.registry import conf_folder
+from bbq_torchrl.run_folder import CONFIG, RESULT
+from bbq_torchrl.runs.job import command, job
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from omegaconf import DictConfig
+    from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
+    from torchrl.envs import EnvBase, Transform
+    from torchrl.modules import QValueActor
+    from torchrl.objectives import LossModule
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
+    from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.options import Config
+    from bbq_torchrl.trainers import ReplicaOptimizer, RoundTrainer
     from bbq_torchrl.trainers.hooks import RoundCallback
 
-_LOG = logging.getLogger(__name__)
+
+@command
+@hydra.main(version_base="1.3", config_path=str(conf_folder()), config_name="config")
+def main(composed: DictConfig) -> float:
+    """Trains and evaluates. Returns the final success rate, which sweepers get."""
+    return job(composed, run)
 
 
 def run(
@@ -53,16 +51,18 @@ def run(
     callbacks: Sequence[RoundCallback] = (),
     *,
     domain: Domain | None = None,
+    spiking: str | None = None,
 ) -> RunResult:
     """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
 
     The folder is locked meanwhile.
 
     Args:
-        config: what to run; with ``resume``, the run in the folder goes on.
+        config: what to run; with ``resume``, the run in the folder continues.
         folder: the run folder.
         callbacks: called after every round; what one raises ends the run.
         domain: the configuration's, loaded; None: it is loaded here.
+        spiking: the scripted policy that spikes the buffer; None: it is found here.
 
     Raises:
         NonFiniteLossError: a loss is NaN or infinite.
@@ -72,136 +72,146 @@ def run(
         ConfigError: another process is at work in the folder.
         Interrupted: a signal came (see :mod:`bbq_torchrl.interruption`); all rounds are saved.
     """
-    with run_lock(folder), opened_loggers(config, folder) as loggers:
-        result = _run(config, folder, callbacks, domain, loggers)
+    from bbq_torchrl.evaluation.results import flat_numbers, write_json
+    from bbq_torchrl.runs import build, final, folders, messages, resume
+    from bbq_torchrl.runs.checkout import checkout
+
+    with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:
+        code, rounds = checkout(), config.protocol.rounds  # now: it may change in the meantime
+        build.set_up_process(config)
+        resume.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
+        domain = build.make_domain(config) if domain is None else domain
+        if spiking is None and config.spike.dialogues:
+            spiking = build.spike_policy(config, domain)
+
+        trainer, agent = build_trainer(
+            config, folder, callbacks, domain=domain, spiking=spiking, loggers=loggers
+        )
+        # There is a result where the run was killed before its last file, the curve.
+        result = None if config.resume is None else resume.result_of(folder, rounds)
+        if result is None:
+            messages.log_start(config, domain, spiking)
+            interruption.tell(lambda: messages.progress(trainer))
+            with interruption.gently(trainer.stop):
+                trainer.train(resume=config.resume is not None)
+            interruption.check()
+            result = final.final_result(config, folder, domain, agent, trainer, code)
+            write_json(result, folder / RESULT)
+        if config.protocol.keep_checkpoints == "weights":
+            trainer.checkpoints.keep_only("loss", "best")
+        final.draw_curve(config, folder, result, trainer, domain, spiking)  # the last file
+        messages.log_result(config, folder, result)
         numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
         config.logger.log_result(loggers, numbers, rounds=result.rounds)
     return result
 
 
-def _run(
+def build_trainer(
     config: Config,
-    folder: Path,
-    callbacks: Sequence[RoundCallback],
-    domain: Domain | None,
-    loggers: Sequence[Logger],
-) -> RunResult:
-    rounds, code = config.protocol.rounds, checkout()  # now: it may change while the run trains
-    torch.set_num_threads(config.threads)
-    keep_freed_memory()
-    _quieten_torchrl()
-    save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
-    domain = make_domain(config) if domain is None else domain
-    spiking = spike_policy(config, domain) if config.spike.dialogues else None
-    trainer, agent = build_trainer(
-        config, folder, callbacks, domain=domain, spiking=spiking, loggers=loggers
-    )
-    # There is one where the run was killed before its last file, the curve.
-    result = None if config.resume is None else result_of(folder, rounds)
-    if result is None:
-        interruption.tell(
-            lambda: f"after {trainer.rounds_done} of {rounds} rounds, {trainer.rounds_saved} saved"
-        )
-        _tell_of_evaluations(config)
-        if domain is not None:
-            _tell_of_domain(domain, config.env.never(domain))
-        if spiking is not None and config.spike.policy is None and config.resume is None:
-            _LOG.info("spiking with the policy %s, the first that succeeds", spiking)
-        with interruption.gently(trainer.stop):
-            rows = trainer.train(resume=config.resume is not None)
-        interruption.check()
-        trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
-        _LOG.info("evaluating on %d dialogues a replica", config.protocol.eval_dialogues)
-        result = final_result(config, folder, domain, agent, trainer, trained, code)
-        write_json(result, folder / RESULT)
-    if config.protocol.keep_checkpoints == "weights":
-        trainer.checkpoints.keep_only("loss", "best")
-    _draw(config, folder, result, domain, spiking)  # last: the run is finished
-    _LOG.info("%s", _result_line(config, result))
-    _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
-    return result
+    run_folder: Path,
+    callbacks: Sequence[RoundCallback] = (),
+    *,
+    domain: Domain | None = None,
+    spiking: str | None = None,
+    loggers: Sequence[Logger] = (),
+) -> tuple[RoundTrainer, Agent]:
+    """Makes the trainer of a run, and its agent; callbacks are called after every round.
 
-
-def _tell_of_evaluations(config: Config) -> None:
-    """Says so where there will be no evaluation while training."""
-    protocol = config.protocol
-    if not protocol.eval_every:
-        _LOG.info("no evaluation while training: protocol.eval_every is 0")
-    elif protocol.eval_every > protocol.rounds:
-        _LOG.info(
-            "no evaluation while training: protocol.eval_every (%d) is more than "
-            "protocol.rounds (%d)",
-            protocol.eval_every,
-            protocol.rounds,
-        )
-
-
-def _tell_of_domain(domain: Domain, never: set[str]) -> None:
-    """Says what of the corpus is not played, or looks odd; some slots, it may be, in no round."""
-    for text in domain.skipped:
-        _LOG.warning("left out of the domain %s: %s", domain.name, text)
-    for text in domain.doubts:
-        _LOG.warning("in the domain %s: %s", domain.name, text)
-    cut = sum(bool(never & {*goal.constraints, *goal.requests}) for goal in domain.goals)
-    if cut:
-        named = {slot for goal in domain.goals for slot in (*goal.constraints, *goal.requests)}
-        _LOG.info(
-            "domain extension never activates %s: %d of %d goals are without them",
-            ", ".join(sorted(never & named)),
-            cut,
-            len(domain.goals),
-        )
-
-
-def _result_line(config: Config, result: RunResult) -> str:
-    """Returns the agent's success beside that of the scripted policies and of the privileged ones.
-
-    The best script is named first: an agent that does not reach it was not worth the training.
+    The domain is loaded, and the policy that spikes is found, unless they are given. Loggers are
+    those of :func:`~bbq_torchrl.runs.build.opened_loggers`; without them the metrics are logged
+    nowhere but in the run folder.
     """
-    rates = [item.success_rate for item in result.per_replica]
-    spread = (
-        f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
-        if len(rates) > 1
-        else ""
+    from torchrl.objectives import HardUpdate
+
+    from bbq_torchrl.data import ReplicaReplay
+    from bbq_torchrl.options.task import check_env
+    from bbq_torchrl.runs import build
+    from bbq_torchrl.runs.resume import description
+    from bbq_torchrl.trainers import RoundTrainer
+
+    protocol, spike = config.protocol, config.spike
+    domain = build.make_domain(config) if domain is None else domain
+    batch = (config.replicas, protocol.dialogues)
+    env = config.env.make(domain, batch, seed=config.seed, device=config.device)
+    check_env(env, config.env.name, batch)
+    if spike.dialogues and spiking is None:
+        spiking = build.spike_policy(config, domain)
+    agent = make_agent(config, env)
+    replay = ReplicaReplay(
+        protocol.capacity,
+        replicas=config.replicas,
+        keys=build.transition_keys(env),
+        transform=agent.transform,
+        device=config.device,
     )
-    scripts = [name for name in result.scripted if name != RANDOM_POLICY]
-    best = max(scripts, key=lambda name: result.scripted[name], default=None)
-    rated = [
-        (f"best script {name}" if name == best else name, result.scripted[name])
-        for name in sorted(result.scripted, key=lambda name: name != best)
-    ] + [(f"privileged {name}", rate) for name, rate in result.references.items()]
-    others = ", ".join(f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in rated)
-    name = agent_name(dataclasses.asdict(config))
-    does = "books {} of dialogues" if config.env.has_domain else "succeeds in {} of episodes"
-    return f"{name} {does.format(_short(result.success_rate))}{spread} ({others})"
-
-
-def _short(rate: float) -> str:
-    """Returns a rate with two decimals and no leading zero, such as ``.64``; ``0`` for none."""
-    return f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}"
-
-
-def _quieten_torchrl() -> None:
-    """Keeps TorchRL's notices (of every storage that is made, say) out of the output."""
-    if "RL_LOGGING_LEVEL" not in os.environ:  # TorchRL's own variable: the user's word counts
-        logging.getLogger("torchrl").setLevel(logging.WARNING)
-
-
-def _draw(
-    config: Config, folder: Path, result: RunResult, domain: Domain | None, spiking: str | None
-) -> None:
-    try:
-        groups = read_groups([folder])
-    except ValueError as error:
-        raise ConfigError(f"the curve cannot be drawn: {error}") from error
-    named = {"explore": result.explore, "env": result.env, "domain": result.domain}
-    draw_run(
-        folder / CURVE,
-        groups,
-        title="Success: " + ", ".join(f"{key}={name}" for key, name in named.items() if name),
-        spiked=None
-        if spiking is None
-        else f"spiked with {config.spike.dialogues} {spiking} dialogues",
-        extensions=config.env.additions(domain),
-        references=reference_lines(result.scripted, result.references),
+    trainer = RoundTrainer(
+        env,
+        agent.policy,
+        agent.loss,
+        replay,
+        agent.optimizer,
+        HardUpdate(agent.loss, value_network_update_interval=0),
+        run_folder,
+        rounds=protocol.rounds,
+        dialogues=protocol.dialogues,
+        batch_size=protocol.batch_size,
+        freezes=protocol.freezes,
+        epochs=protocol.epochs,
+        updates_per_round=protocol.updates_per_round,
+        checkpoint_every=protocol.checkpoint_every,
+        keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
+        lr_share=None if protocol.lr_final == 1 else protocol.lr_share,
+        max_steps=config.env.steps(),
+        seed=config.seed,
+        spike=spike.make(config.env.make_policy(spiking, env)) if spiking else None,
+        loggers=loggers,
+        callbacks=callbacks,
+        evaluator=build.round_evaluator(config, domain, agent.actor),
+        round_metrics={**agent.metrics, **build.values_as_metrics(config)},
+        described=description(config),
     )
+    return trainer, agent
+
+
+class Agent(NamedTuple):
+    """The learning and acting parts of a run.
+
+    Attributes:
+        actor: the Q-network and its choice of an action.
+        loss: what is learned.
+        optimizer: moves the loss's parameters.
+        policy: acts with exploration.
+        metrics: what of the exploration is worth a column of the metrics; one number, or
+            [replicas].
+        transform: what the replay buffer does to transitions, if anything.
+    """
+
+    actor: QValueActor
+    loss: LossModule
+    optimizer: ReplicaOptimizer
+    policy: TensorDictModuleBase
+    metrics: dict[str, Callable[[], float | Tensor]]
+    transform: Transform | None
+
+
+def make_agent(config: Config, env: EnvBase) -> Agent:
+    """Makes actor, loss and exploration; the weights start from the run's seed."""
+    import torch
+    from torchrl.envs import Compose
+
+    from bbq_torchrl.runs import build
+    from bbq_torchrl.trainers import derive_seed
+
+    torch.manual_seed(derive_seed(config.seed, "init"))
+    task = build.task_of(config, env)
+    actor = config.agent.make_actor(task)
+    loss = config.agent.make_loss(actor, task)
+    policy, metrics = build.checked_policy(
+        config.explore, config.explore.make(actor, config.agent.make_greedy(actor), task)
+    )
+    loss, rewards = build.checked_loss(config.intrinsic, config.intrinsic.make(loss, task))
+    transforms = [*config.agent.make_transforms(task), *rewards]
+    loss = loss.to(env.device)
+    optimizer = config.agent.make_optimizer(actor, loss.parameters(), task)
+    transform = Compose(*transforms).to(env.device) if transforms else None
+    return Agent(actor, loss, optimizer, policy.to(env.device), metrics, transform)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl import interruption
+
+    interruption.listen()
+
 import json
 import logging
 import sys
@@ -61,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
-        best = run_search(search, run, check)
+        best = run_search(search, run, lambda config: check(config).domain)
     except interruption.Interrupted:
         output.complain(interruption.line())
         return interruption.exit_code()

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
 
 SEARCH = "search"
-"""What the search's own keys begin with, and the folder of its YAML files."""
+"""Prefix of the search's keys, and the folder of its YAML files."""
 
 _SPACE = f"{SEARCH}.space."
 _REFUSED = ("resume", "hydra")
@@ -98,7 +98,7 @@ class Search:
 
     @property
     def folder(self) -> Path:
-        """Where the search is kept."""
+        """The folder of the search."""
         chosen = self.settings.folder or f"runs/search_{self.name}"
         return Path(expanduser(chosen)).resolve()
 

@@ -57,7 +57,7 @@ def run_search(
     runner: Callable[..., RunResult],
     check: Callable[[Config], Domain | None] = lambda config: None,
 ) -> dict[str, Any] | None:
-    """Runs trials until there are as many as wanted. Returns the best; None if there is none.
+    """Runs trials until there are as many as wanted. Returns the best; None without a complete one.
 
     A search that was interrupted goes on: what is finished stays, a killed trial is taken up from
     its last checkpoint, and the values of new ones are those that they would have been.
@@ -275,7 +275,7 @@ def _has_choices_only(search: Search) -> bool:
 
 
 def _most_trials(search: Search) -> int:
-    """How many trials there are to be: of choices alone no setting is tried twice."""
+    """Returns the number of trials; in a space of choices alone no setting is tried twice."""
     if not _has_choices_only(search):
         return search.settings.trials
     return min(search.settings.trials, prod(len(item.probes) for item in search.space.values()))

@@ -37,7 +37,7 @@ BEST = "best.json"
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a trial ended.
+    """The outcome of a trial.
 
     Attributes:
         state: complete, pruned or failed.

@@ -9,8 +9,8 @@ from statistics import median_low
 from time import process_time
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.runs.build import build_trainer
 from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 from benchmarks.parts import processes
 from benchmarks.parts.learning import AGENTS
 from benchmarks.parts.rows import Row

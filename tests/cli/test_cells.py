@@ -13,9 +13,8 @@ from torch.testing import assert_close
 from bbq_torchrl import evaluate
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.options import explorations, schemas
-from bbq_torchrl.runs.build import build_trainer, make_agent
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import run
+from bbq_torchrl.runs.train import build_trainer, make_agent, run
 
 SHRUNKEN = (*TINY, "spike.policy=random", "replicas=2")
 EXTENSION = ("env.start=1", "env.every=1")

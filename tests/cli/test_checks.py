@@ -11,10 +11,9 @@ from tiny import TINY, rows
 
 from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.runs.build import build_trainer, spike_policy
 from bbq_torchrl.runs.checks import check
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import run
+from bbq_torchrl.runs.train import build_trainer, run
 
 
 def test_a_logger_whose_package_is_missing_is_refused_with_the_way_to_it(monkeypatch):
@@ -71,7 +70,7 @@ def test_the_first_script_that_succeeds_spikes_and_is_told(never, tmp_path, capl
     careful = "  careful: {kind: careful, steps: [cuisine, area, day, hour, party_size]}\n"
     where = never("rule", "second", rest=careful + later)
     config = compose([*SHORT, *where, "protocol.rounds=1", "spike.dialogues=20"])
-    assert {spike_policy(config, check(config)) for config.seed in (0, 1, 2)} == {"careful"}
+    assert {check(config).spiking for config.seed in (0, 1, 2)} == {"careful"}
     with caplog.at_level(logging.INFO):
         run(config, tmp_path / "run")
     assert "spiking with the policy careful, the first that succeeds" in caplog.messages
@@ -97,7 +96,7 @@ def test_a_script_that_never_succeeds_spikes_where_it_is_chosen(never, tmp_path,
 
 def test_a_script_of_a_later_round_is_passed_over(where):
     config = compose([*where, "env=domain_ext"])
-    assert spike_policy(config, check(config)) == "careful"
+    assert check(config).spiking == "careful"
 
 
 @pytest.mark.parametrize("domain", ["movie", "miulab"])
@@ -119,7 +118,7 @@ def test_the_public_domains_are_spiked_by_their_rule_with_the_same_dialogues(
 def test_a_policy_that_repairs_fills_the_buffers_with_successes(policy, env, tmp_path):
     longer = ("env.max_turn=40", "protocol.capacity=800", "spike.dialogues=30")
     config = compose([*TINY, *longer, f"env={env}", f"spike.policy={policy}", "replicas=2"])
-    trainer, _ = build_trainer(config, tmp_path, domain=check(config))
+    trainer, _ = build_trainer(config, tmp_path, domain=check(config).domain)
     trainer.begin()
     for buffer in trainer.replay.buffers:
         assert int(buffer[:]["next", "done"].sum()) == 30

@@ -17,7 +17,7 @@ from tiny import TINY, rows
 from bbq_torchrl import evaluate, load_run
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.rollouts import evaluate as evaluate_policy
-from bbq_torchrl.runs.job import main as train_main
+from bbq_torchrl.runs.train import main as train_main
 
 TRAIN = forked.ROOT / "train.py"
 

@@ -10,9 +10,8 @@ from torch.testing import assert_close
 
 from bbq_torchrl import evaluate
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.runs.build import build_trainer
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import run
+from bbq_torchrl.runs.train import build_trainer, run
 
 SHRUNKEN = (*TINY, "protocol.batch_size=16", "protocol.eval_every=0")
 # Keys that one training can have side by side share it: a replica whose values are not its own in

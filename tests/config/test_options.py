@@ -26,9 +26,9 @@ from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import COUNT, option, setting
 from bbq_torchrl.runs import compose as store
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.job import main as train_main
 from bbq_torchrl.runs.overrides import take_config_dir, train_command
 from bbq_torchrl.runs.resume import run_config, save_config
+from bbq_torchrl.runs.train import main as train_main
 
 STRATEGY = """
 from dataclasses import dataclass

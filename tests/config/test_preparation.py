@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import sys
-from unittest.mock import Mock, patch
+from unittest.mock import Mock
 
 import pytest
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from prepared import prepare
 
 from bbq_torchrl.options import ConfigError, registry
-from bbq_torchrl.runs import checks
-from bbq_torchrl.runs import job as train
+from bbq_torchrl.runs import checks, train
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import save_config
 
@@ -48,18 +46,17 @@ def test_jobs_that_only_another_sweeper_knows_are_left_to_it():
         prepare(["--multirun", "agent.lr=interval(.1,.2)"], fail)
 
 
-def test_a_single_run_is_what_was_composed_and_checked_once(tmp_path, monkeypatch):
-    check, run = Mock(), Mock(return_value=Mock(success_rate=0.0))
+def test_a_single_run_is_checked_once_and_trains_with_what_the_check_has_loaded(
+    tmp_path, monkeypatch
+):
+    checked = checks.Checked(Mock(), "rule")
+    check, run = Mock(return_value=checked), Mock(return_value=Mock(success_rate=0.0))
     monkeypatch.setattr(checks, "check", check)
-    monkeypatch.setattr("bbq_torchrl.runs.train.run", run)
+    monkeypatch.setattr(train, "run", run)
     monkeypatch.setattr(sys, "argv", ["train.py", "agent=dqn", f"hydra.run.dir={tmp_path / 'it'}"])
-    load = ConfigLoaderImpl.load_configuration
-    with patch.object(ConfigLoaderImpl, load.__name__, autospec=True, side_effect=load) as composed:
-        train.main()
-    composed.assert_called_once()
-    check.assert_called_once()
+    train.main()
     (config,) = check.call_args.args
-    run.assert_called_once_with(config, tmp_path / "it", domain=check.return_value)
+    run.assert_called_once_with(config, tmp_path / "it", domain=checked.domain, spiking="rule")
     assert run.call_args.args[0] is config
     assert "agent=dqn" in (tmp_path / "it" / ".hydra" / "overrides.yaml").read_text()
 

@@ -21,7 +21,7 @@ from bbq_torchrl.objectives import OneStepQLoss
 from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.job import main as train
+from bbq_torchrl.runs.train import main as train
 from bbq_torchrl.search.definition import compose_search
 
 from .pages import PAGES, ROOT, commands, snippets

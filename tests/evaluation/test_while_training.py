@@ -17,9 +17,8 @@ from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.runs.build import build_trainer
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import run
+from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.trainers import derive_seed
 
 SMALL = (

@@ -7,8 +7,8 @@ import torch
 from tiny import TINY
 
 from bbq_torchrl.options import Task
-from bbq_torchrl.runs.build import build_trainer
 from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 from benchmarks.parts.host_waits import NeverWaits, drawn_as_on_a_device
 
 SHRUNKEN = (

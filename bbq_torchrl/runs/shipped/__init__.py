@@ -16,7 +16,7 @@ from bbq_torchrl.text import shown
 __all__ = ["SHIPPED", "is_shipped", "run_folder", "shipped_agents"]
 
 SHIPPED = Path(__file__).resolve().parent
-"""Where the shipped agents lie."""
+"""The folder of the shipped agents."""
 
 PREFIX = "shipped:"
 
