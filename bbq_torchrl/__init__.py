@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl import moved
 
 if TYPE_CHECKING:
-    from bbq_torchrl.runs.loading import load_run
-    from bbq_torchrl.runs.notebook import config_dir, train
+    from bbq_torchrl.runs.loading import config_dir, load_run, train
 
 __all__ = ["__version__", "config_dir", "load_run", "train"]
 
@@ -27,12 +26,8 @@ moved.register(__name__)
 
 def __getattr__(name: str) -> Any:
     # Imported when it is asked for: torch and torchrl take seconds.
-    if name == "load_run":
-        from bbq_torchrl.runs.loading import load_run
+    if name in ("config_dir", "load_run", "train"):
+        from bbq_torchrl.runs import loading
 
-        return load_run
-    if name in ("config_dir", "train"):
-        from bbq_torchrl.runs import notebook
-
-        return getattr(notebook, name)
+        return getattr(loading, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise ConfigError(f"the command must be calibrate or import, got {shown(arguments[0])}")
     arguments = take_config_dir(arguments)
     config = compose(arguments[1:], CalibrateConfig)
-    found = calibrate(config, output.complain)
+    found = calibrate(config, output.print_error)
     output.write(
         f"reference_slot_error_prob: {found.slot_error_prob:g}"
         f"  # ± {found.error:.4f}; {config.policy} succeeds in {found.success_rate:.4f} ± "
@@ -101,9 +101,9 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
 
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.rollouts import evaluate
-    from bbq_torchrl.evaluation.statistics import binomial_standard_error
     from bbq_torchrl.options.env.full import FullDomain
     from bbq_torchrl.runs.checks import check_device
+    from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import derive_seed, keep_freed_memory
 
     option = config.env

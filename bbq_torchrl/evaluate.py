@@ -96,10 +96,10 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
 
     from bbq_torchrl.domains.validate import RANDOM_POLICY
     from bbq_torchrl.evaluation.rollouts import evaluate
-    from bbq_torchrl.evaluation.statistics import binomial_standard_error
     from bbq_torchrl.runs.build import make_domain
     from bbq_torchrl.runs.checks import check_device
     from bbq_torchrl.runs.loading import trained_policy
+    from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import keep_freed_memory
 
     check_device(config.device)
@@ -169,7 +169,7 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:
     """Writes the first dialogues of the evaluation as readable acts."""
-    from bbq_torchrl.evaluation.transcripts import transcripts
+    from bbq_torchrl.evaluation.rollouts import transcripts
 
     assert config.log is not None
     file = Path(expanduser(config.log))

@@ -1,8 +1,8 @@
-"""Ctrl-C and SIGTERM: a command ends by one line that says how far it is and how to go on.
+"""Ctrl-C and SIGTERM: a command ends with one line that says how far it is and how to continue.
 
-A training ends after the round under way, with a checkpoint of it (:func:`gently`); a second signal
-ends it at once, and so does the first one wherever there is nothing to save. Every file of a run is
-written so that a process can die at any moment, so at once is: without unwinding, and so without a
+A training ends after the round under way, with a checkpoint of it (:func:`on_interrupt`). A second
+signal ends it at once, and so does the first one where there is nothing to save. Every file of a
+run is written so that a process can die at any moment: it ends without unwinding, and so without a
 traceback out of some import. This module imports nothing that takes time.
 """
 
@@ -90,11 +90,11 @@ def line() -> str:
 
 
 @contextmanager
-def gently(stop: Callable[[], None]) -> Iterator[None]:
-    """Within it, the first signal calls ``stop``; :func:`check` then raises. The second one ends.
+def on_interrupt(stop: Callable[[], None]) -> Iterator[None]:
+    """Calls ``stop`` at the first signal within it, after which :func:`check` raises.
 
     Args:
-        stop: has the work come to an end by itself.
+        stop: makes the work end by itself.
     """
     before, _State.stop = _State.stop, stop
     try:

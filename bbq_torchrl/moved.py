@@ -11,13 +11,21 @@ from typing import Any
 MOVED = {
     "cli.checks": ("runs.checks",),
     "cli.loading": ("runs.loading",),
-    "cli.notebook": ("runs.notebook",),
+    "cli.notebook": ("runs.loading",),
     "cli.resume": ("runs.resume",),
     "cli.store": ("runs.compose",),
     "cli.train": ("runs.train",),
     "cli.training": ("runs.train", "runs.build"),
+    "evaluation.learning": ("evaluation.metrics",),
+    "evaluation.names": ("evaluation.runs",),
+    "evaluation.statistics": ("statistics",),
+    "evaluation.tables": ("reports",),
+    "evaluation.transcripts": ("evaluation.rollouts",),
+    "evaluation.while_training": ("evaluation.rollouts",),
+    "markdown": ("reports",),
     "run": ("runs.train",),
     "shipped": ("runs.shipped",),
+    "sqlite": ("extras",),
 }
 """Old module -> the modules that have its names now, all within the package."""
 

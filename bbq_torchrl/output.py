@@ -48,7 +48,7 @@ def write(text: str) -> None:
         sys.exit(NO_READER)
     except OSError as error:
         _discard(sys.stdout)
-        complain(f"error: standard output cannot be written: {sentence(error)}")
+        print_error(f"error: standard output cannot be written: {sentence(error)}")
         sys.exit(NOT_WRITTEN)
 
 
@@ -58,7 +58,7 @@ def escape() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def complain(line: str) -> None:
+def print_error(line: str) -> None:
     """Prints a line on standard error, if that can be: the exit code tells the same."""
     if sys.stderr is not None:
         try:
@@ -79,7 +79,7 @@ def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
         try:
             return main(*args, **kwargs)
         except (ValueError, OSError, ModuleNotFoundError) as error:
-            complain(f"error: {sentence(error)}")
+            print_error(f"error: {sentence(error)}")
             return 2
 
     return refused

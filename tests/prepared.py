@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 from unittest.mock import Mock
@@ -10,9 +11,12 @@ from unittest.mock import Mock
 import pytest
 
 from bbq_torchrl.runs import checks, job, sweeps, train
+from bbq_torchrl.runs.compose import compose_raw, session
+from bbq_torchrl.runs.resume import Resumption
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from bbq_torchrl.options import Config
     from bbq_torchrl.runs.sweeps import Sweep
@@ -59,3 +63,12 @@ def prepare(
             if end.code:
                 raise
     return begun[-1]
+
+
+def resumed(folder: Path, *overrides: str) -> Config:
+    """The configuration that ``train.py resume=<folder>`` trains with."""
+    with ExitStack() as held:
+        found = Resumption.of([f"resume={folder}", *overrides], held)
+        assert found is not None
+        with session():
+            return found.config(compose_raw(found.arguments()))

@@ -32,7 +32,7 @@ def main() -> int | None:
         return 0
     name = arguments[0]
     if name not in COMMANDS:
-        output.complain(
+        output.print_error(
             f"error: the command must be one of {', '.join(COMMANDS)}, got {shown(name)}"
         )
         return 2

@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.learning import areas, booked
+from bbq_torchrl.evaluation.metrics import areas, booked, rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines
-from bbq_torchrl.evaluation.runs import names_option, read_run, telling
+from bbq_torchrl.evaluation.runs import distinguishing_keys, names_option, read_run
+from bbq_torchrl.reports import Report, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
+
+    from matplotlib.figure import Figure
 
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.evaluation.runs import Replica
@@ -68,7 +71,7 @@ class Group:
     def booked(self, first: int) -> list[float]:
         """Share of the first training dialogues that succeeded, one value for each seed.
 
-        Empty where fewer were trained; see :func:`bbq_torchrl.evaluation.learning.booked`.
+        Empty where fewer were trained; see :func:`bbq_torchrl.evaluation.metrics.booked`.
         """
         return booked(self.success, self.round_dialogues, first)
 
@@ -250,4 +253,54 @@ def _told_from(
             for key, value in setting.items()
             if key.partition(".")[0] not in _OF_AN_AGENT and other.get(key, value) != value
         ]
-    return set(telling(different))
+    return set(distinguishing_keys(different))
+
+
+def commits_text(groups: Sequence[Group]) -> str:
+    """Returns of which commits the runs are; empty where no run knows."""
+    if not know_commits(groups):
+        return ""
+    together: dict[str, list[str]] = {}
+    for group in groups:
+        together.setdefault(group.commit, []).append(group.label)
+    if len({replica.result.code for group in groups for replica in group.replicas}) == 1:
+        return f"All runs are of commit {groups[0].commit}."
+    lines = [f"- {commit}: {'; '.join(labels)}" for commit, labels in together.items()]
+    return "\n".join(["The runs are of different commits:\n", *lines])
+
+
+def replicas_table(groups: Sequence[Group]) -> Table:
+    """Returns a row for each replica."""
+    rows = [
+        {
+            "corpus": replica.result.domain,
+            "env": replica.result.env,
+            "agent": group.label,
+            "replica": replica.number,
+            "seed": replica.result.seed,
+            "rounds": replica.result.rounds,
+            "updates": replica.updates,
+            "success_rate": replica.own.success_rate,
+            "reward": replica.own.reward,
+            "turns": replica.own.turns,
+            "cumulative_success": replica.own.training_success,
+            "rounds_to_60": f"{reached:.0f}".replace("inf", ""),
+        }
+        | ({"commit": replica.result.code} if know_commits(groups) else {})
+        for group in groups
+        for replica, reached in zip(
+            group.replicas, rounds_to_reach(group.success, 0.6).tolist(), strict=True
+        )
+    ]
+    return Table("replicas", rows)
+
+
+def runs_report(
+    name: str,
+    title: str,
+    groups: Sequence[Group],
+    parts: Sequence[str | Table],
+    figures: Mapping[str, tuple[str, Callable[[], Figure]]],
+) -> Report:
+    """Returns a report on groups of runs: last their commits, and ``replicas.csv`` next to it."""
+    return Report(name, title, [*parts, commits_text(groups)], figures, [replicas_table(groups)])

@@ -9,8 +9,8 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.domains.validate import RANDOM_POLICY
-from bbq_torchrl.evaluation.statistics import binomial_standard_error
 from bbq_torchrl.run_folder import RESULT, write_text
+from bbq_torchrl.statistics import binomial_standard_error
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.metrics import read_metrics
-from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT, folder_of, numbers_in_order
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.metrics import Metrics
     from bbq_torchrl.evaluation.results import ReplicaResult, RunResult
+
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
@@ -101,7 +101,7 @@ class Replica:
         return agent_name(self.config)
 
 
-def telling(keys: Iterable[str]) -> list[str]:
+def distinguishing_keys(keys: Iterable[str]) -> list[str]:
     """Returns which keys tell two settings apart: where an option differs, its name says enough.
 
     Args:
@@ -109,7 +109,7 @@ def telling(keys: Iterable[str]) -> list[str]:
             do: of three options two can be the same, and differ in another key.
 
     Examples:
-        >>> telling(["env.every", "env.name", "env.start", "spike.dialogues"])
+        >>> distinguishing_keys(["env.every", "env.name", "env.start", "spike.dialogues"])
         ['env.name', 'spike.dialogues']
     """
     keys = list(keys)
@@ -216,3 +216,50 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
         key = f"{prefix}{name}"
         leaves += _flat(value, f"{key}.") if isinstance(value, dict) else [(key, value)]
     return leaves
+
+
+_OF_THE_PAPER = {"bbqn": "BBQN", "bootstrap": "DQN-Bootstrap", "dqn": "DQN"}
+"""``agent=`` -> its name. What keys of other agents mean is not known here."""
+
+
+def agent_name(config: Mapping[str, Any]) -> str:
+    """Returns a name such as ``BBQN-MAP`` or ``DQN-VIME-MC``.
+
+    BBQN-VIME-MC stands for targets and information gain both at weight draws; where the two
+    differ, both are named. An agent or an intrinsic reward that does not come with the package is
+    called by its option's name, in capitals, whatever keys it has.
+
+    Args:
+        config: the composed configuration, nested mappings; groups that a version did not have
+            yet may be absent.
+
+    Examples:
+        >>> agent_name({"agent": {"name": "dqn"}, "explore": {"name": "boltzmann"}})
+        'DQN-Boltzmann'
+        >>> bbqn = {"agent": {"name": "bbqn", "target": "mc"}, "explore": {"name": "thompson"}}
+        >>> agent_name(bbqn | {"intrinsic": {"name": "vime", "weights": "mc"}})
+        'BBQN-VIME-MC'
+        >>> agent_name({"agent": {"name": "polyak"}, "intrinsic": {"name": "visits"}})
+        'POLYAK-VISITS'
+    """
+    option, intrinsic = str(config["agent"]["name"]), config.get("intrinsic") or {}
+    is_known = option in _OF_THE_PAPER
+    agent, explore = (config["agent"], config.get("explore") or {}) if is_known else ({}, {})
+    target = str(agent["target"]).upper() if agent.get("target") else None
+    reward = str(intrinsic.get("name", "none"))
+    gain = str(intrinsic["weights"]).upper() if reward == "vime" else None
+    name = _OF_THE_PAPER.get(option, option.upper())
+    if agent.get("noisy"):
+        name = f"Noisy {name}"
+    if agent.get("double"):
+        name = f"Double {name}"
+    parts = [name]
+    if explore.get("name") == "boltzmann":
+        parts.append("Boltzmann")
+    if target is not None and target != gain:
+        parts.append(target)
+    if reward != "none":
+        parts.append(reward.upper())
+    if gain is not None:
+        parts.append(gain)
+    return "-".join(parts)

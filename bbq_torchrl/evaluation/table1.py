@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bbq_torchrl.evaluation.comparison import booked_columns
 from bbq_torchrl.evaluation.figures import draw_families
-from bbq_torchrl.evaluation.groups import references
-from bbq_torchrl.evaluation.learning import FIRST, reach
+from bbq_torchrl.evaluation.groups import references, runs_report
+from bbq_torchrl.evaluation.metrics import FIRST, reach
 from bbq_torchrl.evaluation.pairs import EARLY, NOT_RUN, compare
-from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
-from bbq_torchrl.evaluation.tables import NONE, Report, Table
+from bbq_torchrl.reports import NONE, Report, Table
+from bbq_torchrl.statistics import estimate, estimate_iqm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -120,7 +120,7 @@ def table1_report(groups: Sequence[Group]) -> Report:
     parts: list[str | Table] = [f"Not run: {'; '.join(missing)}."] if missing else []
     for env in PAPER:
         parts += [f"## env={env}", _cells_table(cells[env], env), _pairs_table(cells[env], env)]
-    return Report(
+    return runs_report(
         "table1",
         f"Table 1: {len(names) - len(missing)} of {len(names)} cells",
         [group for found in cells.values() for group in found.values()],

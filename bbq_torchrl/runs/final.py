@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.checkout import Checkout
+    from bbq_torchrl.runs.build import Checkout
     from bbq_torchrl.runs.train import Agent
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
     from bbq_torchrl.trainers.metrics import MetricRow

@@ -334,13 +334,13 @@ def _end(end: BaseException, overrides: Sequence[str]) -> NoReturn:
     if code := interruption.exit_code():
         if sweep is not None:
             interruption.tell(lambda: "in a sweep", sweep.how_to_go_on)
-        output.complain(interruption.line())
+        output.print_error(interruption.line())
         sys.exit(code)
     if isinstance(end, _Stopped):
         failure = end.args[0]
         if wants_traceback or not isinstance(failure, UsageError):
             raise failure from failure.__cause__
-        output.complain(f"error: {failure}")
+        output.print_error(f"error: {failure}")
         sys.exit(1)
     if sweep is not None:
         sweep.show()
@@ -351,7 +351,7 @@ def _end(end: BaseException, overrides: Sequence[str]) -> NoReturn:
         else:
             causes = [told for one in (end, end.__cause__) if one and (told := sentence(one))]
             said = f"Hydra cannot begin the run: {', '.join(causes) or type(end).__name__}"
-        output.complain(f"error: {said}")
+        output.print_error(f"error: {said}")
         sys.exit(REFUSED)
     raise end
 
@@ -359,5 +359,5 @@ def _end(end: BaseException, overrides: Sequence[str]) -> NoReturn:
 def _refuse(error: Exception) -> NoReturn:
     if _command.wants_traceback:
         raise error
-    output.complain(f"error: {sentence(error)}")
+    output.print_error(f"error: {sentence(error)}")
     sys.exit(REFUSED)

@@ -6,8 +6,8 @@ import dataclasses
 import logging
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import best_script
+from bbq_torchrl.evaluation.runs import agent_name
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -68,14 +68,14 @@ class Sweep:
         is_here = self.launcher in ("cores", "joblib", "basic")
         quiet = cast("Any", sys.stderr and _StandardError(sys.stderr))
         with (
-            interruption.gently(_stop_workers) if is_here else nullcontext(),
+            interruption.on_interrupt(_stop_workers) if is_here else nullcontext(),
             redirect_stderr(quiet),
         ):
             yield
 
     def show(self) -> None:
         """Writes the table of its runs to stderr."""
-        output.complain(table_of_runs(self.folder, self.jobs))
+        output.print_error(table_of_runs(self.folder, self.jobs))
 
     def how_to_go_on(self) -> str:
         """Returns how many runs are finished, and the command that continues the others."""

@@ -74,10 +74,12 @@ def run(
     """
     from bbq_torchrl.evaluation.results import flat_numbers, write_json
     from bbq_torchrl.runs import build, final, folders, messages, resume
-    from bbq_torchrl.runs.checkout import checkout
 
     with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:
-        code, rounds = checkout(), config.protocol.rounds  # now: it may change in the meantime
+        code, rounds = (
+            build.checkout(),
+            config.protocol.rounds,
+        )  # now: it may change in the meantime
         build.set_up_process(config)
         resume.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
         domain = build.make_domain(config) if domain is None else domain
@@ -92,7 +94,7 @@ def run(
         if result is None:
             messages.log_start(config, domain, spiking)
             interruption.tell(lambda: messages.progress(trainer))
-            with interruption.gently(trainer.stop):
+            with interruption.on_interrupt(trainer.stop):
                 trainer.train(resume=config.resume is not None)
             interruption.check()
             result = final.final_result(config, folder, domain, agent, trainer, code)

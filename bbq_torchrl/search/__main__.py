@@ -68,22 +68,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         best = run_search(search, run, lambda config: check(config).domain)
     except interruption.Interrupted:
-        output.complain(interruption.line())
+        output.print_error(interruption.line())
         return interruption.exit_code()
     except ConfigError as error:
         return _refused(error)
     except (OSError, optuna.exceptions.StorageInternalError) as error:
-        output.complain(f"error: {sentence(error)}; the same command goes on with the search")
+        output.print_error(f"error: {sentence(error)}; the same command goes on with the search")
         return 1
     if best is None:
-        output.complain(f"error: no trial was completed; {search.folder} has the reasons")
+        output.print_error(f"error: no trial was completed; {search.folder} has the reasons")
         return 1
     output.write(json.dumps(best) + "\n")
     return 0
 
 
 def _refused(error: Exception) -> int:
-    output.complain(f"error: {sentence(error)}")
+    output.print_error(f"error: {sentence(error)}")
     return 2
 
 

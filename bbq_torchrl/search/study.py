@@ -20,6 +20,7 @@ from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
+from bbq_torchrl.extras import sqlite_url
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.run_folder import CONFIG, write_text
@@ -32,7 +33,6 @@ from bbq_torchrl.search.trials import (
     trial_name,
     write_tables,
 )
-from bbq_torchrl.sqlite import sqlite_url
 from bbq_torchrl.text import sentence, shown
 from bbq_torchrl.trainers import TrainingError, derive_seed
 

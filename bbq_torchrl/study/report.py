@@ -7,7 +7,7 @@ from collections import Counter
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.markdown import table
+from bbq_torchrl.reports import table
 from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.study.comparisons import compare_pairs
 from bbq_torchrl.study.database import PRIVATE

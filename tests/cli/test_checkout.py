@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.runs.checkout import Checkout, checkout
+from bbq_torchrl.runs.build import Checkout, checkout
 from bbq_torchrl.runs.resume import is_finished
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import prepared
 from tiny import TINY
 
 from bbq_torchrl.run_folder import LOCK
-from bbq_torchrl.runs import resume
-from bbq_torchrl.runs.compose import session
 from bbq_torchrl.runs.train import run
 
 DQN = (
@@ -30,6 +29,4 @@ def state_of(folder):
 
 def resumed(folder, *overrides):
     """Goes on with a run as ``train.py resume=<folder>`` does, in this process."""
-    with session():
-        _, config = resume.resumed(folder, [f"resume={folder}", *overrides])
-    return run(config, folder)
+    return run(prepared.resumed(folder, *overrides), folder)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from prepared import resumed
 
 from bbq_torchrl import text
 from bbq_torchrl.evaluate import composed
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.runs import resume
-from bbq_torchrl.runs.compose import compose, session
+from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import load_config, save_config
 from bbq_torchrl.text import sentence
 
@@ -61,11 +61,6 @@ def test_a_run_without_a_spike_is_read_whose_version_named_the_rule_all_the_same
     file.write_text(re.sub(r"(spike:\n(?:  .*\n)*?  policy:) null", r"\1 rule", file.read_text()))
     assert yaml.safe_load(file.read_text())["spike"]["policy"] == "rule"
     assert load_config(file).spike == compose(["spike=none"]).spike
-
-
-def resumed(folder, *overrides):
-    with session():
-        return resume.resumed(folder, [f"resume={folder}", *overrides])[1]
 
 
 def test_a_resumed_run_has_its_own_configuration_but_for_what_may_change(tmp_path):

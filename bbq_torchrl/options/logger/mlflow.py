@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from bbq_torchrl.extras import sqlite_url
 from bbq_torchrl.options import LoggerOption, register
 from bbq_torchrl.options.settings import ANY_TEXT, option, setting
-from bbq_torchrl.sqlite import sqlite_url
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -1,4 +1,4 @@
-"""Parts of a report: tables (shown as Markdown, kept as CSV), text and figures."""
+"""Reports: text, figures, and tables that are shown as Markdown and kept as CSV."""
 
 from __future__ import annotations
 
@@ -6,20 +6,16 @@ import csv
 import math
 import re
 from dataclasses import dataclass
+from io import BytesIO
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from bbq_torchrl import markdown
-from bbq_torchrl.evaluation.figures import save
-from bbq_torchrl.evaluation.groups import know_commits
-from bbq_torchrl.evaluation.learning import rounds_to_reach
+from bbq_torchrl.run_folder import write_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from matplotlib.figure import Figure
-
-    from bbq_torchrl.evaluation.groups import Group
 
 NONE = "–"
 """Stands in Markdown where there is nothing."""
@@ -29,7 +25,7 @@ NONE = "–"
 class Cell(Protocol):
     """A value shown as one cell of a table, by ``str``, and kept as several columns."""
 
-    def columns(self) -> Mapping[str, float]:
+    def csv_columns(self) -> Mapping[str, float]:
         """Returns what the names of the columns end in -> the numbers, with all their digits."""
 
 
@@ -55,7 +51,7 @@ class Table:
         names = dict.fromkeys(name for row in self.rows for name in row)
         cells = [[_shown(row.get(name, NONE)) for name in names] for row in self.rows]
         head = [name.rpartition(": ")[2] for name in names]
-        return markdown.table(head, cells, numbers=len(head) - self.words)
+        return table(head, cells, numbers=len(head) - self.words)
 
     def write(self, folder: Path) -> None:
         """Writes the table as ``<name>.csv``, unrounded; no file where there are no rows.
@@ -77,84 +73,42 @@ class Table:
 
 @dataclass(frozen=True)
 class Report:
-    """A report on groups of runs.
+    """A report: text, tables and figures.
 
     Attributes:
         name: of its Markdown file.
         title: its heading.
-        groups: what it is about.
         parts: paragraphs and tables, in order.
-        figures: name of the file -> its title, and what draws the figure.
+        figures: name of the file -> its title, and the function that draws it.
+        data: tables that are written as CSV only.
     """
 
     name: str
     title: str
-    groups: Sequence[Group]
     parts: Sequence[str | Table]
     figures: Mapping[str, tuple[str, Callable[[], Figure]]]
+    data: Sequence[Table] = ()
 
     @property
     def body(self) -> str:
-        """The report below its heading, as Markdown; last the commits of the code, where known."""
-        return "\n\n".join(filter(None, map(str, (*self.parts, commits_text(self.groups)))))
+        """The report below its heading, as Markdown."""
+        return "\n\n".join(filter(None, map(str, self.parts)))
 
     def __str__(self) -> str:
         return f"# {self.title}\n\n{self.body}\n"
 
     def write(self, folder: Path) -> None:
-        """Writes ``<name>.md``, each table as CSV, each figure as PNG and as SVG.
-
-        And ``replicas.csv``, a row for each replica.
-        """
+        """Writes ``<name>.md``, each table as CSV, each figure as PNG and as SVG."""
         folder.mkdir(parents=True, exist_ok=True)
         shown = [f"![{title}]({name}.png)\n" for name, (title, _) in self.figures.items()]
         (folder / f"{self.name}.md").write_text("\n".join([str(self), *shown]), encoding="utf-8")
-        for part in (*self.parts, replicas_table(self.groups)):
+        for part in (*self.parts, *self.data):
             if isinstance(part, Table):
                 part.write(folder)
         for name, (_, draw) in self.figures.items():
             figure = draw()
             for kind in ("png", "svg"):
                 save(figure, folder / f"{name}.{kind}")
-
-
-def commits_text(groups: Sequence[Group]) -> str:
-    """Returns of which commits the runs are; empty where no run knows."""
-    if not know_commits(groups):
-        return ""
-    together: dict[str, list[str]] = {}
-    for group in groups:
-        together.setdefault(group.commit, []).append(group.label)
-    if len({replica.result.code for group in groups for replica in group.replicas}) == 1:
-        return f"All runs are of commit {groups[0].commit}."
-    lines = [f"- {commit}: {'; '.join(labels)}" for commit, labels in together.items()]
-    return "\n".join(["The runs are of different commits:\n", *lines])
-
-
-def replicas_table(groups: Sequence[Group], name: str = "replicas") -> Table:
-    """Returns a row for each replica."""
-    rows = [
-        {
-            "corpus": replica.result.domain,
-            "env": replica.result.env,
-            "agent": group.label,
-            "replica": replica.number,
-            "seed": replica.result.seed,
-            "rounds": replica.result.rounds,
-            "updates": replica.updates,
-            "success_rate": replica.own.success_rate,
-            "reward": replica.own.reward,
-            "turns": replica.own.turns,
-            "cumulative_success": replica.own.training_success,
-            "rounds_to_60": f"{reached:.0f}".replace("inf", ""),
-        }
-        | ({"commit": replica.result.code} if know_commits(groups) else {})
-        for group in groups
-        for replica, reached in zip(
-            group.replicas, rounds_to_reach(group.success, 0.6).tolist(), strict=True
-        )
-    ]
-    return Table(name, rows)
 
 
 def _shown(cell: object) -> str:
@@ -164,7 +118,7 @@ def _shown(cell: object) -> str:
 def _line(row: Mapping[str, object]) -> dict[str, object]:
     line: dict[str, object] = {}
     for column, cell in row.items():
-        parts = cell.columns() if isinstance(cell, Cell) else {"": cell}
+        parts = cell.csv_columns() if isinstance(cell, Cell) else {"": cell}
         line |= {_plain(column) + end: _kept(part) for end, part in parts.items()}
     return line
 
@@ -177,3 +131,30 @@ def _plain(name: str) -> str:
 def _kept(value: object) -> object:
     is_none = value == NONE or (isinstance(value, float) and not math.isfinite(value))
     return "" if is_none else value
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]], *, numbers: int = 0) -> str:
+    r"""Returns a Markdown table.
+
+    Args:
+        head: the column names.
+        rows: the cells; a pipe in one is escaped.
+        numbers: how many columns, the last ones, are aligned to the right.
+
+    Examples:
+        >>> print(table(("agent", "success"), [("a|b", 0.5)], numbers=1))
+        | agent | success |
+        | --- | ---: |
+        | a\|b | 0.5 |
+    """
+    words = len(head) - numbers
+    lines = [list(head), ["---"] * words + ["---:"] * numbers]
+    lines += [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Writes a figure as its file's ending says: a PNG or an SVG file."""
+    picture = BytesIO()
+    figure.savefig(picture, dpi=150, format=file.suffix.removeprefix("."))
+    write_bytes(file, picture.getvalue())
