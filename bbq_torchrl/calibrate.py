@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments[:1] == ["import"]:
         return importing.main(arguments[1:])
-    interruption.tell(lambda: "in a calibration", lambda: "the same command begins again")
+    interruption.tell(lambda: "in a calibration", lambda: "the same command starts again")
     if not arguments or {"-h", "--help"} & set(arguments):
         output.write(USAGE)
         return 0

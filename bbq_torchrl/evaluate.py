@@ -61,7 +61,7 @@ Meaning and allowed values of a key: {page("configuration")}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    interruption.tell(lambda: "in an evaluation", lambda: "the same command begins again")
+    interruption.tell(lambda: "in an evaluation", lambda: "the same command starts again")
     if not arguments or {"-h", "--help"} & set(arguments):
         output.write(USAGE)
         return 0

@@ -38,7 +38,7 @@ class _State:
     ends_with_parent = False
 
     where: ClassVar[Callable[[], str]] = staticmethod(lambda: "while starting")
-    how: ClassVar[Callable[[], str]] = staticmethod(lambda: "the same command begins again")
+    how: ClassVar[Callable[[], str]] = staticmethod(lambda: "the same command starts again")
 
 
 def listen() -> None:
@@ -78,7 +78,7 @@ def tell(
 
     Args:
         where: how far the work is, such as ``"after 16 of 25 rounds"``.
-        how_to_go_on: such as ``"python train.py resume=runs/x goes on"``.
+        how_to_go_on: such as ``"python train.py resume=runs/x continues it"``.
     """
     _State.where = where or _State.where
     _State.how = how_to_go_on or _State.how

@@ -36,7 +36,7 @@ def main() -> int | None:
             f"error: the command must be one of {', '.join(COMMANDS)}, got {shown(name)}"
         )
         return 2
-    interruption.tell(lambda: f"in bbq {name}", lambda: "the same command begins again")
+    interruption.tell(lambda: f"in bbq {name}", lambda: "the same command starts again")
     interruption.listen()
     module = importlib.import_module(COMMANDS[name][0])
     sys.argv[1:] = arguments[1:]

@@ -40,7 +40,7 @@ def run_folder(composed: DictConfig, overrides: Sequence[str], held: ExitStack) 
         folder = reserve(folder)
     held.enter_context(run_lock(folder))
     if (folder / CONFIG).exists():
-        raise ConfigError(f"{folder} already holds a run; go on with it by resume={folder}")
+        raise ConfigError(f"{folder} already holds a run; continue it by resume={folder}")
     return folder
 
 

@@ -322,10 +322,10 @@ def _failure(error: Exception) -> Exception:
 
 def _how_to_go_on(folder: Path) -> str:
     if not (folder / CONFIG).is_file():
-        return "the same command begins again"
+        return "the same command starts again"
     plain = re.fullmatch(r"[\w./~@%+:-]+", os.fspath(folder)) is not None
     override = f"resume={folder if plain else quoted(folder)}"
-    return f"{shlex.join([*train_command(), override])} goes on"
+    return f"{shlex.join([*train_command(), override])} continues it"
 
 
 def _end(end: BaseException, overrides: Sequence[str]) -> NoReturn:

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 NOT_SWEPT = "resume cannot be combined with --multirun"
 
 ANOTHER_SWEEP = (
-    "a sweep goes on by the same command; give another hydra.sweep.dir, or a hydra.sweep.subdir "
-    "with a folder of its own for each job"
+    "the same command continues a sweep; give another hydra.sweep.dir, or a hydra.sweep.subdir "
+    "with a separate folder for each job"
 )
 
 CHANGEABLE = (
@@ -246,8 +246,8 @@ class Resumption(NamedTuple):
             only = " of a run with protocol.keep_checkpoints=last"
             extended = only if config.protocol.keep_checkpoints == "weights" else ""
             raise ConfigError(
-                f"the run in {folder} is finished ({rounds} rounds): protocol.rounds=<more> goes "
-                f"on beyond the end{extended}"
+                f"the run in {folder} is finished ({rounds} rounds): protocol.rounds=<more> "
+                f"continues beyond the end{extended}"
             )
         return config
 

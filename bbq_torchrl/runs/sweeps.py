@@ -80,7 +80,7 @@ class Sweep:
     def how_to_go_on(self) -> str:
         """Returns how many runs are finished, and the command that continues the others."""
         finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
-        return f"{finished}; the same command with hydra.sweep.dir={self.folder} goes on"
+        return f"{finished}; the same command with hydra.sweep.dir={self.folder} continues"
 
 
 def prepare_sweep(overrides: Sequence[str]) -> Sweep:
@@ -216,7 +216,7 @@ def refuse_unswept(composed: DictConfig, overrides: Sequence[str]) -> None:
 
 
 def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
-    """The folder of a sweep: the one given, new or of a sweep to go on with, or of a free name."""
+    """The folder of a sweep: the one given, new or of a sweep that continues, or a free one."""
     folder = named_folder(composed, "sweep")
     if "hydra.sweep.dir" not in map(key_of, overrides):
         return reserve(folder)
@@ -225,8 +225,8 @@ def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
     except FileExistsError:
         if not (folder / SWEEP_CONFIG).is_file():
             raise ConfigError(
-                "hydra.sweep.dir must be a folder that is not there yet, or that of a sweep to go "
-                f"on with, got {folder}, which is there and has no {SWEEP_CONFIG}"
+                "hydra.sweep.dir must be a folder that is not there yet, or that of a sweep to "
+                f"continue, got {folder}, which is there and has no {SWEEP_CONFIG}"
             ) from None
     except OSError as error:
         raise ConfigError(
@@ -252,7 +252,7 @@ def _check_subfolders(composed: DictConfig, subfolders: Sequence[str]) -> None:
     if not parts or Path(name).is_absolute() or ".." in parts or shared:
         several = f", which is {shared[0]} of several" if shared and shared[0] != name else ""
         raise ConfigError(
-            "hydra.sweep.subdir must name a folder of its own for each job, in that of the sweep, "
+            "hydra.sweep.subdir must name a separate folder for each job, in that of the sweep, "
             f"such as ${{hydra.job.num}}, got {shown(name)}{several}"
         )
 

@@ -28,7 +28,7 @@ USAGE = """\
 usage: python -m bbq_torchrl.search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
 
 Searches for hyper-parameters by Optuna. Every trial is a run of bbq train with the keys given;
-started again with the same command, a search goes on. Prints the best trial as one line of JSON.
+the same command continues a search. Prints the best trial as one line of JSON.
 
   search=      {names}, or a YAML file
   search.trials=, search.objective=, search.folder=, ...
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         the exit code: 1 if no trial was completed or a file could not be written, 2 if refused.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    interruption.tell(lambda: "in a search", lambda: "the same command goes on with the search")
+    interruption.tell(lambda: "in a search", lambda: "the same command continues the search")
     if not arguments or {"-h", "--help"} & set(arguments):
         pages = {name: page(name) for name in ("scale", "configuration")}
         output.write(USAGE.format(names=", ".join(options(SEARCH)), **pages))
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ConfigError as error:
         return _refused(error)
     except (OSError, optuna.exceptions.StorageInternalError) as error:
-        output.print_error(f"error: {sentence(error)}; the same command goes on with the search")
+        output.print_error(f"error: {sentence(error)}; the same command continues the search")
         return 1
     if best is None:
         output.print_error(f"error: no trial was completed; {search.folder} has the reasons")

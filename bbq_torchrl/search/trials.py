@@ -107,7 +107,7 @@ class _Reports:
     def __init__(self, trial: optuna.Trial, settings: SearchConfig) -> None:
         self._trial = trial
         self._settings = settings
-        # A trial that goes on from a checkpoint plays rounds again that it has reported already.
+        # A trial that continues from a checkpoint plays rounds again that it has reported already.
         known = trial.study.get_trials(deepcopy=False)[trial.number].intermediate_values
         self._reported = set(known)
 

@@ -103,7 +103,7 @@ def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(tmp_path):
     arguments = ["--multirun", "seed=1,2", f"hydra.sweep.dir={folder}"]
     assert prepare(arguments).folder == folder
     assert folder.is_dir()
-    with pytest.raises(ConfigError, match=f"or that of a sweep to go on with, got {folder}"):
+    with pytest.raises(ConfigError, match=f"or that of a sweep to continue, got {folder}"):
         prepare(arguments)
     (folder / "multirun.yaml").touch()
     job = folder / "1_bbqn_thompson_full_seed2"
