@@ -118,7 +118,7 @@ def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_say
     sweep = (  # the default launcher is tested, slowly, in test_launchers.py
         "--multirun hydra/launcher=basic +experiment/table1=full_bbqn_map,full_dqn",
         *(*SMALL, "protocol.rounds=1", "replicas=1"),
-        "+hydra.callbacks.keep._target_=cli.returned.KeepReturned",
+        "+hydra.callbacks.keep._target_=runs.returned.KeepReturned",
         f"hydra.sweep.dir={tmp_path / 'sweep'}",
     )
     folders = [tmp_path / "sweep" / "full" / agent / "seed0" for agent in ("bbqn_map", "dqn")]
