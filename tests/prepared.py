@@ -37,7 +37,7 @@ def prepare(
 
     def checked(config: Config) -> checks.Checked:
         check(config)
-        return checks.Checked(None, None)
+        return checks.Checked(config, None, None)
 
     def start(composed: Any, run: Any) -> float:
         begun.append(SimpleNamespace(composed=job.HydraConfig.instance().cfg))

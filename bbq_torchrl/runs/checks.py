@@ -25,13 +25,15 @@ if TYPE_CHECKING:
 
 
 class Checked(NamedTuple):
-    """Parts that the checks of a configuration load and the run needs as well.
+    """A checked configuration, and what the checks had to load that the run needs as well.
 
     Attributes:
+        config: what to run.
         domain: of the dialogues; None where the environment has none.
         spiking: the scripted policy that spikes the buffer; None where nothing is spiked.
     """
 
+    config: Config
     domain: Domain | None
     spiking: str | None
 
@@ -65,7 +67,7 @@ def check(config: Config) -> Checked:
         _check_spike(config, domain, spiking)
     if config.resume is not None:
         _check_resumable(Path(config.resume), config)
-    return Checked(domain, spiking)
+    return Checked(config, domain, spiking)
 
 
 def _check_resumable(folder: Path, config: Config) -> None:

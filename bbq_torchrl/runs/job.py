@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException
@@ -47,27 +47,13 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Iterator, Sequence
 
-    from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.runs.checks import Checked
 
 _LOG = logging.getLogger(__name__)
 
 REFUSED = 2
 """Exit code of a command that was refused; a run that an error stops ends with 1, Hydra's code."""
-
-
-class Start(NamedTuple):
-    """A run that has been checked and has a folder.
-
-    Attributes:
-        config: what to run.
-        domain: of the dialogues, if any.
-        spiking: the scripted policy that spikes the buffer, if any.
-    """
-
-    config: Config
-    domain: Domain | None
-    spiking: str | None
 
 
 @dataclass
@@ -76,7 +62,7 @@ class _Command:
 
     held: ExitStack = field(default_factory=ExitStack)
     resumption: Resumption | None = None
-    start: Start | None = None
+    run: Checked | None = None
     sweep: Sweep | None = None
     wants_traceback: bool = False
 
@@ -99,7 +85,7 @@ class Checks(Callback):
         """Checks a single run, and chooses and locks its folder."""
         with _refusing():
             overrides = _overrides(config)
-            _command.start = begin(config, overrides, _command.held, _command.resumption)
+            _command.run = begin(config, overrides, _command.held, _command.resumption)
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         """Checks every job of a sweep, and makes its folder."""
@@ -119,7 +105,7 @@ def begin(
     overrides: Sequence[str],
     held: ExitStack,
     resumption: Resumption | None = None,
-) -> Start:
+) -> Checked:
     """Checks a single run before anything is written, and gives it a folder.
 
     Args:
@@ -147,14 +133,14 @@ def begin(
     refuse_other_folder(overrides, "sweep", "a sweep (--multirun)", "run")
     from bbq_torchrl.runs import checks  # torch and torchrl take ten seconds
 
-    domain, spiking = checks.check(config)
+    checked = checks.check(config)
     with read_write(composed), open_dict(composed):
         if resumption is None:
             composed.hydra.run.dir = str(run_folder(composed, overrides, held))
         else:
             composed.hydra.run.dir = str(resumption.folder)
             composed.hydra.output_subdir = None  # as the first process wrote it
-    return Start(config, domain, spiking)
+    return checked
 
 
 def job(composed: DictConfig, run: Callable[..., RunResult]) -> float:
@@ -169,11 +155,11 @@ def job(composed: DictConfig, run: Callable[..., RunResult]) -> float:
     """
     folder = Path(HydraConfig.get().runtime.output_dir)
     interruption.tell(how_to_go_on=lambda: _how_to_go_on(folder))
-    start = _command.start
-    if start is None:
+    checked = _command.run
+    if checked is None:
         return _job_of_a_sweep(composed, folder, run)
     try:
-        result = run(start.config, folder, domain=start.domain, spiking=start.spiking)
+        result = run(checked.config, folder, domain=checked.domain, spiking=checked.spiking)
     except Exception as error:
         raise _Stopped(_failure(error)) from error
     return result.success_rate
@@ -210,7 +196,7 @@ def command(hydra_main: Callable[[], object]) -> Callable[[], None]:
         output.escape()  # what is logged
         with ExitStack() as held:
             _command.held, _command.wants_traceback = held, told == "1"
-            _command.resumption = _command.start = _command.sweep = None
+            _command.resumption = _command.run = _command.sweep = None
             try:
                 overrides = _checked_arguments(arguments)
             except (ValueError, OSError) as error:
@@ -345,7 +331,7 @@ def _end(end: BaseException, overrides: Sequence[str]) -> NoReturn:
     if sweep is not None:
         sweep.show()
     elif isinstance(end, Exception) and not wants_traceback:
-        if _command.start is None:
+        if _command.run is None:
             with session():
                 said = why_refused(end, overrides)
         else:

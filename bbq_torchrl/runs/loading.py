@@ -202,9 +202,9 @@ def train(overrides: Sequence[str] = (), *, options: Path | str | None = None) -
                 composed = compose_raw(overrides if resumption is None else resumption.arguments())
                 if resumption is None and composed.hydra.mode is RunMode.MULTIRUN:
                     raise ConfigError(_SWEEP)
-                start = begin(composed, overrides, held, resumption)
+                checked = begin(composed, overrides, held, resumption)
             folder = Path(composed.hydra.run.dir).resolve()
-            result = run(start.config, folder, domain=start.domain, spiking=start.spiking)
+            result = run(checked.config, folder, domain=checked.domain, spiking=checked.spiking)
             return TrainedRun(folder, result)
     finally:
         torch.set_num_threads(threads)

@@ -49,14 +49,14 @@ def test_jobs_that_only_another_sweeper_knows_are_left_to_it():
 def test_a_single_run_is_checked_once_and_trains_with_what_the_check_has_loaded(
     tmp_path, monkeypatch
 ):
-    checked = checks.Checked(Mock(), "rule")
-    check, run = Mock(return_value=checked), Mock(return_value=Mock(success_rate=0.0))
+    domain, run = Mock(), Mock(return_value=Mock(success_rate=0.0))
+    check = Mock(side_effect=lambda config: checks.Checked(config, domain, "rule"))
     monkeypatch.setattr(checks, "check", check)
     monkeypatch.setattr(train, "run", run)
     monkeypatch.setattr(sys, "argv", ["train.py", "agent=dqn", f"hydra.run.dir={tmp_path / 'it'}"])
     train.main()
     (config,) = check.call_args.args
-    run.assert_called_once_with(config, tmp_path / "it", domain=checked.domain, spiking="rule")
+    run.assert_called_once_with(config, tmp_path / "it", domain=domain, spiking="rule")
     assert run.call_args.args[0] is config
     assert "agent=dqn" in (tmp_path / "it" / ".hydra" / "overrides.yaml").read_text()
 
