@@ -10,20 +10,21 @@ import shutil
 import pytest
 from tiny import TINY
 
-import bbq_torchrl.runs.train as runs
 from bbq_torchrl import evaluate
 from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.runs import final
 from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 
 
 @pytest.fixture
 def played(tmp_path, monkeypatch):
     """Runs a configuration; returns its result and the titles of its curves."""
     titles = []
-    monkeypatch.setattr(runs, "draw_run", lambda *_, title, **__: titles.append(title))
+    monkeypatch.setattr(final, "draw_run", lambda *_, title, **__: titles.append(title))
 
     def play(*overrides):
-        runs.run(compose([*TINY, "agent=dqn", "protocol.rounds=1", *overrides]), tmp_path)
+        run(compose([*TINY, "agent=dqn", "protocol.rounds=1", *overrides]), tmp_path)
         return read_result(tmp_path), titles
 
     return play
