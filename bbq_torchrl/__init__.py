@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import moved
+from bbq_torchrl import renamed
 
 if TYPE_CHECKING:
     from bbq_torchrl.runs.loading import config_dir, load_run, train
@@ -21,7 +21,7 @@ __all__ = ["__version__", "config_dir", "load_run", "train"]
 
 __version__ = "0.2.0.dev0"
 
-moved.register(__name__)
+renamed.install(__name__)
 
 
 def __getattr__(name: str) -> Any:

@@ -101,7 +101,7 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
 
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.rollouts import evaluate
-    from bbq_torchrl.options.env.full import FullDomain
+    from bbq_torchrl.options.env import FullDomain
     from bbq_torchrl.runs.checks import check_device
     from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import derive_seed, keep_freed_memory

@@ -94,7 +94,7 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     """
     import torch
 
-    from bbq_torchrl.domains.validate import RANDOM_POLICY
+    from bbq_torchrl.domains.parts import RANDOM_POLICY
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.runs.build import make_domain
     from bbq_torchrl.runs.checks import check_device

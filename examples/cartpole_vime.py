@@ -25,7 +25,7 @@ from torchrl.objectives import HardUpdate
 from bbq_torchrl.exploration import Greedy
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
-from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss, VIMEReward
+from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMEReward
 
 
 def recent(returns: list[float]) -> float:
@@ -59,9 +59,9 @@ def main() -> None:
         batch_size=128,
     )
     q_loss = DropoutDQNLoss(actor, gamma=0.99, loss_function="smooth_l1")
-    loss = VIMELoss(q_loss, DynamicsLoss(dynamics))
-    freeze = HardUpdate(loss, value_network_update_interval=100)
-    optimizer = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    dynamics_loss = DynamicsLoss(dynamics)
+    freeze = HardUpdate(q_loss, value_network_update_interval=100)
+    optimizer = torch.optim.Adam([*q_loss.parameters(), *dynamics_loss.parameters()], lr=1e-3)
 
     returns: list[float] = []
     collector = Collector(
@@ -74,11 +74,12 @@ def main() -> None:
     for number, rows in enumerate(collector):
         memory.extend(rows)
         epsilon.step(len(rows))
-        loss.set_num_data(len(memory))
+        dynamics_loss.set_num_data(len(memory))
         for _ in range(args.updates_per_batch):
-            losses = loss(memory.sample())
+            batch = memory.sample()
+            losses = dynamics_loss(batch)
             optimizer.zero_grad()
-            losses["loss"].backward()
+            (q_loss(batch)["loss"] + losses["loss"]).backward()
             optimizer.step()
             freeze.step()
         returns += rows["next", "episode_reward"][rows["next", "done"]].tolist()

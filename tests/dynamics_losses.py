@@ -6,9 +6,9 @@ import pickle
 from copy import deepcopy
 
 import torch
-from q_transitions import ACTIONS, FEATURES, off_prior, plain_loss
+from q_transitions import ACTIONS, FEATURES, off_prior
 
-from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMELoss
+from bbq_torchrl.vime import DynamicsLoss, DynamicsModel
 
 # How a loss is copied, with another one at hand that was made alike.
 COPIES = {
@@ -29,13 +29,6 @@ def model(replicas=(), dtype=torch.float, **settings):
 
 def dynamics_loss(replicas=(), dtype=torch.float, **settings):
     return DynamicsLoss(model(replicas, dtype), **{"num_data": 100, **settings})
-
-
-def vime_loss(replicas=(), *, dtype=torch.float, kl_temperature=1.0, dynamics_every=1, **settings):
-    """A DQN loss, whose settings these are, beside one of the dynamics."""
-    q_loss, update = plain_loss(replicas, dtype=dtype, **settings)
-    dynamics = dynamics_loss(replicas, dtype, kl_temperature=kl_temperature)
-    return VIMELoss(q_loss, dynamics, dynamics_every=dynamics_every), update
 
 
 def result(loss, td):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class BayesConv2d(BayesLayer):
     """A 2d convolution with a Gaussian over every weight and bias.
 
-    In mode "local" each row has a draw of its own of the whole kernel. (Noise for each position
+    In mode "local" each row has a separate draw of the whole kernel. (Noise for each position
     of the output, as Kingma, Salimans and Welling have it for dense layers, would be no draw of a
     kernel: its positions would be independent.)
 
@@ -103,7 +103,7 @@ class BayesConv2d(BayesLayer):
         return out.reshape(*x.shape[:-3], *out.shape[-3:])
 
     def run_local(self, x: Tensor) -> Tensor:
-        """Returns the outputs where each row has a kernel of its own."""
+        """Returns the outputs where each row has a separate kernel."""
         rows = x.shape[len(self.replicas) : -3]
         return self.run(x, self.draw_weights(rows))
 

@@ -75,7 +75,7 @@ class BayesMLP(BayesLayer):
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inactive inputs and outputs to the prior.
 
-        See :class:`bbq_torchrl.networks.growth.Growing`.
+        See :class:`bbq_torchrl.protocols.Growing`.
         """
         posterior = self.posterior
         is_inactive = torch.zeros(self.layout.numel, dtype=torch.bool, device=posterior.mu.device)

@@ -47,7 +47,7 @@ def once_differentiable(backward: Callable[..., Result]) -> Callable[..., Result
 
 
 class FlatLayout:
-    """Where the weights and biases of an MLP lie in its flat vector.
+    """The layout of an MLP's weights and biases in its flat vector.
 
     Args:
         sizes: features of the input, of each hidden layer, and of the output.
@@ -169,7 +169,7 @@ def affine(x: Tensor, matrix: Tensor, bias: Tensor, scale: float = 1.0) -> Tenso
 def affine_of_own_draws(
     x: Tensor, mean: tuple[Tensor, Tensor], variance: tuple[Tensor, Tensor]
 ) -> Tensor:
-    """Returns x W + b where each row has a draw of W and b of its own, shape [L, M, out].
+    """Returns x W + b where each row has a separate draw of W and b, shape [L, M, out].
 
     Args:
         x: inputs, shape [L, M, in].

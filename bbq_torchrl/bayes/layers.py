@@ -1,4 +1,4 @@
-"""What a Bayesian layer is made of; a layer of one's own starts here."""
+"""The base class of Bayesian layers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bbq_torchrl.bayes.scope import (
     resolve_weight_mode,
     weight_scope,
 )
-from bbq_torchrl.bayes.settings import check_choice
+from bbq_torchrl.checks import check, one_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +27,7 @@ MeanInit = Literal["zero", "kaiming"]
 
 
 class LayerSettings(TypedDict, total=False):
-    """What every layer takes besides its sizes; :class:`BayesLayer` has meanings and defaults."""
+    """The keywords of every layer; :class:`BayesLayer` has meanings and defaults."""
 
     replicas: int | Sequence[int]
     prior_std: float | Tensor | Literal["fan_in"]
@@ -98,7 +98,7 @@ class BayesLayer(nn.Module):
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
-        check_choice("mean_init", mean_init, get_args(MeanInit))
+        check("mean_init", mean_init, one_of(*get_args(MeanInit)))
         if (isinstance(prior_std, str) and prior_std != "fan_in") or (
             isinstance(prior_std, (int, float)) and not prior_std > 0
         ):
@@ -121,7 +121,7 @@ class BayesLayer(nn.Module):
         return self.posterior.replicas
 
     def reset_parameters(self) -> None:
-        """Starts again as ``mean_init`` and ``std_init`` say."""
+        """Sets the parameters to the start that ``mean_init`` and ``std_init`` describe."""
         self.posterior.reset_parameters()
         if self.mean_init == "kaiming":
             self.init_means_()
@@ -137,7 +137,8 @@ class BayesLayer(nn.Module):
 
     def draw_weights(self, rows: Sequence[int] = ()) -> Tensor:
         """Returns draws of all weights, [*replicas, *rows, P], to hand to :meth:`forward`."""
-        return self.posterior.sample(rows)
+        scope = current_scope()
+        return self.posterior.sample(rows, noise=scope.noise, sigma=scope.sigma)
 
     def run(self, x: Tensor, weights: Tensor) -> Tensor:
         """Returns the outputs with these weights.
@@ -145,12 +146,12 @@ class BayesLayer(nn.Module):
         Args:
             x: inputs, [*replicas, *batch, *features].
             weights: [*replicas, *rows, P] where rows are the first dimensions of batch: each of
-                these rows has weights of its own.
+                these rows has separate weights.
         """
         raise NotImplementedError
 
     def run_local(self, x: Tensor) -> Tensor:
-        """Returns the outputs where each row has weights of its own, without drawing them all.
+        """Returns the outputs where each row has separate weights, without drawing them all.
 
         Raises:
             ValueError: as long as a subclass does not implement it.
@@ -168,10 +169,10 @@ class BayesLayer(nn.Module):
         Args:
             x: inputs, shape [*replicas, *batch, *features].
             mode: "draw" (one weight draw of each replica for the whole call),
-                "local" (a draw of its own for each row), "mean", or None for what
+                "local" (a separate draw for each row), "mean", or None for what
                 :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
             weights: weights to use instead, [*replicas, *rows, P] where rows are the first
-                dimensions of batch: each of these rows then has weights of its own.
+                dimensions of batch: each of these rows then has separate weights.
 
         Raises:
             ValueError: for another mode, or a shape that does not fit.
@@ -181,7 +182,7 @@ class BayesLayer(nn.Module):
             weights = scope.weights.get(self.posterior)
             if weights is None:
                 if scope.kl is not None:
-                    scope.kl.add([self.posterior])
+                    self.posterior.add_kl(scope.kl)
                 return self.run_local(x)
         return self.run(x, self.posterior.weights(mode) if weights is None else weights)
 
@@ -189,7 +190,7 @@ class BayesLayer(nn.Module):
 def own_weights_of_rows(
     module: nn.Module, batch: torch.Size
 ) -> AbstractContextManager[WeightScope]:
-    """Returns a scope in which each row of a batch has weights of its own.
+    """Returns a scope in which each row of a batch has separate weights.
 
     By local reparameterization, or, of a posterior whose layer has none, by a draw for each row.
 

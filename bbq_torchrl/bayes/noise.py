@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from bbq_torchrl.bayes.posterior import GaussianPosterior
+    from collections.abc import Sequence
 
 _LEVELS = 2**16  # 16 random bits a number
 _WORTHWHILE = 2**13  # below this many numbers torch's own generator is as fast
@@ -106,14 +106,25 @@ def fill_kept_(out: Tensor, dropout: float) -> Tensor:
     return torch.ge(uniform, least, out=out)
 
 
-class NoiseSource(Protocol):
-    """What a :func:`weight_scope` takes as ``noise``."""
+class Drawn(Protocol):
+    """A posterior that weights are drawn from, as far as its noise is concerned."""
 
-    def normal(self, posterior: GaussianPosterior, shape: torch.Size) -> Tensor:
+    @property
+    def mu(self) -> Tensor:
+        """The means, [*replicas, P]."""
+
+    def new_noise(self, shape: Sequence[int]) -> Tensor:
+        """Returns standard normal numbers from torch's generator."""
+
+
+class NoiseSource(Protocol):
+    """The noise of weight draws, as :func:`weight_scope` takes it."""
+
+    def normal(self, posterior: Drawn, shape: torch.Size) -> Tensor:
         """Returns standard normal numbers for a draw from the posterior.
 
         Args:
-            posterior: what is drawn from.
+            posterior: draws are from it.
             shape: of the draw, [*replicas, *rows, P].
         """
 
@@ -122,7 +133,7 @@ class NoisePool:
     """Noise for many batches: each draw takes a window of numbers that are made once.
 
     Normal numbers for all weights are a good part of a Bayes-by-Backprop update on a CPU. Here
-    every replica of a network has a pool of its own, ``draws`` times as many numbers as it has
+    every replica of a network has a separate pool, ``draws`` times as many numbers as it has
     weights, made at the first draw from torch's global generator; the noise of a draw is a window
     of it at a random place (the noise table of Salimans et al. 2017, "Evolution Strategies as a
     Scalable Alternative to Reinforcement Learning"). Each draw is of independent standard normal
@@ -152,9 +163,9 @@ class NoisePool:
             raise ValueError(f"draws must be at least 2, got {draws}")
         self.draws = draws
         # numbers, and places that were drawn for windows to come
-        self._pools: dict[GaussianPosterior, tuple[Tensor, list[int]]] = {}
+        self._pools: dict[Drawn, tuple[Tensor, list[int]]] = {}
 
-    def normal(self, posterior: GaussianPosterior, shape: torch.Size) -> Tensor:
+    def normal(self, posterior: Drawn, shape: torch.Size) -> Tensor:
         """Returns the noise of a draw: a window of the pool, or new noise; see the class."""
         mu = posterior.mu
         if shape != mu.shape or mu.device.type != "cpu" or is_transformed():
@@ -170,7 +181,7 @@ class NoisePool:
 
 
 class SharedNoise:
-    """Weight draws of several passes with one and the same noise.
+    """The same noise for the weight draws of several passes.
 
     The n-th draw from a posterior with this source has the noise of the n-th draw with the source
     that it was made :meth:`again` of: with other parameters μ', ρ' in place the weights there are
@@ -197,8 +208,8 @@ class SharedNoise:
 
     def __init__(self, source: NoiseSource | None = None) -> None:
         self._source = source
-        self._drawn: dict[GaussianPosterior, list[Tensor]] = {}
-        self._used: dict[GaussianPosterior, int] = {}
+        self._drawn: dict[Drawn, list[Tensor]] = {}
+        self._used: dict[Drawn, int] = {}
 
     def again(self) -> SharedNoise:
         """Returns a source that begins with the first noise again and shares what follows."""
@@ -206,7 +217,7 @@ class SharedNoise:
         other._drawn = self._drawn
         return other
 
-    def normal(self, posterior: GaussianPosterior, shape: torch.Size) -> Tensor:
+    def normal(self, posterior: Drawn, shape: torch.Size) -> Tensor:
         """Returns the noise of the next draw."""
         drawn = self._drawn.setdefault(posterior, [])
         number = self._used.get(posterior, 0)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from typing import TYPE_CHECKING
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.noise import fill_normal_, is_transformed
-from bbq_torchrl.bayes.replicas import replica_shape
-from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
-from bbq_torchrl.bayes.settings import check_choice, checked_number
-from bbq_torchrl.bayes.weight_draw import KL_KINDS, KLKind, closed_kl, draw_with_kl
+from bbq_torchrl.bayes.replicas import checked_number, replica_shape
+from bbq_torchrl.bayes.scope import KLSum, WeightMode, current_scope, resolve_weight_mode
+from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind, closed_kl, draw_with_kl
+from bbq_torchrl.checks import check
+
+if TYPE_CHECKING:
+    from bbq_torchrl.bayes.noise import NoiseSource
 
 
 def inverse_softplus(std: Tensor) -> Tensor:
@@ -139,7 +143,7 @@ class GaussianPosterior(nn.Module):
         return noise
 
     def weights(self, mode: WeightMode | None = None) -> Tensor:
-        """Returns the weights that a layer is to use, [*replicas, *rows, P].
+        """Returns the weights for a layer to use, [*replicas, *rows, P].
 
         Those that the :func:`weight_scope` around the call gives to this posterior, else a draw
         or the mean, whose KL goes into the scope's sum if it has one.
@@ -160,31 +164,51 @@ class GaussianPosterior(nn.Module):
                 'mode "local" needs a layer with local reparameterization: use mode "draw" or '
                 "give the weights"
             )
-        if mode == "draw":
-            return self.sample() if scope.kl is None else scope.kl.draw(self)
-        if scope.kl is not None:
-            scope.kl.add([self])
-        return self.mu
+        if mode == "mean":
+            if scope.kl is not None:
+                self.add_kl(scope.kl)
+            return self.mu
+        if scope.kl is None or self in scope.kl:
+            return self.sample(noise=scope.noise, sigma=scope.sigma)
+        cache = scope.kl.cache
+        known = None if cache is None else cache.get(self)
+        weights, kl = self.sample_with_kl(scope.kl.kind, known, noise=scope.noise)
+        scope.kl.add(self, kl)
+        if cache is not None and known is None:
+            cache[self] = kl.detach()
+        return weights
 
-    def sample(self, rows: Sequence[int] = ()) -> Tensor:
+    def sample(
+        self,
+        rows: Sequence[int] = (),
+        *,
+        noise: NoiseSource | None = None,
+        sigma: dict[Hashable, Tensor] | None = None,
+    ) -> Tensor:
         """Returns a draw of the weights for each of ``rows``, [*replicas, *rows, P].
 
-        Differentiable in mu and rho.
-        """
-        scope = current_scope()
-        whole = torch.Size((*self.replicas, *rows, self.mu.shape[-1]))
-        noise = self.new_noise(whole) if scope.noise is None else scope.noise.normal(self, whole)
-        shape = (*self.replicas, *(1 for _ in rows), whole[-1])
-        sigma = self._sigma_held(scope.sigma)
-        return torch.addcmul(self.mu.reshape(shape), sigma.reshape(shape), noise)
+        Differentiable in mu and, without a cache of σ, in rho.
 
-    def _sigma_held(self, held: dict[GaussianPosterior, Tensor] | None) -> Tensor:
-        """Returns the standard deviations; those held, without a gradient, where there are any."""
-        if held is None:
+        Args:
+            rows: a shape; () for one draw a replica.
+
+        Keyword Args:
+            noise: the source of the noise. Defaults to None: torch's generator.
+            sigma: a cache of standard deviations by posterior. Defaults to None: they are computed.
+        """
+        whole = torch.Size((*self.replicas, *rows, self.mu.shape[-1]))
+        drawn = self.new_noise(whole) if noise is None else noise.normal(self, whole)
+        shape = (*self.replicas, *(1 for _ in rows), whole[-1])
+        std = self._std_of_draw(sigma)
+        return torch.addcmul(self.mu.reshape(shape), std.reshape(shape), drawn)
+
+    def _std_of_draw(self, cache: dict[Hashable, Tensor] | None) -> Tensor:
+        """Returns the standard deviations; with a cache its own, without a gradient."""
+        if cache is None:
             return self.sigma
-        if self not in held:
-            held[self] = self.sigma.detach()
-        return held[self]
+        if self not in cache:
+            cache[self] = self.sigma.detach()
+        return cache[self]
 
     @torch.no_grad()
     def redraw_(self, draws: Tensor, where: Tensor) -> None:
@@ -205,7 +229,11 @@ class GaussianPosterior(nn.Module):
         flat[which] = torch.addcmul(mu[replica], F.softplus(rho[replica]), noise)
 
     def sample_with_kl(
-        self, kind: KLKind = "closed", known_kl: Tensor | None = None
+        self,
+        kind: KLKind = "closed",
+        known_kl: Tensor | None = None,
+        *,
+        noise: NoiseSource | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Returns a draw [*replicas, P] and the KL from the prior [*replicas], sharing σ.
 
@@ -215,25 +243,42 @@ class GaussianPosterior(nn.Module):
             known_kl: an earlier value of the closed KL, [*replicas], to be returned in the place of
                 today's; its gradient is today's all the same. Defaults to None.
 
+        Keyword Args:
+            noise: the source of the noise. Defaults to None: torch's generator.
+
         Raises:
             ValueError: for any other string, or a known KL of another kind than "closed".
         """
-        check_choice("kl", kind, KL_KINDS)
+        check("kl", kind, KL_KIND)
         if known_kl is not None and kind != "closed":
             raise ValueError(f"known_kl needs kl='closed', got {kind!r}")
-        source = current_scope().noise
         fill_noise_ = None
-        if source is not None:
-            noise = source.normal(self, self.mu.shape)
+        if noise is not None:
+            drawn = noise.normal(self, self.mu.shape)
         elif is_transformed():
-            noise = self.new_noise(self.mu.shape)
+            drawn = self.new_noise(self.mu.shape)
         else:  # filled a part at a time, along with the draw
-            noise, fill_noise_ = self.mu.new_empty(self.mu.shape), self.fill_noise_
-        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, noise, fill_noise_, known_kl)
+            drawn, fill_noise_ = self.mu.new_empty(self.mu.shape), self.fill_noise_
+        return draw_with_kl(self.mu, self.rho, self.prior_std, kind, drawn, fill_noise_, known_kl)
 
     def kl(self) -> Tensor:
         """Returns the KL from the prior in closed form, [*replicas], in nats."""
         return closed_kl(self.mu, self.rho, self.prior_std)
+
+    def add_kl(self, total: KLSum) -> None:
+        """Adds the closed KL to a sum, unless the posterior is in it already.
+
+        Raises:
+            ValueError: if the sum is one of sampled KLs.
+        """
+        if self in total:
+            return
+        if total.kind == "sampled":
+            raise ValueError(
+                'kl="sampled" needs weight draws by GaussianPosterior.weights() in mode '
+                f'"draw", and there was none of {self}: use kl="closed"'
+            )
+        total.add(self, self.kl())
 
     def extra_repr(self) -> str:
         """Returns the sizes for ``repr``."""

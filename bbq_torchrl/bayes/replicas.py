@@ -1,4 +1,4 @@
-"""Replicas, independent networks side by side: their shape."""
+"""Replicas, independent networks in one: their shape, and numbers for each of them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ from operator import index
 from typing import TYPE_CHECKING, SupportsIndex
 
 import torch
+from torch import Tensor
+
+from bbq_torchrl.checks import ABOVE_ZERO
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from torch import nn
+
+    from bbq_torchrl.checks import Allowed
 
 
 def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:
@@ -59,3 +64,40 @@ def replicas_of(network: nn.Module) -> torch.Size:
             f"the network's layers must have one replica dimension in common, got {shapes}"
         )
     return shapes.pop() if shapes else torch.Size(())
+
+
+def checked_number(
+    name: str,
+    value: float | Tensor,
+    replicas: Sequence[int] = (),
+    allowed: Allowed = ABOVE_ZERO,
+) -> float | Tensor:
+    """Returns a number as it is, and one for each replica as float64 [*replicas]; both checked.
+
+    In float64, so that results round as they do with one Python number.
+
+    Args:
+        name: of the setting, for the message.
+        value: a number, or a tensor or list [*replicas], or a tensor [].
+        replicas: the shape.
+        allowed: the numbers that the setting may have.
+
+    Raises:
+        ValueError: for another shape, or a value that is not allowed.
+
+    Examples:
+        >>> checked_number("noise_std", 1.0), checked_number("eta", torch.tensor([1, 2]), (2,))
+        (1.0, tensor([1., 2.], dtype=torch.float64))
+    """
+    if not isinstance(value, (int, float)):
+        value = torch.as_tensor(value, dtype=torch.float64).detach()
+        if value.shape not in (torch.Size(replicas), torch.Size()):
+            raise ValueError(
+                f"{name} must be one number or have the replicas' shape {list(replicas)}, got "
+                f"{list(value.shape)}"
+            )
+    numbers = value.flatten().tolist() if isinstance(value, Tensor) else [value]
+    if not all(map(allowed.test, numbers)):
+        got = value.tolist() if isinstance(value, Tensor) else value
+        raise ValueError(f"{name} must be {allowed.text}, got {got}")
+    return value

@@ -1,4 +1,4 @@
-"""The one scope that says which weights the layers inside of it use, and what comes with them.
+"""The scope that sets the weights of the layers inside of it, their noise and their KL.
 
 A layer uses the weights that it is called with, else those that the :func:`weight_scope` around the
 call gives it; else the mode that it is called with, that of the scope, or the one that follows from
@@ -16,71 +16,50 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from tensordict.nn.probabilistic import InteractionType, interaction_type
 
-from bbq_torchrl.bayes.settings import check_choice
-from bbq_torchrl.bayes.weight_draw import KL_KINDS, KLKind
+from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
+from bbq_torchrl.checks import check, one_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Hashable, Iterator, Mapping
 
     from torch import Tensor
 
     from bbq_torchrl.bayes.noise import NoiseSource
-    from bbq_torchrl.bayes.posterior import GaussianPosterior
 
 WeightMode = Literal["draw", "local", "mean"]
-WEIGHT_MODES: tuple[str, ...] = get_args(WeightMode)
+WEIGHT_MODE = one_of(*get_args(WeightMode))
 
 
 class KLSum:
     """The KL from the prior of every posterior that is used, each counted once.
 
-    A layer that draws its weights computes its KL along with the draw and shares σ with it.
+    A posterior that draws its weights adds its KL along with the draw and shares σ with it.
 
     Args:
         kind: "closed", or "sampled" (log q(w) - log p(w) at the draw; needs layers that draw
             their weights).
-        known: values of the closed KL by posterior, kept by the caller from one sum to the next. A
-            posterior that is drawn from and found there reports the known value with the
+        cache: values of the closed KL by posterior, kept by the caller from one sum to the next. A
+            posterior that is drawn from and found there reports the cached value with the
             gradient of today's; one that is not is added. Defaults to None: all are computed.
 
     Raises:
-        ValueError: for another kind; at a draw, for known values of another one than "closed".
+        ValueError: for another kind; at a draw, for a cache of another kind than "closed".
     """
 
     def __init__(
-        self, kind: KLKind = "closed", known: dict[GaussianPosterior, Tensor] | None = None
+        self, kind: KLKind = "closed", cache: dict[Hashable, Tensor] | None = None
     ) -> None:
-        check_choice("kl", kind, KL_KINDS)
+        check("kl", kind, KL_KIND)
         self.kind = kind
-        self._known = known
-        self._terms: dict[GaussianPosterior, Tensor] = {}
+        self.cache = cache
+        self._terms: dict[Hashable, Tensor] = {}
 
-    def draw(self, posterior: GaussianPosterior) -> Tensor:
-        """Returns a weight draw [*replicas, P] and adds the KL at the posterior's first draw."""
-        if posterior in self._terms:
-            return posterior.sample()
-        known = None if self._known is None else self._known.get(posterior)
-        weights, kl = posterior.sample_with_kl(self.kind, known)
+    def __contains__(self, posterior: object) -> bool:
+        return posterior in self._terms
+
+    def add(self, posterior: Hashable, kl: Tensor) -> None:
+        """Adds the KL [*replicas] of a posterior that is not in the sum yet."""
         self._terms[posterior] = kl
-        if self._known is not None and known is None:
-            self._known[posterior] = kl.detach()
-        return weights
-
-    def add(self, posteriors: Iterable[GaussianPosterior]) -> None:
-        """Adds the closed KL of those posteriors that are not in the sum.
-
-        Raises:
-            ValueError: if there is one and the kind is "sampled".
-        """
-        for posterior in posteriors:
-            if posterior in self._terms:
-                continue
-            if self.kind == "sampled":
-                raise ValueError(
-                    'kl="sampled" needs weight draws by GaussianPosterior.weights() in mode '
-                    f'"draw", and there was none of {posterior}: use kl="closed"'
-                )
-            self._terms[posterior] = posterior.kl()
 
     def total(self) -> Tensor:
         """Returns the sum over the posteriors, [*replicas], in nats.
@@ -96,7 +75,7 @@ class KLSum:
 
 @dataclass(frozen=True)
 class WeightScope:
-    """What a layer reads: one object a :func:`weight_scope`.
+    """The settings of a :func:`weight_scope`, as layers read them.
 
     Attributes:
         mode: "draw", "local", "mean", or None to follow the exploration type.
@@ -104,7 +83,7 @@ class WeightScope:
         noise: where the noise of weight draws comes from; None for new noise from torch's
             generator.
         kl: takes in the KL of the posteriors used, or None.
-        sigma: standard deviations [*replicas, P] to use in draws without a KL, by posterior; a
+        sigma: a cache of standard deviations [*replicas, P] for draws without a KL, by posterior; a
             posterior that is not found is added, without a gradient. None: computed at each draw.
     """
 
@@ -112,7 +91,7 @@ class WeightScope:
     weights: Mapping[Any, Tensor] = field(default_factory=dict)
     noise: NoiseSource | None = None
     kl: KLSum | None = None
-    sigma: dict[GaussianPosterior, Tensor] | None = None
+    sigma: dict[Hashable, Tensor] | None = None
 
 
 _NOWHERE = WeightScope()
@@ -128,7 +107,7 @@ _here = _Here()
 
 
 def current_scope() -> WeightScope:
-    """Returns what the innermost :func:`weight_scope` of this thread says; empty outside."""
+    """Returns the innermost :func:`weight_scope` of this thread; an empty one outside."""
     return _here.scope
 
 
@@ -139,14 +118,14 @@ def weight_scope(
     weights: Mapping[Any, Tensor] | None = None,
     noise: NoiseSource | None = None,
     kl: KLKind | KLSum | None = None,
-    sigma: dict[GaussianPosterior, Tensor] | None = None,
+    sigma: dict[Hashable, Tensor] | None = None,
 ) -> Iterator[WeightScope]:
-    """Says which weights the layers inside of it use. What is not given is as outside of it.
+    """Sets the weights of the layers inside of it. What is not given is as outside of it.
 
     - ``"draw"``: one draw of a layer's weights for each of its calls, shared by the call's rows
       (dropout: a mask). A layer that a network runs twice has two draws, in a loss too; to have
       one, call it with the weights of one :meth:`BayesLayer.draw_weights`.
-    - ``"local"``: a draw of its own for each row, by local reparameterization where that is exact
+    - ``"local"``: a separate draw for each row, by local reparameterization where that is exact
       (Kingma, Salimans, Welling 2015).
     - ``"mean"``: the posterior mean (dropout: off).
 
@@ -160,7 +139,7 @@ def weight_scope(
         noise: a :class:`NoisePool` or :class:`SharedNoise` that draws take their noise from.
         kl: "closed" or "sampled" to sum up the KL of every layer that runs, each counted once, or a
             :class:`KLSum`. The total is ``scope.kl.total()``.
-        sigma: standard deviations held by the caller, see :class:`WeightScope`.
+        sigma: a cache of standard deviations, see :class:`WeightScope`.
 
     Raises:
         ValueError: for another mode or kind of KL, or weights of what has no posterior; and when a
@@ -175,13 +154,13 @@ def weight_scope(
         ...     q = net(x)
         >>> bool((q[0] == q[1]).all()), scope.kl.total()
         (True, tensor(..., grad_fn=...))
-        >>> own = net.draw_weights((4,))  # weights of its own for each of four rows
+        >>> own = net.draw_weights((4,))  # separate weights for each of four rows
         >>> with weight_scope(weights={net: own}):
         ...     bool((net(x)[0] == net(x)[1]).any())
         False
     """
     if mode is not None:
-        check_choice("mode", mode, WEIGHT_MODES)
+        check("mode", mode, WEIGHT_MODE)
     outer, given = _here.scope, None
     if weights is not None:
         given = {getattr(module, "posterior", module): own for module, own in weights.items()}
@@ -207,7 +186,7 @@ def weight_scope(
 
 
 def resolve_weight_mode(mode: WeightMode | None = None) -> WeightMode:
-    """Returns the mode that a call with this argument uses.
+    """Returns the mode of a call with this argument.
 
     Without an argument and where no :func:`weight_scope` has a mode it follows TorchRL's
     exploration type: RANDOM is "draw"; DETERMINISTIC, MEAN, MODE and None (outside of any context,
@@ -220,6 +199,6 @@ def resolve_weight_mode(mode: WeightMode | None = None) -> WeightMode:
         ValueError: for any other string.
     """
     if mode is not None:
-        check_choice("mode", mode, WEIGHT_MODES)
+        check("mode", mode, WEIGHT_MODE)
         return mode
     return _here.scope.mode or ("draw" if interaction_type() is InteractionType.RANDOM else "mean")

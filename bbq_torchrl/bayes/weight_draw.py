@@ -15,12 +15,13 @@ from torch import Tensor
 
 from bbq_torchrl.bayes.functional import once_differentiable
 from bbq_torchrl.bayes.noise import is_transformed
+from bbq_torchrl.checks import one_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 KLKind = Literal["closed", "sampled"]
-KL_KINDS: tuple[str, ...] = get_args(KLKind)
+KL_KIND = one_of(*get_args(KLKind))
 
 # σ/p is not taken to be smaller than this: log and 1/r stay finite where σ underflows, and so
 # does the product of two of them.

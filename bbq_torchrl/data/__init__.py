@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from bbq_torchrl.data.bootstrap_mask import BootstrapMask
+from bbq_torchrl.data.count_reward import CountReward
 from bbq_torchrl.data.replay import TRANSITION_KEYS, ReplicaReplay
-from bbq_torchrl.data.rows import Batch
-from bbq_torchrl.data.validation import validate_transitions
+from bbq_torchrl.data.rows import Batch, validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 
 __all__ = [
     "TRANSITION_KEYS",
     "Batch",
     "BootstrapMask",
+    "CountReward",
     "ProtectedRoundRobinWriter",
     "ReplicaReplay",
     "validate_transitions",

@@ -1,4 +1,4 @@
-"""Which heads learn from a transition, drawn when it is stored and kept with it."""
+"""The mask of heads that learn from a transition, drawn when it is stored."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BootstrapMask(Transform):
     [*replicas, *rows, heads] with independent Bernoulli(prob) numbers, where the transitions have
     none yet; sampling changes nothing.
 
-    Each replica has a stream of random numbers of its own. The n-th transition that
+    Each replica has a separate stream of random numbers. The n-th transition that
     it stores gets the n-th numbers of the stream, however the transitions are cut into calls,
     whatever the other replicas store, and on every device.
 
@@ -91,12 +91,12 @@ class BootstrapMask(Transform):
 
     @property
     def mask_key(self) -> NestedKey:
-        """Where the masks go."""
+        """The key of the masks."""
         key: NestedKey = self.out_keys_inv[0]
         return key
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
-        """Restarts each replica's random numbers from a seed of its own.
+        """Restarts each replica's random numbers from a separate seed.
 
         Args:
             seeds: one for each replica, in order; one if there are none.

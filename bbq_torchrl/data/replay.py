@@ -10,17 +10,16 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
 
-from bbq_torchrl.data.hooks import Measured, Seeded
 from bbq_torchrl.data.rows import (
     Batch,
     gather_rows,
     map_stored_rows,
     repeated_indices,
     shuffled_indices,
+    validate_transitions,
 )
-from bbq_torchrl.data.validation import validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
-from bbq_torchrl.hooks import modules_with
+from bbq_torchrl.protocols import Measured, Seeded, modules_with
 from bbq_torchrl.seeds import checked_seed
 
 if TYPE_CHECKING:
@@ -66,7 +65,8 @@ class ReplicaReplay:
         transform: as in TorchRL's replay buffers: ``transform.inv`` runs on rows when they are
             stored, and what it adds (its ``out_keys_inv``) is stored with them; ``transform`` runs
             on an epoch's rows when they are read. Both see batch size [replicas, rows] with the
-            entry ``valid``. What its modules may have besides is in :mod:`bbq_torchrl.data.hooks`.
+            entry ``valid``. Optional methods of its modules are in
+            :mod:`bbq_torchrl.protocols`.
         device: where the transitions are kept. Defaults to ``"cpu"``.
 
     Attributes:
@@ -137,7 +137,7 @@ class ReplicaReplay:
         return torch.tensor(self.lengths, device=self._device)
 
     def seed(self, seeds: Sequence[int]) -> None:
-        """Restarts every replica's shuffling from a seed of its own, and drops pending shuffles."""
+        """Restarts every replica's shuffling from a separate seed, and drops pending shuffles."""
         if len(seeds) != self.replicas:
             raise ValueError(
                 f"seeds must be {self.replicas}, one for each replica, got {len(seeds)}"
@@ -238,7 +238,7 @@ class ReplicaReplay:
         self._computed[key] = map_stored_rows(self.buffers, function)
 
     def epoch(self, batch_size: int) -> list[Batch]:
-        """Returns each replica's transitions once, in an order of its own, in shared batches.
+        """Returns each replica's transitions once, in separate orders, in shared batches.
 
         Args:
             batch_size: the number of rows of a batch for each replica.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.domains.domain import Action, Domain, Goal, ScriptedPolicySpec
+from bbq_torchrl.domains.domain import Domain
 from bbq_torchrl.domains.folder import load_domain, movie_domain, save_data
 from bbq_torchrl.domains.miulab import load_miulab
+from bbq_torchrl.domains.parts import REQUIRED_ACTS, Action, Goal, ScriptedPolicySpec
 from bbq_torchrl.domains.tensors import DomainTensors, build_vocabulary, tensorize
-from bbq_torchrl.domains.validate import REQUIRED_ACTS
 from bbq_torchrl.domains.values import (
     AVAILABLE,
     DONT_CARE,

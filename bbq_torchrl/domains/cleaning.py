@@ -1,4 +1,4 @@
-"""Makes of a corpus that people typed one whose values can match; what that changed is counted."""
+"""Cleans a corpus that people typed, so that its values match; the changes are counted."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.domain import Goal
+from bbq_torchrl.domains.parts import Goal
 from bbq_torchrl.domains.spelling import misspellings
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 

@@ -17,7 +17,7 @@ _SAID_BY_USERS = ("request", "inform", "deny", "thanks", "closing")
 
 
 class Coding:
-    """How the acts, slots and values of a domain are numbered.
+    """The numbers of a domain's acts, slots and values.
 
     Args:
         domain: the domain's tensors.

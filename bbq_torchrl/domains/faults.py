@@ -1,4 +1,4 @@
-"""What is wrong with a domain: every fault at once, each at its place."""
+"""The faults of a domain: all at once, each at its place."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Place = tuple[str | int, ...]
 The third item of ``("error_values", slot, value)`` says which of the slot's values."""
 
 _IN_MEMORY = {"records": "record", "goals": "goal"}
-"""What a person counts in a domain that is not read from files."""
+"""The units that a person counts in a domain that is not read from files."""
 
 
 class Fault(NamedTuple):
@@ -39,7 +39,7 @@ class Fault(NamedTuple):
 
 @dataclass
 class Source:
-    """What could be read of one file of a domain, and what is wrong with its form.
+    """The content of one file of a domain, and the faults of its form.
 
     Attributes:
         path: of the file.
@@ -77,7 +77,7 @@ class Source:
             return None
 
     def text(self) -> str | None:
-        """Returns the file's text; ``None`` where it is none, which is noted."""
+        """Returns the file's text; ``None`` where it cannot be decoded, which is noted."""
         try:
             # newline="" keeps line ends inside quoted CSV fields as they are.
             with self.path.open(encoding="utf-8-sig", newline="") as file:

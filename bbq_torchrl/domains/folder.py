@@ -36,7 +36,7 @@ from bbq_torchrl.text import shown
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from bbq_torchrl.domains.domain import Goal
+    from bbq_torchrl.domains.parts import Goal
 
 MOVIE_FOLDER = Path(__file__).parent / "movie"
 """The folder of the movie domain that comes with the package."""
@@ -70,11 +70,11 @@ def load_domain(path: str | Path) -> Domain:
         try:
             domain = Domain(**specification.content, **content, folder=folder)
         except DomainError as error:
-            # That a table is empty which could not be read is no fault of its own.
+            # An empty table that could not be read is not another fault.
             unread = {(name,) for name, table in tables.items() if table.faults}
             found += [fault for fault in error.found if fault.place not in unread]
         if not (tables["records"].faults or tables["error_values"].faults):
-            found += _unheard_of(specification.content["slots"], **content)
+            found += _unknown_values(specification.content["slots"], **content)
         found += [
             Fault(
                 item.place,
@@ -142,7 +142,7 @@ def save_data(
         Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
 
 
-def _unheard_of(
+def _unknown_values(
     slots: Sequence[str],
     records: Sequence[Mapping[str, str]],
     goals: Sequence[Goal],

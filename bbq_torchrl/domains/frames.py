@@ -18,7 +18,7 @@ ANY = RESERVED_TEXT[DONT_CARE]
 """The value of a slot that does not matter."""
 
 NO_MATCH_TEXT, AVAILABLE_TEXT = RESERVED_TEXT[NO_MATCH], RESERVED_TEXT[AVAILABLE]
-"""What an agent tells where no record matches, and where a booking can be had."""
+"""An agent's words where no record matches, and where a booking is possible."""
 
 _PART = re.compile(r"(?P<act>[A-Za-z_]\w*)(?:\((?P<content>[^()]*)\))?")
 _FRAME = re.compile(r"[A-Za-z_]\w*(\([^()]*\))?(\s+[A-Za-z_]\w*(\([^()]*\))?)*")

@@ -14,20 +14,20 @@ import yaml
 
 from bbq_torchrl import output
 from bbq_torchrl.domains.cleaning import cleaned, only_in_goals
-from bbq_torchrl.domains.domain import Action, ScriptedPolicySpec
 from bbq_torchrl.domains.faults import DomainError, Source
 from bbq_torchrl.domains.folder import load_domain, save_data
 from bbq_torchrl.domains.miulab import fitted, read_corpus
+from bbq_torchrl.domains.parts import ACTION_KINDS, Action, ScriptedPolicySpec
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE
 from bbq_torchrl.domains.tables import VALUES_FILE
-from bbq_torchrl.domains.validate import ACTION_KINDS
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Mapping, Sequence
 
-    from bbq_torchrl.domains.domain import Domain, Goal
+    from bbq_torchrl.domains.domain import Domain
     from bbq_torchrl.domains.miulab import Corpus
+    from bbq_torchrl.domains.parts import Goal
 
 _SLOTLESS = ("greeting", "thanks", "deny", "confirm_question", "confirm_answer", "closing")
 _TURN_WIDTH = 40

@@ -13,9 +13,11 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from bbq_torchrl.domains.domain import Domain, Goal
+from bbq_torchrl.checks import TEXT, check
+from bbq_torchrl.domains.domain import Domain
 from bbq_torchrl.domains.faults import DomainError, Fault, tell
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.domains.parts import Goal
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
 from bbq_torchrl.domains.spelling import DIFFERENCE, misspellings
 from bbq_torchrl.domains.tables import NEEDS_VALUES
@@ -196,7 +198,7 @@ def _without(corpus: Corpus, found: Iterable[Fault], slots: Sequence[str]) -> Co
 
 
 def _changes(files: Mapping[str, str], whole: Corpus, left: Corpus) -> Iterator[str]:
-    """Says how many entries of each file are not left as they were."""
+    """Yields how many entries of each file were changed."""
     for name, before in whole.items():
         unlike = sum(left[name].get(key) != entry for key, entry in before.items())
         if unlike:
@@ -263,16 +265,10 @@ def _expect_mapping(where: str | Path, content: object, key_type: type) -> Mappi
     return content
 
 
-def _expect_text(where: str, content: object) -> str:
-    if not isinstance(content, str):
-        raise ValueError(f"{where} must be a text, got {shown(content)}")
-    return content
-
-
 def _slot_values(where: str, content: object) -> dict[str, str]:
     """Returns slot to value; blank values are left out."""
     values = _expect_mapping(where, content, str)
-    texts = {slot: _expect_text(f"{where}, {slot}", value) for slot, value in values.items()}
+    texts = {slot: check(f"{where}, {slot}", value, TEXT) for slot, value in values.items()}
     return {slot: text for slot, text in texts.items() if text.strip()}
 
 
@@ -287,7 +283,7 @@ def _values(path: Path) -> dict[str, tuple[str, ...]]:
     if not lists:
         raise ValueError(f"{path} {NEEDS_VALUES}")
     values = {
-        slot: [_expect_text(f"{path}: {slot}", text) for text in _expect(f"{path}: {slot}", entry)]
+        slot: [check(f"{path}: {slot}", text, TEXT) for text in _expect(f"{path}: {slot}", entry)]
         for slot, entry in lists.items()
     }
     return {slot: tuple(text for text in texts if text.strip()) for slot, texts in values.items()}

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.domains.domain import Action, ScriptedPolicySpec
+from bbq_torchrl.checks import INTEGER, NUMBER, TEXT, Allowed, check
 from bbq_torchrl.domains.faults import Source
-from bbq_torchrl.domains.validate import ACTION_KINDS
+from bbq_torchrl.domains.parts import ACTION_KINDS, Action, ScriptedPolicySpec
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.text import shown
 
@@ -28,7 +28,14 @@ _HARMLESS: dict[str, Any] = {
     "policies": {},
     "reference_slot_error_prob": 0.0,
 }
-"""What stands in for a key that cannot be read, so that the rest of a domain can be checked."""
+"""Placeholders for keys that cannot be read, so that the rest of a domain can be checked."""
+
+
+_LIST = Allowed("a list of names", lambda value: isinstance(value, list))
+_MAPPING = Allowed(
+    "a mapping with names as keys",
+    lambda value: isinstance(value, dict) and all(isinstance(name, str) for name in value),
+)
 
 
 def read_specification(path: Path) -> Source:
@@ -74,14 +81,14 @@ def _read(found: Source, content: object) -> None:
     """Takes the fields out of a mapping, and notes what is wrong with each."""
     readers: dict[str, Callable[[str, Any], Any]] = {
         **dict.fromkeys(("acts", "slots", "essential", "extension_order", "free_slots"), _names),
-        **dict.fromkeys(("name", "ticket_slot", "complete_slot"), _text),
+        **dict.fromkeys(("name", "ticket_slot", "complete_slot"), partial(check, allowed=TEXT)),
         "actions": partial(_actions, found),
         "opening_slot": _opening,
-        "turn_width": _integer,
+        "turn_width": partial(check, allowed=INTEGER),
         "policies": partial(_policies, found),
-        "reference_slot_error_prob": _number,
+        "reference_slot_error_prob": lambda *given: float(check(*given, NUMBER)),
     }
-    given = found.take((), _mapping, "the file", content)
+    given = found.take((), partial(check, allowed=_MAPPING), "the file", content)
     if given is None:
         return
     for key in given:
@@ -103,7 +110,7 @@ def _read(found: Source, content: object) -> None:
 
 
 def _actions(found: Source, key: str, content: object) -> tuple[Action, ...]:
-    given = _mapping(key, content)
+    given = check(key, content, _MAPPING)
     _check_keys(key, given, ACTION_KINDS, optional=("multiple_choice",))
     names = {
         kind: found.take((key, kind), _names, f"{key}.{kind}", given.get(kind, []))
@@ -119,22 +126,16 @@ def _policies(found: Source, key: str, content: object) -> dict[str, ScriptedPol
     """Returns those that can be read."""
     policies = {
         name: found.take((key, name), _policy, f"{key}.{name}", entry)
-        for name, entry in _mapping(key, content).items()
+        for name, entry in check(key, content, _MAPPING).items()
     }
     return {name: policy for name, policy in policies.items() if policy is not None}
 
 
 def _policy(key: str, content: object) -> ScriptedPolicySpec:
-    policy = _mapping(key, content)
+    policy = check(key, content, _MAPPING)
     _check_keys(key, policy, ("kind", "steps"))
     steps = _names(f"{key}.steps", policy["steps"])
-    return ScriptedPolicySpec(_text(f"{key}.kind", policy["kind"]), steps)  # type: ignore[arg-type]
-
-
-def _mapping(key: str, content: object) -> dict[str, Any]:
-    if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
-        raise ValueError(f"{key} must be a mapping with names as keys, got {shown(content)}")
-    return content
+    return ScriptedPolicySpec(check(f"{key}.kind", policy["kind"], TEXT), steps)  # type: ignore[arg-type]
 
 
 def _check_keys(
@@ -148,34 +149,12 @@ def _check_keys(
         raise ValueError(f"{where} lacks the keys {missing}")
 
 
-def _text(key: str, content: object) -> str:
-    if not isinstance(content, str):
-        raise ValueError(f"{key} must be a text, got {shown(content)}")
-    return content
-
-
 def _names(key: str, content: object) -> tuple[str, ...]:
-    if not isinstance(content, list):
-        raise ValueError(f"{key} must be a list of names, got {shown(content)}")
-    return tuple(_text(f"every name in {key}", name) for name in content)
+    names = check(key, content, _LIST)
+    return tuple(check(f"every name in {key}", name, TEXT) for name in names)
 
 
 def _opening(key: str, content: object) -> str | tuple[str, ...] | None:
     if content is None:
         return None
-    return _names(key, content) if isinstance(content, list) else _text(key, content)
-
-
-def _integer(key: str, content: object) -> int:
-    if not isinstance(content, int) or isinstance(content, bool):
-        raise ValueError(f"{key} must be an integer, got {shown(content)}")
-    return content
-
-
-def _number(key: str, content: object) -> float:
-    if not isinstance(content, (int, float)) or isinstance(content, bool):
-        raise ValueError(f"{key} must be a number, got {shown(content)}")
-    try:
-        return float(content)
-    except OverflowError:
-        raise ValueError(f"{key} must be a number, got {shown(content)}") from None
+    return _names(key, content) if isinstance(content, list) else check(key, content, TEXT)

@@ -1,4 +1,4 @@
-"""Values that people take for the same, and that never match: a stray blank, another quote."""
+"""Values that look the same and never match: a stray blank, another quote."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from bbq_torchrl.domains.domain import Goal
     from bbq_torchrl.domains.faults import Place
+    from bbq_torchrl.domains.parts import Goal
 
 _ALIKE = {
     **dict.fromkeys("\u2018\u2019\u201a\u201b\u02bc\u2032\u00b4\u0060", "'"),

@@ -1,4 +1,4 @@
-"""Reads a domain's records, goals and values, each from a file of its own, line by line."""
+"""Reads a domain's records, goals and values, each from a separate file, line by line."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.domain import Goal
 from bbq_torchrl.domains.faults import Source
-from bbq_torchrl.domains.validate import repeated
+from bbq_torchrl.domains.parts import Goal, repeated
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -26,7 +25,7 @@ NEEDS_VALUES = (
     "must list the values of at least one slot: without any, an error of mode 'value' changes "
     "nothing"
 )
-"""What is said of an empty file of values."""
+"""The message for an empty file of values."""
 
 
 def read_records(path: Path) -> Source:

@@ -31,7 +31,7 @@ RESERVED_TEXT: dict[int, str] = {
     NO_MATCH: "no match",
     AVAILABLE: "ticket available",
 }
-"""How the reserved values are written in corpora and transcripts."""
+"""The reserved values as text, in corpora and transcripts."""
 
 
 def fold(text: str) -> str:

@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 
 from bbq_torchrl.domains.values import DONT_CARE, NONE
-from bbq_torchrl.simulator.bits import pack, popcount
+from bbq_torchrl.simulator.choices import pack, popcount
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase

@@ -12,8 +12,13 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs.checks import action_indices, check_range, checked_batch, present_device
-from bbq_torchrl.envs.compiled import CompiledPlay
+from bbq_torchrl.envs.turns import (
+    CompiledPlay,
+    action_indices,
+    check_range,
+    checked_batch,
+    present_device,
+)
 from bbq_torchrl.seeds import checked_seed, own_seed, seed_of_process
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 
@@ -136,7 +141,7 @@ class DialogueEnv(EnvBase):
 
     @property
     def layout(self) -> FeatureLayout:
-        """Which feature of the observation is where."""
+        """The layout of the observation's features."""
         return self.simulator.layout
 
     @property
@@ -151,7 +156,7 @@ class DialogueEnv(EnvBase):
 
     @property
     def active_features(self) -> torch.Tensor:
-        """Which features can differ from 0 in this round, bool ``[F]``: all but inactive slots'."""
+        """The features that can differ from 0 in this round, bool ``[F]``."""
         return self.layout.active(self._active)
 
     @property
@@ -167,7 +172,7 @@ class DialogueEnv(EnvBase):
 
     @property
     def max_agent_turns(self) -> int:
-        """How many turns of the agent a dialogue lasts at most."""
+        """The most turns of the agent in a dialogue."""
         return self.simulator.max_agent_turns
 
     def set_round(self, round: int) -> None:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     Observation: TypeAlias = NDArray[np.float32] | dict[str, NDArray[Any]]
 
 ENV_ID = "bbq_torchrl/MovieDialogue-v0"
-"""What ``gymnasium.make`` knows the environment as."""
+"""The id of the environment for ``gymnasium.make``."""
 
 
 class GymnasiumDialogue(gymnasium.Env[Any, Any]):
@@ -108,7 +108,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
 
     @property
     def domain(self) -> Domain:
-        """What the dialogues are about."""
+        """The domain of the dialogues."""
         return self._dialogue.domain
 
     def set_round(self, round: int) -> None:
@@ -127,7 +127,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         """Begins a dialogue. Returns the first observation, and ``info``.
 
         Args:
-            seed: of this dialogue and those that follow; None goes on with the random numbers.
+            seed: of this dialogue and those that follow; None continues with the random numbers.
             options: ``{"goal_id": n}``: the user has the domain's goal n, and all else is as it
                 would have been.
 

@@ -12,7 +12,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.validate import RANDOM_POLICY
+from bbq_torchrl.domains.parts import RANDOM_POLICY
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.envs.text import text_channel

@@ -18,8 +18,8 @@ class EnvState(Transform):
     ``SerialEnv`` or ``ParallelEnv`` of them) is saved and loaded with them: dialogues, random
     generator and round. Otherwise it changes nothing.
 
-    A ``Collector`` does not save what it has last been told. Have it told once more after loading,
-    by ``collector.reset(resume=True)``; what other transforms count, as ``StepCounter`` does,
+    A ``Collector`` does not save its last observation. Ask for it once more after loading, by
+    ``collector.reset(resume=True)``; what other transforms count, as ``StepCounter`` does,
     begins anew there. The ``MultiSyncCollector`` cannot hand ``resume`` on: its dialogues go on,
     but each worker chooses its next actions by what it was told before loading. A ``ParallelEnv``
     needs ``use_buffers=False``: with buffers, that of torchrl 0.14.1 answers too early once it has

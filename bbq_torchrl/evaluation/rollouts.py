@@ -10,6 +10,7 @@ import torch
 from torch import nn
 from torchrl.envs.utils import ExplorationType
 
+from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.simulator import Transcript
 from bbq_torchrl.trainers import (
     BestWeights,
@@ -19,7 +20,6 @@ from bbq_torchrl.trainers import (
     episode_stats,
     rollouts,
 )
-from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator

@@ -239,6 +239,9 @@ def agent_name(config: Mapping[str, Any]) -> str:
         >>> bbqn = {"agent": {"name": "bbqn", "target": "mc"}, "explore": {"name": "thompson"}}
         >>> agent_name(bbqn | {"intrinsic": {"name": "vime", "weights": "mc"}})
         'BBQN-VIME-MC'
+        >>> bbqn["explore"]["name"], bbqn["agent"]["target"] = "thompson_boltzmann", "map"
+        >>> agent_name(bbqn)
+        'Soft BBQN-MAP'
         >>> agent_name({"agent": {"name": "polyak"}, "intrinsic": {"name": "visits"}})
         'POLYAK-VISITS'
     """
@@ -253,6 +256,8 @@ def agent_name(config: Mapping[str, Any]) -> str:
         name = f"Noisy {name}"
     if agent.get("double"):
         name = f"Double {name}"
+    if explore.get("name") == "thompson_boltzmann":
+        name = f"Soft {name}"
     parts = [name]
     if explore.get("name") == "boltzmann":
         parts.append("Boltzmann")

@@ -6,10 +6,8 @@ from bbq_torchrl.exploration.base import ActorPolicy
 from bbq_torchrl.exploration.boltzmann import Boltzmann
 from bbq_torchrl.exploration.bootstrap import BootstrapSampling, MajorityVote
 from bbq_torchrl.exploration.egreedy import BatchedEGreedy
-from bbq_torchrl.exploration.evaluation import EvaluationPolicy
-from bbq_torchrl.exploration.greedy import Greedy
-from bbq_torchrl.exploration.noisy import NoisySampling
-from bbq_torchrl.exploration.thompson import ThompsonSampling
+from bbq_torchrl.exploration.evaluation import EvaluationPolicy, Greedy
+from bbq_torchrl.exploration.thompson import NoisySampling, ThompsonSampling
 
 __all__ = [
     "ActorPolicy",

@@ -1,4 +1,4 @@
-"""What the exploration strategies share."""
+"""The base class and the helpers of exploration strategies."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from bbq_torchrl.bayes.settings import check_choice
-from bbq_torchrl.exploration.hooks import Resampled
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.checks import check, one_of
+from bbq_torchrl.protocols import Resampled, provides
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -61,7 +60,7 @@ def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
 
 
 def fit_posteriors(held: Mapping[GaussianPosterior, Tensor]) -> bool:
-    """Returns whether held draws have the dtype and device that their posteriors have now.
+    """Returns whether draws have the dtype and device that their posteriors have now.
 
     A loss that shares the network may have been moved, which the policy is not told.
     """
@@ -89,7 +88,7 @@ def posterior_sums(found: Iterable[GaussianPosterior]) -> list[float]:
 
 
 def forget_draws(policy: Resampled, _: object = None) -> None:
-    """Has a policy whose state was loaded draw anew; a hook of ``load_state_dict``."""
+    """Makes a policy draw anew after its state was loaded; a hook of ``load_state_dict``."""
     policy.resample()
 
 
@@ -127,7 +126,7 @@ class ActorPolicy(TensorDictModuleBase):
     def __init__(
         self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
     ) -> None:
-        check_choice("per", per, get_args(Per))
+        check("per", per, one_of(*get_args(Per)))
         if not (hasattr(actor, "in_keys") and hasattr(actor, "out_keys")):  # compiled, too
             raise ValueError(
                 "actor must be a TensorDict module, such as q_actor makes of a network, got "

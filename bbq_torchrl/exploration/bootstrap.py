@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class _OnHeads(ActorPolicy):
-    """What acts on the heads of an actor, without writing the values of all of them."""
+    """A policy on the heads of an actor, which does not write the values of all of them."""
 
     def __init__(
         self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"

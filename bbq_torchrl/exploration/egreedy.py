@@ -1,4 +1,4 @@
-"""ε-greedy exploration with an ε of its own for each part of a batch."""
+"""ε-greedy exploration with a separate ε for each part of a batch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class BatchedEGreedy(EGreedyModule):
-    """TorchRL's ``EGreedyModule`` with an epsilon of its own for each part of the batch.
+    """TorchRL's ``EGreedyModule`` with a separate epsilon for each part of the batch.
 
     TorchRL's compares its random numbers to whatever shape its buffers have, and only its
     constructor insists on one number: this one replaces the buffers.

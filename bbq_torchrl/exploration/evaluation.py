@@ -1,4 +1,4 @@
-"""Four policies that one posterior gives: its mean network, an average, one draw, many draws."""
+"""Acting without exploration: the mean network, and the policies that are reported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from bbq_torchrl.bayes.layers import own_weights_of_rows
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.bayes.settings import check_choice
+from bbq_torchrl.checks import check, one_of
 from bbq_torchrl.exploration.base import (
     ActorPolicy,
     fit_posteriors,
@@ -25,6 +25,41 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.bayes import GaussianPosterior
+
+
+class Greedy(ActorPolicy):
+    """Acts greedily on the mean network, whatever the exploration type.
+
+    Dropout of this package's networks is off; ``nn.Dropout`` is as ``eval()`` and ``train()`` say.
+
+    Args:
+        actor: what chooses actions from values.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictSequential
+        >>> from torchrl.data import Categorical
+        >>> from torchrl.modules import EGreedyModule
+        >>> from bbq_torchrl.bayes import BayesMLP
+        >>> from bbq_torchrl.exploration import Greedy
+        >>> from bbq_torchrl.networks import q_actor
+        >>> actor = q_actor(BayesMLP(3, 4), Categorical(4))
+        >>> policy = TensorDictSequential(
+        ...     Greedy(actor),
+        ...     EGreedyModule(Categorical(4), 0.1, 0.1, action_mask_key="action_mask"),
+        ... )
+        >>> mask = torch.tensor([False, True, True, True]).expand(2, 4)
+        >>> td = TensorDict(observation=torch.ones(2, 3), action_mask=mask, batch_size=[2])
+        >>> bool((policy(td)["action"] > 0).all())
+        True
+    """
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the greedy action and the values it comes from."""
+        with weight_scope("mean"):
+            return self.actor(tensordict)
+
 
 EvaluationMode = Literal["mean", "average", "draw", "thompson"]
 
@@ -70,7 +105,7 @@ class EvaluationPolicy(ActorPolicy):
     def __init__(
         self, actor: QValueActor, *, mode: EvaluationMode = "mean", num_draws: int = 10
     ) -> None:
-        check_choice("mode", mode, get_args(EvaluationMode))
+        check("mode", mode, one_of(*get_args(EvaluationMode)))
         if num_draws < 1:
             raise ValueError(f"num_draws must be at least 1, got {num_draws}")
         if mode != "mean":

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
-from bbq_torchrl.bayes.settings import checked_number
+from bbq_torchrl.checks import AT_LEAST_ZERO, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,7 +85,7 @@ class BootstrapMLP(nn.Module):
                 f"trunk_layers must be from 0 to {len(hidden)}, the number of hidden layers, got "
                 f"{trunk_layers}"
             )
-        checked_number("prior_scale", prior_scale, minimum=0)
+        check("prior_scale", prior_scale, AT_LEAST_ZERO)
         self.in_features, self.out_features = in_features, out_features
         sizes = (in_features, *hidden, out_features)
         self.trunk_layout = FlatLayout(sizes[: trunk_layers + 1]) if trunk_layers else None
@@ -119,7 +119,7 @@ class BootstrapMLP(nn.Module):
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inactive inputs to 0, the priors' too.
 
-        See :class:`bbq_torchrl.networks.growth.Growing`.
+        See :class:`bbq_torchrl.protocols.Growing`.
         """
         layout = self.trunk_layout or self.head_layout
         flats: tuple[Tensor | None, ...] = (self.heads, self.prior_heads)

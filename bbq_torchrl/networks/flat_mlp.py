@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
-from bbq_torchrl.bayes.scope import WEIGHT_MODES, WeightMode, current_scope
-from bbq_torchrl.bayes.settings import check_choice
+from bbq_torchrl.bayes.scope import WEIGHT_MODE, WeightMode, current_scope
+from bbq_torchrl.checks import check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,7 +72,7 @@ class FlatMLP(nn.Module):
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets the weights of inactive inputs to 0.
 
-        See :class:`bbq_torchrl.networks.growth.Growing`.
+        See :class:`bbq_torchrl.protocols.Growing`.
         """
         self.layout.unflatten(self.weight)[0][0][..., inputs, :] = 0
 
@@ -89,7 +89,7 @@ class FlatMLP(nn.Module):
             ValueError: for another mode, or a shape that does not fit.
         """
         if mode is not None:
-            check_choice("mode", mode, WEIGHT_MODES)
+            check("mode", mode, WEIGHT_MODE)
         else:
             mode = current_scope().mode or ("draw" if self.training else "mean")
         return mlp(x, self.weight, self.layout, 0.0 if mode == "mean" else self.dropout)

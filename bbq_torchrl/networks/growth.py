@@ -8,40 +8,14 @@ gradient of the closed KL at the prior. (A sampled KL moves it.)
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.hooks import provides
+from bbq_torchrl.protocols import Growing, provides
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-
-class Growing(Protocol):
-    """A network that can start with inputs and outputs that come into use later.
-
-    ``BayesMLP``, ``BootstrapMLP``, ``FlatMLP`` and ``NoisyMLP`` are such networks; a network of
-    your own is one if it has these three. Others are refused.
-    """
-
-    @property
-    def in_features(self) -> int:
-        """Size of the input."""
-
-    @property
-    def out_features(self) -> int:
-        """Size of the output."""
-
-    def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
-        """Starts the weights of inactive inputs and outputs; see :func:`reset_inactive_`.
-
-        Called without gradients, and with masks of the right shape.
-
-        Args:
-            inputs: bool [in_features], True for the inactive ones.
-            outputs: bool [out_features], the same.
-        """
 
 
 @torch.no_grad()
@@ -68,7 +42,7 @@ def reset_inactive_(
             action by the σ that it starts with).
 
     Raises:
-        TypeError: if the network lacks what :class:`Growing` names.
+        TypeError: if the network lacks what :class:`~bbq_torchrl.protocols.Growing` names.
         ValueError: if a mask has another shape.
 
     Examples:
@@ -84,7 +58,7 @@ def reset_inactive_(
         raise TypeError(
             f"{type(network).__name__} cannot start with inactive inputs or outputs: it needs "
             "in_features, out_features and reset_inactive_(inputs, outputs), as "
-            "bbq_torchrl.networks.growth.Growing has them"
+            "bbq_torchrl.protocols.Growing has them"
         )
     network.reset_inactive_(
         _mask("inputs", inputs, network.in_features),
@@ -93,7 +67,7 @@ def reset_inactive_(
 
 
 def _mask(name: str, mask: Tensor | None, size: int) -> Tensor:
-    """Returns the mask, checked; all False if there is none."""
+    """Returns the mask, checked; all False for None."""
     if mask is None:
         return torch.zeros(size, dtype=torch.bool)
     if mask.dtype != torch.bool or mask.shape != (size,):

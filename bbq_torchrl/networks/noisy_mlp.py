@@ -11,7 +11,7 @@ from torchrl.modules import NoisyLinear
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, resolve_weight_mode
-from bbq_torchrl.bayes.settings import checked_number
+from bbq_torchrl.checks import ABOVE_ZERO, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,7 +67,7 @@ class ReplicaNoisyLinear(NoisyLinear):
                 f"in_features and out_features must be positive, got {in_features} and "
                 f"{out_features}"
             )
-        checked_number("std_init", std_init)
+        check("std_init", std_init, ABOVE_ZERO)
         super().__init__(in_features, out_features, device=device, dtype=dtype, std_init=std_init)
         self.replicas = replica_shape(replicas)
         del self.weight_epsilon, self.bias_epsilon
@@ -77,7 +77,7 @@ class ReplicaNoisyLinear(NoisyLinear):
         self.reset_parameters()
 
     def reset_noise(self) -> None:
-        """Does nothing: each call has noise of its own."""
+        """Does nothing: each call draws new noise."""
 
     def _should_use_noise(self) -> bool:
         return False  # the attributes weight and bias are the means: noise belongs to a call
@@ -92,7 +92,7 @@ class ReplicaNoisyLinear(NoisyLinear):
         Args:
             x: inputs, shape [*replicas, *batch, in].
             mode: "draw" (one noise of each replica for the whole call), "local"
-                (noise of its own for each row), "mean" (μ), or None for what
+                (separate noise for each row), "mean" (μ), or None for what
                 :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
 
         Raises:
@@ -181,7 +181,7 @@ class NoisyMLP(nn.Module):
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
         """Sets μ and σ of the weights of inactive inputs to 0.
 
-        See :class:`bbq_torchrl.networks.growth.Growing`.
+        See :class:`bbq_torchrl.protocols.Growing`.
         """
         first = noisy_layers(self)[0]
         first.weight_mu[..., inputs] = 0
@@ -198,7 +198,7 @@ class NoisyMLP(nn.Module):
         Args:
             x: inputs, shape [*replicas, *batch, in].
             mode: "draw" (one noise of each replica for the whole call), "local"
-                (a draw of its own for each row: exact, as factorized noise needs no weights
+                (a separate draw for each row: exact, as factorized noise needs no weights
                 for each), "mean" (μ), or None for what
                 :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
 

@@ -11,21 +11,22 @@ from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.bayes.noise import NoisePool, SharedNoise
 from bbq_torchrl.bayes.posterior import posteriors
+from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.bayes.scope import KLSum
-from bbq_torchrl.bayes.settings import check_choice, checked_number
-from bbq_torchrl.bayes.weight_draw import KL_KINDS, KLKind
-from bbq_torchrl.objectives.num_data import NumData
+from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
+from bbq_torchrl.checks import ABOVE_ZERO, AT_LEAST_ZERO, check, one_of
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
+from bbq_torchrl.objectives.rows import NumData
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Hashable, Sequence
 
     from torch import nn
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
 
-    from bbq_torchrl.bayes import GaussianPosterior
     from bbq_torchrl.bayes.noise import NoiseSource
+    from bbq_torchrl.checks import Allowed
     from bbq_torchrl.objectives.value_function import Inputs
 
 Target = Literal["map", "mc"]
@@ -39,12 +40,12 @@ _TARGET_NOISES: dict[Target, tuple[TargetNoise, ...]] = {
 
 
 @dataclass
-class _Held:
-    """What is much the same from batch to batch, made at the first batch that needs it."""
+class _Cache:
+    """Tensors that are much the same from batch to batch, computed at the first that needs them."""
 
     noise: NoisePool = field(default_factory=NoisePool)
-    kl: dict[GaussianPosterior, Tensor] = field(default_factory=dict)
-    sigma: dict[GaussianPosterior, Tensor] = field(default_factory=dict)
+    kl: dict[Hashable, Tensor] = field(default_factory=dict)
+    sigma: dict[Hashable, Tensor] = field(default_factory=dict)
 
 
 class BBQNLoss(NumData, OneStepQLoss):
@@ -84,14 +85,14 @@ class BBQNLoss(NumData, OneStepQLoss):
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
-        hold: whether what is much the same from batch to batch is made at the first batch after
-            :meth:`begin_epoch` only, and held until the next call: the pool that the weight
-            noise of all batches is taken from
+        cache: whether tensors that are much the same from batch to batch are computed at the first
+            batch after :meth:`begin_epoch` only, and cached until the next call: the pool that the
+            weight noise of all batches is taken from
             (:class:`~bbq_torchrl.bayes.noise.NoisePool`), the frozen posterior's σ for an
             "mc" target, and the value of the closed KL, which is reported in ``kl`` and in the
-            losses until then (its gradient is every batch's own).
+            losses until then (its gradient is that of each batch).
             That saves a quarter of an update on a CPU, and needs the call at least after each
-            update of the target network. On other devices nothing is held: there it would save
+            update of the target network. On other devices nothing is cached: there it would save
             little. Defaults to False.
 
     Raises:
@@ -142,15 +143,15 @@ class BBQNLoss(NumData, OneStepQLoss):
         num_data: int | Tensor | None = None,
         action_space: str | TensorSpec | None = None,
         delay_value: bool = True,
-        hold: bool = False,
+        cache: bool = False,
     ) -> None:
-        check_choice("target", target, get_args(Target))
+        check("target", target, one_of(*get_args(Target)))
         if target_noise is not None and target_noise not in _TARGET_NOISES[target]:
             raise ValueError(
                 f"target_noise must be one of {list(_TARGET_NOISES[target])} or None for "
                 f"target={target!r}, got {target_noise!r}"
             )
-        check_choice("kl", kl, KL_KINDS)
+        check("kl", kl, KL_KIND)
         super().__init__(
             value_network, gamma=gamma, action_space=action_space, delay_value=delay_value
         )
@@ -161,14 +162,14 @@ class BBQNLoss(NumData, OneStepQLoss):
         self.target_noise = target_noise or _TARGET_NOISES[target][0]
         self._online_noise: SharedNoise | None = None
         self.kl = kl
-        self.hold = hold
-        self._held = _Held()
+        self.cache = cache
+        self._epoch_cache = _Cache()
         self._set("noise_std", noise_std)
-        self._set("kl_temperature", kl_temperature, minimum=0)
+        self._set("kl_temperature", kl_temperature, AT_LEAST_ZERO)
 
-    def _set(self, name: str, value: float | Tensor, *, minimum: float | None = None) -> None:
+    def _set(self, name: str, value: float | Tensor, allowed: Allowed = ABOVE_ZERO) -> None:
         """Sets a hyper-parameter; values [*replicas] are a buffer, for they follow the device."""
-        value = checked_number(name, value, self.replicas, minimum=minimum)
+        value = checked_number(name, value, self.replicas, allowed)
         if isinstance(value, Tensor):
             # As little part of the state as a number is.
             self.register_buffer(name, value.to(self.num_data.device), persistent=False)
@@ -187,37 +188,38 @@ class BBQNLoss(NumData, OneStepQLoss):
         return self.num_data.reciprocal() * temperature
 
     def begin_epoch(self) -> None:
-        """Discards what is held, where ``hold`` is set: the next batch computes it afresh."""
-        self._held = _Held()
+        """Empties the cache: the next batch computes its tensors afresh."""
+        self._epoch_cache = _Cache()
 
-    def _held_for(self, tensors: Sequence[Tensor]) -> _Held | None:
-        """Returns what is held for a network of these parameters: on a CPU only."""
+    def _cache_for(self, tensors: Sequence[Tensor]) -> _Cache | None:
+        """Returns the cache for a network of these parameters; None: nothing is cached."""
         on_cpu = tensors[0].device.type == "cpu"
-        return self._held if self.hold and on_cpu and not torch.compiler.is_compiling() else None
+        is_used = self.cache and on_cpu and not torch.compiler.is_compiling()
+        return self._epoch_cache if is_used else None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "_held": _Held()}
+        return {**super().__getstate__(), "_epoch_cache": _Cache()}
 
     def _predict(
         self, tensors: Sequence[Tensor], inputs: Inputs
     ) -> tuple[Tensor, dict[str, Tensor]]:
         self._check_num_data()
-        held = self._held_for(tensors)
-        noise: NoiseSource | None = held.noise if held else None
+        cache = self._cache_for(tensors)
+        noise: NoiseSource | None = cache.noise if cache else None
         if self.target_noise == "shared":
             noise = self._online_noise = SharedNoise(noise)
-        kl = KLSum(self.kl, held.kl if held and self.kl == "closed" else None)
+        kl = KLSum(self.kl, cache.kl if cache and self.kl == "closed" else None)
         values = self._function(tensors, inputs, "draw", noise=noise, kl=kl)
         return values, {"kl": kl.total()}
 
     def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        # Used up: each batch has noise of its own, and none outlives its batch.
+        # Used up: each batch has new noise, and none outlives its batch.
         shared, self._online_noise = self._online_noise, None
         if self.target == "map":
             return super()._target_values(tensors, inputs)
-        held = self._held_for(tensors)
-        noise: NoiseSource | None = held.noise if held else None
+        cache = self._cache_for(tensors)
+        noise: NoiseSource | None = cache.noise if cache else None
         if shared is not None:
             noise = shared.again()
-        sigma = held.sigma if held else None
+        sigma = cache.sigma if cache else None
         return self._function(tensors, inputs, "draw", noise=noise, sigma=sigma)

@@ -1,4 +1,4 @@
-"""What the Q-learning losses share: one-step targets, replicas of networks, rows that count."""
+"""The base class of Q-learning losses: one-step targets, replicas, rows that count."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from torchrl.data.utils import _find_action_space
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
-from bbq_torchrl.bayes.replicas import replicas_of
-from bbq_torchrl.bayes.settings import check_choice, checked_number
+from bbq_torchrl.bayes.replicas import checked_number, replicas_of
+from bbq_torchrl.checks import PROBABILITY, check
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.rows import row_entry, row_weights
-from bbq_torchrl.objectives.td_loss import DISTANCES, Distance, td_loss
+from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class OneStepQLoss(DQNLoss):
         double_dqn: bool = False,
         loss_function: Distance = "l2",
     ) -> None:
-        check_choice("loss_function", loss_function, DISTANCES)
+        check("loss_function", loss_function, DISTANCE)
         if isinstance(action_space, TensorSpec):
             # DQNLoss makes an actor of a bare network with it, which takes its name only.
             action_space = _find_action_space(action_space)
@@ -123,7 +123,7 @@ class OneStepQLoss(DQNLoss):
                 f"action_space must be categorical or one-hot, got {self.action_space}"
             )
         self.replicas = replicas_of(self.value_network)
-        gamma = checked_number("gamma", gamma, self.replicas, minimum=0, maximum=1)
+        gamma = checked_number("gamma", gamma, self.replicas, PROBABILITY)
         # The estimator makes a tensor of numbers itself, and warns of a copy if it is given one.
         discount = gamma.tolist() if isinstance(gamma, torch.Tensor) else gamma
         device = next((parameter.device for parameter in self.parameters()), None)
@@ -161,7 +161,7 @@ class OneStepQLoss(DQNLoss):
 
     @property
     def has_fixed_targets(self) -> bool:
-        """Whether the frozen network's value of a state is the same for every batch.
+        """True if the frozen network's value of a state is the same for every batch.
 
         It is not where the online network takes part in it, or noise that a batch draws.
         """

@@ -1,18 +1,19 @@
-"""Which rows of a batch count, and how much."""
+"""The rows of a batch that count, their weights, and the number of all data."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor, nn
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
     from torch import Tensor
     from torchrl.objectives import LossModule
-
-    from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 
 def row_entry(tensordict: TensorDictBase, key: NestedKey, rows: torch.Size) -> Tensor | None:
@@ -85,11 +86,11 @@ def weights_of_rows(
     return priority.where(counts, 0)
 
 
-def row_weights(loss: OneStepQLoss, tensordict: TensorDictBase, reward: Tensor) -> Tensor | None:
+def row_weights(loss: LossModule, tensordict: TensorDictBase, reward: Tensor) -> Tensor | None:
     """Returns weights [*replicas, *batch, 1] that add up to 1; None if all rows count the same.
 
     Args:
-        loss: whose keys for masks and for the weights of prioritized replay are read.
+        loss: with ``replicas``, and the keys of masks and of prioritized weights.
         tensordict: a batch.
         reward: shape [*replicas, *batch, 1].
 
@@ -104,3 +105,60 @@ def row_weights(loss: OneStepQLoss, tensordict: TensorDictBase, reward: Tensor) 
     tiny = torch.finfo(weight.dtype).tiny
     total = weight.sum(tuple(range(len(loss.replicas), reward.ndim)), keepdim=True)
     return weight / total.clamp_min_(tiny)
+
+
+class NumData(nn.Module):
+    """The N of losses with a KL / N: a buffer, one for each replica.
+
+    To be inherited from before TorchRL's ``LossModule``.
+    """
+
+    num_data: Tensor
+    replicas: torch.Size
+
+    def _register_num_data(self, num_data: int | Tensor | None, like: Tensor) -> None:
+        """Makes the buffer, [*replicas], with the dtype and device of ``like``."""
+        # 0 stands for "not known yet"
+        self.register_buffer("num_data", like.new_zeros(self.replicas))
+        self._num_data_known = False
+        if num_data is not None:
+            self.set_num_data(num_data)
+
+    def set_num_data(self, num_data: int | Tensor) -> None:
+        """Sets N, the number of transitions that the KL is spread over.
+
+        Args:
+            num_data: a number, or one for each replica, [*replicas]; positive (tensors
+                are not checked, so that no device has to be waited for).
+
+        Raises:
+            ValueError: if a number is not positive or a tensor's shape does not fit.
+        """
+        if isinstance(num_data, torch.Tensor):
+            if num_data.shape not in (self.replicas, torch.Size(())):
+                raise ValueError(
+                    f"num_data must be a number or have shape {list(self.replicas)}, got "
+                    f"{list(num_data.shape)}"
+                )
+            self.num_data.copy_(num_data)
+        else:
+            if not num_data > 0:
+                raise ValueError(f"num_data must be positive, got {num_data}")
+            self.num_data.fill_(num_data)
+        self._num_data_known = True
+
+    def _check_num_data(self) -> None:
+        """Raises RuntimeError unless N is known."""
+        if not self._num_data_known:
+            raise RuntimeError(
+                f"num_data is not known: give it to {type(self).__name__} or call "
+                "set_num_data(n) with the number of transitions in the buffer"
+            )
+
+    def _load_from_state_dict(
+        self, state_dict: Mapping[str, Any], prefix: str, *args: Any, **kwargs: Any
+    ) -> None:
+        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
+        loaded = state_dict.get(prefix + "num_data")
+        if loaded is not None:
+            self._num_data_known = bool((loaded > 0).all())

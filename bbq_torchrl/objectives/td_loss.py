@@ -9,9 +9,10 @@ from torch import Tensor
 
 from bbq_torchrl.bayes.functional import once_differentiable
 from bbq_torchrl.bayes.noise import is_transformed
+from bbq_torchrl.checks import one_of
 
 Distance = Literal["l2", "l1", "smooth_l1"]
-DISTANCES: tuple[str, ...] = get_args(Distance)
+DISTANCE = one_of(*get_args(Distance))
 
 
 class _TDLoss(torch.autograd.Function):

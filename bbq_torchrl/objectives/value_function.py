@@ -1,4 +1,4 @@
-"""Calls an actor's Q-network with parameters handed in, on tensors."""
+"""An actor's Q-network as a function of its parameters and of tensors."""
 
 from __future__ import annotations
 
@@ -118,7 +118,8 @@ class ValueFunction:
             with weight_scope(mode, **scope) as active:
                 values = self._values(inputs)
                 if active.kl is not None:
-                    active.kl.add(self._posteriors)
+                    for posterior in self._posteriors:
+                        posterior.add_kl(active.kl)
             return values
         finally:
             for (store, name), previous in zip(self._slots, own, strict=True):

@@ -1,22 +1,22 @@
-"""Options: what can be chosen on the command line, one class in one file each.
+"""Options: the choices of the command line, a class each.
 
-A group is a package here, which says what an option of it is; every module in it is an option:
-``explore=noisy`` is ``explore/noisy.py``. Importing them imports neither torch nor Hydra; an
-option's ``make`` does.
+A group is a page here, with the base class of its options and ours. An option of your own is one
+file, which enters by the same door, :func:`register`. Importing options imports neither torch nor
+Hydra; an option's ``make`` does.
 """
 
 from __future__ import annotations
 
 from bbq_torchrl.options.agent import AgentOption
-from bbq_torchrl.options.base import Option
+from bbq_torchrl.options.agreement import agreement, validate
 from bbq_torchrl.options.domain import DomainOption
 from bbq_torchrl.options.env import EnvOption
 from bbq_torchrl.options.explore import Exploration, ExploreOption
 from bbq_torchrl.options.intrinsic import IntrinsicOption
 from bbq_torchrl.options.logger import LoggerOption
 from bbq_torchrl.options.protocol import ProtocolOption
-from bbq_torchrl.options.registry import explorations, register, schemas
-from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig, validate
+from bbq_torchrl.options.registry import Option, explorations, register, schemas
+from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig
 from bbq_torchrl.options.settings import ConfigError, check_settings
 from bbq_torchrl.options.spike import SpikeOption
 from bbq_torchrl.options.task import Task
@@ -37,6 +37,7 @@ __all__ = [
     "ProtocolOption",
     "SpikeOption",
     "Task",
+    "agreement",
     "check_settings",
     "explorations",
     "register",

@@ -1,27 +1,26 @@
-"""Which options there are: ours, those of installed packages, and those of a folder of files.
+"""The options: ours, those of installed packages, and those of a folder of files.
 
-All come in by the same door, :func:`register`.
+All enter by the same door, :func:`register`.
 """
 
 from __future__ import annotations
 
 import importlib
 import os
-import pkgutil
 import sys
-from dataclasses import fields
+from abc import ABC
+from dataclasses import dataclass, fields
 from importlib.metadata import entry_points
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
-from bbq_torchrl.options.settings import Allowed, ConfigError
+from bbq_torchrl.options.settings import REQUIRED, Allowed, ConfigError
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bbq_torchrl.options.base import Option
 
 ENTRY_POINTS = "bbq_torchrl.options"
 """The group of entry points by which an installed package offers options: each a module."""
@@ -34,6 +33,34 @@ EXPERIMENT = "experiment"
 
 GROUPS = ("agent", "explore", "intrinsic", "env", "domain", "spike", "protocol", "logger")
 """The groups, in the order that help and documentation have."""
+
+
+@dataclass
+class Option(ABC):
+    """One choice of a group of the configuration: a dataclass, ours or anybody's.
+
+    Its fields are keys with default, bounds and meaning
+    (:func:`~bbq_torchrl.options.settings.setting`); its field ``name``
+    (:func:`~bbq_torchrl.options.settings.option`) is the name by which it is chosen. Importing an
+    option does not import torch: making it does.
+
+    Attributes:
+        group: the group that it belongs to; set by the base class of the group.
+    """
+
+    name: str = REQUIRED
+
+    group: ClassVar[str]
+
+    def check(self) -> None:  # noqa: B027 (most have nothing to refuse)
+        """Refuses values that contradict each other; each value alone has been checked by then.
+
+        What two options must agree on is in :mod:`bbq_torchrl.options.agreement`.
+
+        Raises:
+            ConfigError: one sentence that names the key, its value and what is allowed.
+        """
+
 
 _OPTIONS: dict[str, dict[str, type[Option]]] = {group: {} for group in GROUPS}
 _loaded: set[str] = set()
@@ -81,9 +108,7 @@ def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
     """
     if ENTRY_POINTS not in _loaded:
         for group in GROUPS:
-            package = importlib.import_module(f"{__package__}.{group}")
-            for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
-                importlib.import_module(module.name)
+            importlib.import_module(f"{__package__}.{group}")
             _OPTIONS[group] = dict(sorted(_OPTIONS[group].items()))
         for point in entry_points(group=ENTRY_POINTS):
             try:
@@ -145,7 +170,7 @@ def options_folder() -> Path | None:
 
 
 def conf_folder() -> Path:
-    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` beside it.
+    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` next to it.
 
     Raises:
         FileNotFoundError: neither is there.
@@ -165,7 +190,7 @@ def config_folders() -> list[Path]:
 def options(group: str) -> list[str]:
     """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``.
 
-    Those of ``experiment`` are files; one in a folder of its own is named with it: ``agents/vime``.
+    Those of ``experiment`` are files; one in a subfolder is named with it: ``agents/vime``.
     """
     names = set(schemas().get(group, {}))
     for root in config_folders():

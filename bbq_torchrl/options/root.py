@@ -1,18 +1,16 @@
-"""The roots of the configuration: what a training, an evaluation and a calibration are."""
+"""The roots of the configuration: a training, an evaluation, a calibration."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from bbq_torchrl.options.agent import AgentOption  # noqa: TC001 (OmegaConf reads them)
-from bbq_torchrl.options.base import Option
 from bbq_torchrl.options.domain import DomainOption  # noqa: TC001
 from bbq_torchrl.options.env import EnvOption  # noqa: TC001
 from bbq_torchrl.options.explore import ExploreOption  # noqa: TC001
 from bbq_torchrl.options.intrinsic import IntrinsicOption  # noqa: TC001
 from bbq_torchrl.options.logger import LoggerOption  # noqa: TC001
 from bbq_torchrl.options.protocol import ProtocolOption  # noqa: TC001
-from bbq_torchrl.options.registry import explorations
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
     BATCH,
@@ -23,15 +21,12 @@ from bbq_torchrl.options.settings import (
     SIZE,
     THREADS,
     Allowed,
-    ConfigError,
-    check_settings,
     integers,
     one_of,
     optional,
     setting,
 )
 from bbq_torchrl.options.spike import SpikeOption  # noqa: TC001
-from bbq_torchrl.options.values import check_values
 
 PLAYED = integers(1, 10**7)
 DEVICE = Allowed(
@@ -109,34 +104,3 @@ class CalibrateConfig:
     seed: int = setting(0, SEED, "seed that all random numbers derive from")
     device: str = setting("cpu", DEVICE, "where tensors live")
     threads: int = setting(1, THREADS, "CPU threads of torch")
-
-
-def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
-    """Refuses a configuration that cannot be run.
-
-    Raises:
-        ConfigError: one sentence that names the key, its value and what is allowed.
-    """
-    if isinstance(config, Config):
-        # First, so that an error names the key that was given: others take its values over.
-        check_settings(config.env, "env.")
-        check_settings(config.protocol, "protocol.")
-    check_settings(config)
-    if not isinstance(config, Config):
-        return
-    _check_pair(config)
-    check_values(config)
-    for item in fields(config):
-        part = getattr(config, item.name)
-        if isinstance(part, Option):
-            part.check(config)
-
-
-def _check_pair(config: Config) -> None:
-    agent, explore = config.agent.name, config.explore.name
-    allowed = explorations()[agent]
-    if explore not in allowed:
-        raise ConfigError(
-            f"agent={agent} cannot be combined with explore={explore}: "
-            f"explore must be one of {', '.join(allowed)}"
-        )

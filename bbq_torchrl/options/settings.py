@@ -1,22 +1,94 @@
-"""One configuration key: its default, what it may be, and what it means.
+"""One configuration key: its default, its allowed values, and its meaning.
 
-A schema field is declared once with all three::
+A field of an option is declared once with all three::
 
     lr: float = setting(1e-3, STEP_SIZE, "step size of Adam")
 
 OmegaConf checks the type, :func:`check_settings` the value; both refusals are one sentence that
-names the key, what is allowed and what was given.
+names the key, what is allowed and what was given. The bounds are those of
+:mod:`bbq_torchrl.checks`.
 """
 
 from __future__ import annotations
 
-from dataclasses import Field, dataclass, field, fields, is_dataclass
+from dataclasses import Field, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bbq_torchrl.text import shown
+from bbq_torchrl.checks import (
+    ABOVE_ZERO_TO_ONE as ABOVE_ZERO_TO_ONE,
+)
+from bbq_torchrl.checks import (
+    ANY_TEXT as ANY_TEXT,
+)
+from bbq_torchrl.checks import (
+    BATCH as BATCH,
+)
+from bbq_torchrl.checks import (
+    BELOW_ONE as BELOW_ONE,
+)
+from bbq_torchrl.checks import (
+    BOOLEAN as BOOLEAN,
+)
+from bbq_torchrl.checks import (
+    COUNT as COUNT,
+)
+from bbq_torchrl.checks import (
+    COUNTS as COUNTS,
+)
+from bbq_torchrl.checks import (
+    NON_NEGATIVE as NON_NEGATIVE,
+)
+from bbq_torchrl.checks import (
+    NON_NEGATIVE_INTEGER as NON_NEGATIVE_INTEGER,
+)
+from bbq_torchrl.checks import (
+    POSITIVE as POSITIVE,
+)
+from bbq_torchrl.checks import (
+    PROBABILITY as PROBABILITY,
+)
+from bbq_torchrl.checks import (
+    REWARD as REWARD,
+)
+from bbq_torchrl.checks import (
+    SEED as SEED,
+)
+from bbq_torchrl.checks import (
+    SIZE as SIZE,
+)
+from bbq_torchrl.checks import (
+    STEP_SIZE as STEP_SIZE,
+)
+from bbq_torchrl.checks import (
+    THREADS as THREADS,
+)
+from bbq_torchrl.checks import (
+    Allowed as Allowed,
+)
+from bbq_torchrl.checks import (
+    check as check,
+)
+from bbq_torchrl.checks import (
+    integers as integers,
+)
+from bbq_torchrl.checks import (
+    numbers as numbers,
+)
+from bbq_torchrl.checks import (
+    one_of as one_of,
+)
+from bbq_torchrl.checks import (
+    optional as optional,
+)
+from bbq_torchrl.checks import (
+    or_text as or_text,
+)
+from bbq_torchrl.checks import (
+    per_replica as per_replica,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
     Values = float | list[float]
 else:
@@ -30,124 +102,7 @@ REQUIRED = "???"
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be run. Its text is one sentence for the person who wrote it."""
-
-
-@dataclass(frozen=True)
-class Allowed:
-    """The values a key may take.
-
-    Attributes:
-        text: completes the sentence ``"<key> must be ..."``.
-        test: whether a value (already of the right type) is one of them.
-        per_replica: whether a list can give the replicas values of their own.
-    """
-
-    text: str
-    test: Callable[[Any], bool]
-    per_replica: bool = False
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _is_integer(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def numbers(low: float, high: float) -> Allowed:
-    """The numbers from ``low`` to ``high``."""
-    return Allowed(
-        f"a number from {low:g} to {high:g}".replace("e+", "e"),
-        lambda value: _is_number(value) and low <= value <= high,
-    )
-
-
-def integers(low: int, high: int = 10**9) -> Allowed:
-    """The integers from ``low`` to ``high``, which is a billion unless given."""
-    last = "10**9" if high == 10**9 else str(high)
-    return Allowed(
-        f"an integer from {low} to {last}",
-        lambda value: _is_integer(value) and low <= value <= high,
-    )
-
-
-# Networks and rewards are float32, which ends at 3e38: what is squared must stay below its root.
-POSITIVE = numbers(1e-15, 1e15)
-NON_NEGATIVE = numbers(0, 1e15)
-REWARD = numbers(-1e15, 1e15)
-STEP_SIZE = numbers(1e-30, 1e30)
-PROBABILITY = Allowed(
-    "a number between 0 and 1", lambda value: _is_number(value) and 0 <= value <= 1
-)
-BELOW_ONE = Allowed(
-    "a number from 0 to below 1", lambda value: _is_number(value) and 0 <= value < 1
-)
-ABOVE_ZERO_TO_ONE = Allowed(
-    "a number above 0 and up to 1", lambda value: _is_number(value) and 0 < value <= 1
-)
-COUNT = integers(1)
-NON_NEGATIVE_INTEGER = integers(0)
-SIZE = integers(1, 1_000)  # what memory is multiplied with
-BATCH = integers(1, 100_000)
-THREADS = integers(1, 1024)  # torch crashes where it gets many times as many
-SEED = Allowed(
-    "an integer from 0 to 2**63 - 1", lambda value: _is_integer(value) and 0 <= value < 2**63
-)
-COUNTS = Allowed(
-    "a list of up to 10 integers from 1 to 10000, such as [256,256]",
-    lambda value: (
-        isinstance(value, list)
-        and 1 <= len(value) <= 10
-        and all(map(integers(1, 10_000).test, value))
-    ),
-)
-BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
-ANY_TEXT = Allowed("a text", lambda value: isinstance(value, str) and value != "")
-
-
-def one_of(*choices: str) -> Allowed:
-    """Exactly the given texts."""
-    if len(choices) == 1:
-        return Allowed(f"{choices[0]!r}", lambda value: value == choices[0])
-    return Allowed(f"one of {', '.join(choices)}", lambda value: value in choices)
-
-
-def or_text(allowed: Allowed, text: str) -> Allowed:
-    """What ``allowed`` lets through, and the word ``text``."""
-    return Allowed(
-        f"{allowed.text} or {text!r}",
-        lambda value: value == text or allowed.test(value),
-        allowed.per_replica,
-    )
-
-
-def optional(allowed: Allowed, meaning: str) -> Allowed:
-    """What ``allowed`` lets through, and null; ``meaning`` says what null does."""
-    return Allowed(
-        f"{allowed.text} or null ({meaning})",
-        lambda value: value is None or allowed.test(value),
-        allowed.per_replica,
-    )
-
-
-def per_replica(allowed: Allowed) -> Allowed:
-    """What ``allowed`` lets through, and a list of it whose values the replicas share out.
-
-    How long the list may be is checked where the number of replicas is known.
-
-    Examples:
-        >>> per_replica(POSITIVE).test([0.1, 0.2]), per_replica(POSITIVE).test([0.1, -1])
-        (True, False)
-    """
-
-    def test(value: Any) -> bool:
-        if isinstance(value, list):
-            return bool(value) and all(map(allowed.test, value))
-        return allowed.test(value)
-
-    return Allowed(f"{allowed.text} (or a list, one for each replica)", test, per_replica=True)
+    """A configuration that cannot be run; one sentence for the person who wrote it."""
 
 
 def setting(default: Any, allowed: Allowed, meaning: str) -> Any:
@@ -170,7 +125,7 @@ def other_default(base: type, key: str, default: Any) -> Any:
 
 
 def option(name: str) -> Any:
-    """The field ``name`` of the schema of a group's option, by which the option is told."""
+    """The field ``name`` of the schema of a group's option, which identifies the option."""
     return setting(name, one_of(name), "the option of the group; chosen by <group>=<option>")
 
 
@@ -209,8 +164,7 @@ def check_settings(config: Any, prefix: str = "") -> None:
         allowed: Allowed = item.metadata["allowed"]
         if value == REQUIRED:
             raise ConfigError(f"{key} must be given: it must be {allowed.text}")
-        if not allowed.test(value):
-            raise ConfigError(f"{key} must be {allowed.text}, got {shown(value)}")
+        check(key, value, allowed, ConfigError)
 
 
 def filled(schema: type[Schema], given: Mapping[str, Any], prefix: str) -> Schema:

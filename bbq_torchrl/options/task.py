@@ -1,4 +1,4 @@
-"""What networks and exploration have to fit: features, actions, replicas."""
+"""The sizes that networks and exploration have to fit: features, actions, replicas."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Task:
-    """What networks and exploration have to fit.
+    """The sizes that networks and exploration have to fit.
 
     Attributes:
         inputs: features of an observation.
@@ -28,8 +28,10 @@ class Task:
         rounds: of the training, which schedules take a share of.
         device: of the weights.
         action_mask_key: where an observation says which actions are legal; None: all always are.
-        inactive_inputs: bool [inputs], features that come into use later; None: there are none.
+        inactive_inputs: bool [inputs], features that come into use later; None: all are in use.
         inactive_actions: bool [actions], the same of actions.
+        counted_inputs: bool [inputs], features that tell kinds of states apart, for counts of
+            visits; None: all do.
     """
 
     inputs: int
@@ -40,6 +42,7 @@ class Task:
     action_mask_key: str | None = "action_mask"
     inactive_inputs: Tensor | None = None
     inactive_actions: Tensor | None = None
+    counted_inputs: Tensor | None = None
 
     @property
     def actions(self) -> int:
@@ -49,8 +52,8 @@ class Task:
     def reset_inactive_(self, network: Any) -> None:
         """Starts weights of what is not active yet as if it were added only later.
 
-        See :func:`~bbq_torchrl.networks.growth.reset_inactive_`, and what a network of your own
-        needs for it at :class:`~bbq_torchrl.networks.growth.Growing`.
+        See :func:`~bbq_torchrl.networks.growth.reset_inactive_`; the network must be
+        :class:`~bbq_torchrl.protocols.Growing`.
         """
         from bbq_torchrl.networks.growth import reset_inactive_
 
@@ -59,7 +62,7 @@ class Task:
 
 
 def action_mask_key(env: EnvBase) -> str | None:
-    """Returns where an environment says which actions are legal; None: all of them always are."""
+    """Returns the key of an environment's mask of legal actions; None: all are always legal."""
     return "action_mask" if "action_mask" in list(env.observation_spec.keys()) else None
 
 

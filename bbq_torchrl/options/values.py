@@ -1,9 +1,10 @@
-"""Keys with a list: several values of a hyper-parameter along the replicas of one run."""
+"""Keys with a list: several values of a hyper-parameter in the replicas of one run."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bbq_torchrl.options.settings import ConfigError, Values, walk
 
@@ -12,16 +13,22 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from bbq_torchrl.options.root import Config
+    from bbq_torchrl.options.registry import Option
     from bbq_torchrl.options.task import Task
 
 
+class Replicated(Protocol):
+    """A configuration of independent seeds that are trained together."""
+
+    replicas: int
+
+
 def spread(value: Any, replicas: int) -> list[Any]:
-    """Returns what each replica has: neighbors share a value where there are fewer than replicas.
+    """Returns the value of each replica: neighbors share one where there are fewer than replicas.
 
     Args:
         value: one value, or a list whose length divides ``replicas``.
-        replicas: how many there are.
+        replicas: their number.
 
     Examples:
         >>> spread([0.1, 0.2], 6)
@@ -34,36 +41,31 @@ def spread(value: Any, replicas: int) -> list[Any]:
     return [item for item in values for _ in range(times)]
 
 
-def replica_values(config: Config) -> list[dict[str, float]]:
+def replica_values(config: Replicated) -> list[dict[str, float]]:
     """Returns for each replica the values of the keys that have a list: dotted key to value."""
-    columns = {key: spread(value, config.replicas) for key, value in _lists(config)}
+    columns = {key: spread(value, config.replicas) for key, value in lists(config)}
     return [
         {key: float(values[replica]) for key, values in columns.items()}
         for replica in range(config.replicas)
     ]
 
 
-def check_values(config: Config) -> None:
-    """Checks that the replicas can share out the values of each list.
-
-    Raises:
-        ConfigError: naming the first key whose list has another length.
-    """
-    for key, value in _lists(config):
-        if config.replicas % len(value):
-            raise ConfigError(
-                f"{key} must be one value or a list of {config.replicas} (one for each of the "
-                f"replicas) or of a number that divides {config.replicas}, got {len(value)}: "
-                f"{value}"
-            )
+def lists(config: Replicated) -> Iterator[tuple[str, list[Any]]]:
+    """Yields the keys whose values differ between replicas: dotted key, and the values."""
+    for key, item, value in walk(config):
+        if isinstance(value, list) and item.metadata["allowed"].per_replica:
+            yield key, value
 
 
-def check_falls(config: Config, first: str, last: str) -> None:
-    """Refuses a schedule that rises for any replica, from one key of ``explore`` to another."""
-    start, end = getattr(config.explore, first), getattr(config.explore, last)
-    pairs = zip(spread(start, config.replicas), spread(end, config.replicas), strict=True)
+def check_falls(option: Option, first: str, last: str) -> None:
+    """Refuses a schedule that rises for any replica, from one key of an option to another."""
+    start, end = getattr(option, first), getattr(option, last)
+    # Any number of replicas that both lists divide has the same pairs.
+    replicas = math.lcm(*(len(value) if isinstance(value, list) else 1 for value in (start, end)))
+    pairs = zip(spread(start, replicas), spread(end, replicas), strict=True)
     if any(before < after for before, after in pairs):
-        raise ConfigError(f"explore.{first} must be at least explore.{last} ({end}), got {start}")
+        group = option.group
+        raise ConfigError(f"{group}.{first} must be at least {group}.{last} ({end}), got {start}")
 
 
 def over_replicas(value: Values, task: Task) -> float | Tensor:
@@ -82,7 +84,7 @@ def beside_dialogues(value: Values, task: Task) -> float | Tensor:
 
 
 def annealed_rounds(fraction: float, task: Task) -> int:
-    """Returns the length of a schedule; a share of 0 is over after the first round."""
+    """Returns the length of a schedule; a share of 0 ends after the first round."""
     return max(1, round(fraction * task.rounds))
 
 
@@ -100,9 +102,3 @@ def keys_with_lists(schemas: Mapping[str, Mapping[str, type]]) -> list[str]:
         if item.metadata["allowed"].per_replica
     }
     return list(found)
-
-
-def _lists(config: Config) -> Iterator[tuple[str, list[Any]]]:
-    for key, item, value in walk(config):
-        if isinstance(value, list) and item.metadata["allowed"].per_replica:
-            yield key, value

@@ -61,6 +61,7 @@ def task_of(config: Config, env: EnvBase) -> Task:
         action_mask_key=action_mask_key(env),
         inactive_inputs=inputs,
         inactive_actions=actions,
+        counted_inputs=config.env.counted(env),
     )
 
 

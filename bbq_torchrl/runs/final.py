@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import bbq_torchrl
-from bbq_torchrl.domains.validate import RANDOM_POLICY
+from bbq_torchrl.domains.parts import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import grouped, read_groups
 from bbq_torchrl.evaluation.metrics import Metrics
@@ -25,9 +25,9 @@ from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.evaluation.runs import Replica
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.run_folder import CURVE
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
-from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import torch
 from hydra.types import RunMode
 
-from bbq_torchrl.bayes.settings import check_choice
+from bbq_torchrl.checks import check, one_of
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import conf_folder, load_folder
+from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.compose import compose_raw, register_options, session
@@ -21,7 +22,6 @@ from bbq_torchrl.runs.resume import Resumption, description, run_config
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
-from bbq_torchrl.trainers.hooks import enter_round
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -113,7 +113,7 @@ def trained_policy(
             that are not finite.
     """
     config.agent.check_mode(mode)
-    check_choice("weights", weights, ("last", "best"))
+    check("weights", weights, one_of("last", "best"))
     agent = make_agent(config, env)
     name, policy = config.agent.make_evaluation(agent.actor, mode)
     best = None

@@ -33,7 +33,7 @@ def log_start(config: Config, domain: Domain | None, spiking: str | None) -> Non
             protocol.rounds,
         )
     if domain is not None:
-        _log_domain(domain, config.env.never(domain))
+        _log_domain(domain, config.env.inactive_slots(domain))
     if spiking is not None and config.spike.policy is None and config.resume is None:
         _LOG.info("spiking with the policy %s, the first that succeeds", spiking)
 

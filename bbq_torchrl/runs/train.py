@@ -25,17 +25,16 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
     from tensordict.nn import TensorDictModuleBase
-    from torch import Tensor
+    from torch import Tensor, nn
     from torchrl.envs import EnvBase, Transform
     from torchrl.modules import QValueActor
-    from torchrl.objectives import LossModule
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import ReplicaOptimizer, RoundTrainer
-    from bbq_torchrl.trainers.hooks import RoundCallback
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 
 @command
@@ -129,7 +128,7 @@ def build_trainer(
     from bbq_torchrl.options.task import check_env
     from bbq_torchrl.runs import build
     from bbq_torchrl.runs.resume import description
-    from bbq_torchrl.trainers import RoundTrainer
+    from bbq_torchrl.trainers import RoundTrainer, losses_of
 
     protocol, spike = config.protocol, config.spike
     domain = build.make_domain(config) if domain is None else domain
@@ -152,7 +151,7 @@ def build_trainer(
         agent.loss,
         replay,
         agent.optimizer,
-        HardUpdate(agent.loss, value_network_update_interval=0),
+        HardUpdate(losses_of(agent.loss)[0], value_network_update_interval=0),
         run_folder,
         rounds=protocol.rounds,
         dialogues=protocol.dialogues,
@@ -180,7 +179,7 @@ class Agent(NamedTuple):
 
     Attributes:
         actor: the Q-network and its choice of an action.
-        loss: what is learned.
+        loss: the loss, or several in a ``ModuleDict``.
         optimizer: moves the loss's parameters.
         policy: acts with exploration.
         metrics: what of the exploration is worth a column of the metrics; one number, or
@@ -189,7 +188,7 @@ class Agent(NamedTuple):
     """
 
     actor: QValueActor
-    loss: LossModule
+    loss: nn.Module
     optimizer: ReplicaOptimizer
     policy: TensorDictModuleBase
     metrics: dict[str, Callable[[], float | Tensor]]

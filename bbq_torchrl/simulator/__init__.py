@@ -1,13 +1,14 @@
-"""The simulator: users, a tracker and a shelf of records as batched tensor functions."""
+"""The simulator: users, a tracker and a knowledge base as batched tensor functions."""
 
 from __future__ import annotations
 
-from bbq_torchrl.simulator.error_model import Channel, ErrorModel, SlotErrorMode, Utterance
+from bbq_torchrl.simulator.error_model import Channel, ErrorModel, SlotErrorMode
 from bbq_torchrl.simulator.features import FeatureLayout
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.measured_errors import MeasuredErrors
 from bbq_torchrl.simulator.rewards import Rewards
 from bbq_torchrl.simulator.simulator import Simulator
+from bbq_torchrl.simulator.tracker import Utterance
 from bbq_torchrl.simulator.transcript import Transcript
 
 __all__ = [

@@ -1,7 +1,7 @@
-"""Choosing by index: random choices as functions of uniform numbers, and rows out of tables.
+"""Choices by index, rows of tables, and sets of records as bits.
 
-Nothing here draws: the numbers come from the one generator that the environment owns, and whoever
-holds them can repeat the choices.
+Nothing here draws: the numbers come from the one generator of the environment, and whoever has them
+can repeat the choices.
 """
 
 from __future__ import annotations
@@ -67,3 +67,83 @@ def rows(table: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
                 [3, 4]])
     """
     return table.index_select(0, index.reshape(-1)).view(*index.shape, *table.shape[1:])
+
+
+WORD_BITS = 64
+
+
+_BYTE_BITS = 8
+
+
+def _signed(word: int) -> int:
+    """Returns the 64 bits of ``word`` as the signed number that int64 holds them in."""
+    return word - (1 << WORD_BITS) if word >> (WORD_BITS - 1) else word
+
+
+_PAIRS = _signed(0x5555555555555555)
+
+
+_QUADS = _signed(0x3333333333333333)
+
+
+_BYTES = _signed(0x0F0F0F0F0F0F0F0F)
+
+
+_ONES = _signed(0x0101010101010101)
+
+
+_TOP_BYTE = WORD_BITS - _BYTE_BITS
+
+
+def pack(members: torch.Tensor) -> torch.Tensor:
+    """Packs membership flags into words. Returns int64 ``[*batch, ceil(rows / 64)]``.
+
+    Args:
+        members: bool ``[*batch, rows]``. Row ``r`` becomes bit ``r % 8`` of byte ``r // 8`` of the
+            words' memory.
+
+    Examples:
+        >>> pack(torch.tensor([True, False, True]))
+        tensor([5])
+    """
+    padded = torch.nn.functional.pad(members, (0, -members.shape[-1] % WORD_BITS))
+    first, *rest = padded.to(torch.uint8).unflatten(-1, (-1, _BYTE_BITS)).unbind(-1)
+    packed = first.contiguous()
+    for bit, flags in enumerate(rest, start=1):
+        packed |= flags << bit
+    return packed.view(torch.int64)
+
+
+def _counts_in_bytes(words: torch.Tensor) -> torch.Tensor:
+    """Returns words whose every byte is the number of bits set in that byte of ``words``."""
+    # Bits are added in pairs, in fours, then in bytes; the masks also cut off the copies of the
+    # sign that >> shifts in.
+    words = words - ((words >> 1) & _PAIRS)
+    words = (words & _QUADS) + ((words >> 2) & _QUADS)
+    return (words + (words >> 4)) & _BYTES
+
+
+def popcount(words: torch.Tensor) -> torch.Tensor:
+    """Counts the members of each packed set. Returns long ``[*batch]``.
+
+    Args:
+        words: int64 ``[*batch, W]``.
+
+    Examples:
+        >>> popcount(torch.tensor([[5, -1]]))
+        tensor([66])
+    """
+    return ((_counts_in_bytes(words) * _ONES) >> _TOP_BYTE).sum(-1)
+
+
+def byte_counts(words: torch.Tensor) -> torch.Tensor:
+    """Counts the members in each byte of each packed set. Returns uint8 ``[*batch, 8 * W]``.
+
+    Args:
+        words: int64 ``[*batch, W]``.
+
+    Examples:
+        >>> byte_counts(torch.tensor([0x0301]))
+        tensor([1, 2, 0, 0, 0, 0, 0, 0], dtype=torch.uint8)
+    """
+    return _counts_in_bytes(words).view(torch.uint8)

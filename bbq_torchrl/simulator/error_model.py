@@ -1,44 +1,26 @@
-"""What lies between the user's mouth and the tracker's ear, and what goes wrong there."""
+"""The error channel between user and tracker."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import torch
 
+from bbq_torchrl.checks import PROBABILITY, check, one_of
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.simulator.choices import index_below
+from bbq_torchrl.simulator.tracker import AgentTurn, Utterance
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import DomainTensors
-    from bbq_torchrl.simulator.tracker import AgentTurn
 
 SlotErrorMode = Literal["value", "slot", "delete", "mixed"]
 
 ABOVE_IDS = 1 << 32
 """Above every value id: a slot times this plus a value of it are one number."""
-
-
-@dataclass(frozen=True)
-class Utterance:
-    """What a user says in a turn, or what is heard of it.
-
-    Args:
-        act: long ``[*B]``, the act.
-        informs: long ``[*B, S]``, the values informed.
-        requests: bool ``[*B, S]``, the slots that the user asks for.
-        repeats: long ``[*B]``, of what is heard: how often the user was asked to say it again;
-            ``None``: never.
-    """
-
-    act: torch.Tensor
-    informs: torch.Tensor
-    requests: torch.Tensor
-    repeats: torch.Tensor | None = None
 
 
 class Channel(Protocol):
@@ -105,7 +87,7 @@ class ErrorModel(Movable):
         intent_error_prob: probability in [0, 1] that the act is heard as any act.
 
     Raises:
-        ValueError: if a probability or the mode is none.
+        ValueError: for a probability or a mode that is not allowed.
     """
 
     slot_draws: tuple[str, ...] = ("error", "error_kind", "error_slot", "error_value")
@@ -119,13 +101,9 @@ class ErrorModel(Movable):
         slot_error_mode: SlotErrorMode = "value",
         intent_error_prob: float = 0.0,
     ) -> None:
-        _check_probability("slot_error_prob", slot_error_prob)
-        _check_probability("intent_error_prob", intent_error_prob)
-        if slot_error_mode not in get_args(SlotErrorMode):
-            raise ValueError(
-                f"slot_error_mode must be one of {', '.join(get_args(SlotErrorMode))}, "
-                f"got {slot_error_mode!r}"
-            )
+        check("slot_error_prob", slot_error_prob, PROBABILITY)
+        check("intent_error_prob", intent_error_prob, PROBABILITY)
+        check("slot_error_mode", slot_error_mode, one_of(*get_args(SlotErrorMode)))
         self.slot_error_prob = slot_error_prob
         self.slot_error_mode = slot_error_mode
         self.intent_error_prob = intent_error_prob
@@ -230,8 +208,3 @@ class ErrorModel(Movable):
         keyed = torch.where(replaces, (slots + 1) * ABOVE_IDS + value, 0)
         last = torch.zeros_like(spared).scatter_reduce(-1, target, keyed, "amax")
         return torch.where(last > 0, last % ABOVE_IDS, spared)
-
-
-def _check_probability(name: str, value: float) -> None:
-    if not 0.0 <= value <= 1.0:
-        raise ValueError(f"{name} must be a probability between 0 and 1, got {value!r}")

@@ -1,4 +1,4 @@
-"""What the agent sees: the layout of the features, and the features of a state."""
+"""The features that the agent sees: their layout, and those of a state."""
 
 from __future__ import annotations
 

@@ -8,8 +8,7 @@ import torch
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
-from bbq_torchrl.simulator.bits import WORD_BITS, byte_counts, pack, popcount
-from bbq_torchrl.simulator.choices import rows
+from bbq_torchrl.simulator.choices import WORD_BITS, byte_counts, pack, popcount, rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,7 +89,7 @@ class KnowledgeBase(Movable):
         )
 
     def _chosen(self, held: torch.Tensor) -> torch.Tensor:
-        """Returns which set each slot's held value stands for, long ``[*B, K]``."""
+        """Returns the set that each slot's held value stands for, long ``[*B, K]``."""
         return held.index_select(-1, self.slots) + self.first_set
 
     def matching(self, held: torch.Tensor) -> torch.Tensor:

@@ -10,7 +10,8 @@ from torch.nn.utils.rnn import pad_sequence
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE, fold, value_ids
 from bbq_torchrl.simulator.choices import one_of, rows
-from bbq_torchrl.simulator.error_model import ABOVE_IDS, Utterance
+from bbq_torchrl.simulator.error_model import ABOVE_IDS
+from bbq_torchrl.simulator.tracker import Utterance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What the agent gets for a turn."""
+"""The rewards of a turn."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 @dataclass(frozen=True)
 class Rewards:
-    """What the agent gets for a turn (Lipton et al., 2018).
+    """The rewards of a turn (Lipton et al., 2018).
 
     Args:
         success: for the turn that ends a dialogue in success.

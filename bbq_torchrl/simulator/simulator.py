@@ -9,11 +9,11 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains.values import NO_MATCH, NONE
-from bbq_torchrl.simulator.error_model import ErrorModel, Utterance
+from bbq_torchrl.simulator.error_model import ErrorModel
 from bbq_torchrl.simulator.features import Features
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.rewards import Rewards
-from bbq_torchrl.simulator.tracker import Tracker
+from bbq_torchrl.simulator.tracker import Tracker, Utterance
 from bbq_torchrl.simulator.user import User
 
 if TYPE_CHECKING:
@@ -114,17 +114,17 @@ class Simulator:
 
     @property
     def device(self) -> torch.device:
-        """Where the simulator's tensors are."""
+        """The device of the simulator's tensors."""
         return self.domain.records.device
 
     @property
     def layout(self) -> FeatureLayout:
-        """Which feature is where."""
+        """The layout of the features."""
         return self.features.layout
 
     @property
     def max_agent_turns(self) -> int:
-        """How many turns of the agent a dialogue lasts at most; the last of them fails."""
+        """The most turns of the agent in a dialogue; the last of them fails."""
         return self.max_turn // _ACTS_PER_TURN + 1
 
     def action_mask(self, active: torch.Tensor) -> torch.Tensor:

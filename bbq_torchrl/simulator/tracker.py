@@ -12,7 +12,6 @@ from bbq_torchrl.simulator.choices import index_below, one_of, rows
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
-    from bbq_torchrl.simulator.error_model import Utterance
     from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
 
@@ -67,6 +66,24 @@ class AgentTurn:
         place = is_chosen.to(torch.uint8).argmax(-1, keepdim=True)
         chosen = self.offered.gather(-1, place).squeeze(-1)
         return torch.where(count > 0, chosen, DONT_CARE)
+
+
+@dataclass(frozen=True)
+class Utterance:
+    """A user's turn, as it is said or as it is heard.
+
+    Args:
+        act: long ``[*B]``, the act.
+        informs: long ``[*B, S]``, the values informed.
+        requests: bool ``[*B, S]``, the slots that the user asks for.
+        repeats: long ``[*B]``, of what is heard: how often the user was asked to say it again;
+            ``None``: never.
+    """
+
+    act: torch.Tensor
+    informs: torch.Tensor
+    requests: torch.Tensor
+    repeats: torch.Tensor | None = None
 
 
 class Tracker:

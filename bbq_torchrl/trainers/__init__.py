@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.protocols import EvaluationHook, ReplicaOptimizer, RoundEnv
 from bbq_torchrl.seeds import derive_seed
 from bbq_torchrl.trainers.best_weights import BestWeights
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
@@ -15,12 +16,11 @@ from bbq_torchrl.trainers.errors import (
     SpikeError,
     TrainingError,
 )
-from bbq_torchrl.trainers.hooks import EvaluationHook, RoundCallback, RoundEnv
-from bbq_torchrl.trainers.memory import keep_freed_memory
+from bbq_torchrl.trainers.learn import keep_freed_memory, losses_of
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
-from bbq_torchrl.trainers.optimizer import ReplicaAdam, ReplicaOptimizer
+from bbq_torchrl.trainers.optimizer import ReplicaAdam
 from bbq_torchrl.trainers.progress import RoundProgress
-from bbq_torchrl.trainers.round_trainer import RoundTrainer
+from bbq_torchrl.trainers.round_trainer import RoundCallback, RoundTrainer
 from bbq_torchrl.trainers.spiking import Spike
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "derive_seed",
     "episode_stats",
     "keep_freed_memory",
+    "losses_of",
     "rollout",
     "rollouts",
 ]

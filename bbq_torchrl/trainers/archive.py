@@ -1,4 +1,4 @@
-"""What a checkpoint's archive holds, read to its last byte before anything in it is loaded.
+"""Archives of checkpoints, read to the last byte before anything in them is loaded.
 
 An archive is whatever somebody put into it. tensordict's loader follows the metadata that it finds
 and, by default, unpickles, which runs code. So an archive with anything that a checkpoint of ours

@@ -81,7 +81,7 @@ class CheckpointFolder:
         Args:
             rounds: how many rounds are done.
             metadata: JSON values, read again without loading anything.
-            name: a name of its own, outside the rotation. Defaults to None, the round's.
+            name: a separate name, outside the rotation. Defaults to None, the round's.
 
         Raises:
             OSError: if the folder cannot be written or the disk has no room.
@@ -101,7 +101,7 @@ class CheckpointFolder:
         return path
 
     def newest(self) -> tuple[Path, dict[str, Any]] | None:
-        """Returns the newest readable checkpoint and its metadata, or None if there is none at all.
+        """Returns the newest readable checkpoint and its metadata, or None without checkpoints.
 
         A damaged one is named in a warning.
 
@@ -117,7 +117,7 @@ class CheckpointFolder:
         return found
 
     def restore(self, expected: Mapping[str, Any]) -> tuple[Path, dict[str, Any]] | None:
-        """Restores all components from the newest readable checkpoint; None if there is none.
+        """Restores all components from the newest readable checkpoint; None without checkpoints.
 
         Args:
             expected: metadata that the checkpoint must have. What a checkpoint of an earlier
@@ -167,8 +167,8 @@ class CheckpointFolder:
         Raises:
             CheckpointMismatchError: if it was made by another configuration.
         """
-        # Each part moves its state to its own device: the run may go on where the device that it
-        # was saved from is absent.
+        # Each part moves its state to its own device: the run may continue where the device that
+        # it was saved from is absent.
         try:
             self._checkpoint.load(path, map_location="cpu")
         except CheckpointError as error:
@@ -306,7 +306,7 @@ def _openable_by_torch(folder: Path) -> Iterator[Path]:
 
 
 def _force_to_disk(path: Path) -> None:
-    """Has a file, or the names in a folder, outlive a crash of the machine."""
+    """Forces a file, or the names in a folder, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

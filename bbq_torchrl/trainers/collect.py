@@ -1,4 +1,4 @@
-"""Dialogues played side by side to the last one's end, and stored."""
+"""Plays dialogues in parallel, each to its end, and stores them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
 class EpisodeStats(NamedTuple):
-    """How dialogues went, one entry for each, shape [*batch].
+    """Statistics of dialogues, one entry for each, shape [*batch].
 
     Attributes:
         success: whether the dialogue succeeded (bool).
@@ -82,7 +82,7 @@ def rollout(
 
 
 def _marking_the_first_turn(policy: Policy) -> Policy:
-    """Returns a policy that is told where a rollout begins, without a transform's cost a turn."""
+    """Returns a policy that marks the first turn of a rollout, without the cost of a transform."""
     is_first = True
 
     def act(tensordict: TensorDictBase) -> TensorDictBase:

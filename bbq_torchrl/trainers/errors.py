@@ -1,4 +1,4 @@
-"""What stops a training, or keeps one from going on."""
+"""Errors that stop a training, or keep one from being resumed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class TrainingError(ValueError):
-    """What stops a training, or keeps one from going on; its text is enough for a person."""
+    """An error that stops a training, or keeps one from being resumed; its text is for people."""
 
 
 class SpikeError(TrainingError):

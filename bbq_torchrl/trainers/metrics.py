@@ -1,4 +1,4 @@
-"""The one way of a round's numbers: into memory, metrics.csv and whatever logger there is."""
+"""The path of a round's numbers: into memory, metrics.csv and the loggers."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -11,33 +11,6 @@ from torch.optim.adam import adam
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-
-
-class ReplicaOptimizer(Protocol):
-    """What moves parameters whose first dimension are replicas that must not touch one another.
-
-    :class:`ReplicaAdam` is one. What is random in one comes from torch's global generator, which
-    the trainer seeds for each epoch, and is drawn for all replicas at every step.
-    """
-
-    @property
-    def replicas(self) -> int:
-        """The number of replicas."""
-
-    def zero_grad(self) -> None:
-        """Forgets the gradients."""
-
-    def step(self, active: Sequence[bool] | None = None) -> None:
-        """Moves the replicas that are active, all by default; the others stay bitwise the same."""
-
-    def scale_lr(self, share: float) -> None:
-        """Goes on at that share of the learning rate it was made with; called where it falls."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Returns what a resumed training needs."""
-
-    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restores it."""
 
 
 class ReplicaAdam:
@@ -158,7 +131,7 @@ class ReplicaAdam:
         return state
 
     def scale_lr(self, share: float) -> None:
-        """Has each replica go on at that share of the rate that it was given."""
+        """Sets each replica's learning rate to this share of the rate that it was given."""
         for group, rate in zip(self._adam.param_groups, self._rates, strict=True):
             group["lr"] = rate * share
 
@@ -168,5 +141,5 @@ class ReplicaAdam:
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Restores a copy of what :meth:`state_dict` returned."""
-        # torch's own would go on in the very tensors of the state that it is given.
+        # torch's own would keep using the tensors of the state that it is given.
         self._adam.load_state_dict(deepcopy(dict(state_dict)))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 LINES = 40
-"""So many lines at most tell of a training that has no progress bar."""
+"""The most log lines of a training without a progress bar."""
 
 
 class RoundProgress:

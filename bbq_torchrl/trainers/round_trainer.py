@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
@@ -12,8 +13,14 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.exploration.hooks import Annealed, Resampled
-from bbq_torchrl.hooks import modules_with
+from bbq_torchrl.protocols import (
+    Annealed,
+    ReplicaOptimizer,
+    Resampled,
+    enter_round,
+    modules_with,
+    provides,
+)
 from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
 from bbq_torchrl.seeds import derive_seed
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
@@ -24,48 +31,44 @@ from bbq_torchrl.trainers.errors import (
     RunFolderGoneError,
     TrainingError,
 )
-from bbq_torchrl.trainers.hooks import enter_round
 from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from torchrl.envs import EnvBase
     from torchrl.objectives.utils import TargetNetUpdater
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.data import ReplicaReplay
-    from bbq_torchrl.trainers.hooks import EvaluationHook, RoundCallback
-    from bbq_torchrl.trainers.optimizer import ReplicaOptimizer
+    from bbq_torchrl.protocols import EvaluationHook
     from bbq_torchrl.trainers.spiking import Spike
 
 
 @dataclass(eq=False)
 class RoundTrainer:
-    """Trains R replicas side by side by the paper's protocol, and can go on after a kill.
+    """Trains R replicas in parallel by the paper's protocol, and can be resumed after a kill.
 
     A round: every replica plays its dialogues in lockstep, stores the transitions, and learns:
     freeze the target, some epochs over the buffer; freeze again, some epochs again (the paper,
     "Experiments"). The trainer knows nothing of agents and dialogues but the keys: everything else
     comes in as objects.
 
-    Random numbers: each phase of a round starts from a seed of its own, derived from the run's seed
+    Random numbers: each phase of a round starts from a separate seed, derived from the run's seed
     and the round (:func:`~bbq_torchrl.trainers.derive_seed`). So a training that is killed at any
     moment and resumed ends, on a CPU, with bitwise the same weights and metrics as one that was
     not; and what one replica does never shifts another's random numbers.
 
-    What its parts may have besides, and what the trainer then does, is in
-    :mod:`bbq_torchrl.trainers.hooks`, :mod:`bbq_torchrl.objectives.hooks`,
-    :mod:`bbq_torchrl.exploration.hooks` (each module of the policy) and
-    :mod:`bbq_torchrl.data.hooks` (the replay's transform).
+    :mod:`bbq_torchrl.protocols` lists the optional methods of these objects that the trainer calls.
 
     Args:
         env: batch size [replicas, places], key ``("next", "success")`` besides the usual.
         policy: acts, with exploration, on the environment's TensorDict.
         loss: returns ``loss`` (scalar) and ``loss_value`` [replicas], and may return more of shape
-            [replicas], which becomes a metric.
+            [replicas], which becomes a metric. Several losses are an ``nn.ModuleDict``: the sum of
+            their ``loss`` is trained, and ``loss_value`` is the first one's.
         replay: the buffers, empty.
         optimizer: of the loss's parameters.
         target_updater: ``.step()`` freezes the target.
@@ -137,7 +140,7 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, places] for {replicas} "
                 f"replicas, got {list(self.env.batch_size)}"
             )
-        if not hasattr(self.optimizer, "replicas"):
+        if not provides(self.optimizer, ReplicaOptimizer):
             raise ValueError(
                 "the optimizer must move each replica by itself, as ReplicaAdam does, got "
                 f"{type(self.optimizer).__name__}"
@@ -198,8 +201,8 @@ class RoundTrainer:
         """Trains to the last round and returns the metrics: a row for every round and replica.
 
         Args:
-            resume: go on from the newest readable checkpoint in the run folder; from the start if
-                the training was killed before it saved one. Defaults to False.
+            resume: continue from the newest readable checkpoint in the run folder; from the start
+                if the training was killed before it saved one. Defaults to False.
 
         Raises:
             ValueError: if the run folder holds a training already and ``resume`` is ``False``.
@@ -224,7 +227,7 @@ class RoundTrainer:
         return list(self.metrics.rows)
 
     def stop(self) -> None:
-        """Has :meth:`train` end after the round under way, with a checkpoint of it."""
+        """Makes :meth:`train` end after the current round, with a checkpoint of it."""
         self._stops = True
 
     def begin(self, *, resume: bool = False) -> None:
@@ -330,7 +333,7 @@ class RoundTrainer:
         return means
 
     def _begin_phase(self, name: str, round_number: int) -> None:
-        """Has dialogues be played from a seed of their own, in the environment as in a round."""
+        """Prepares the playing of dialogues: a separate seed, and the environment of the round."""
         self._seed_phase(name, round_number)
         enter_round(self.env, round_number)
 
@@ -348,6 +351,10 @@ class RoundTrainer:
         if name is None:
             self.rounds_saved = self.rounds_done
         return saved
+
+
+RoundCallback = Callable[[RoundTrainer, "Sequence[MetricRow]"], None]
+"""Called after every round with the trainer and the round's rows, one for each replica."""
 
 
 def _merged(

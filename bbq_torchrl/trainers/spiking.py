@@ -1,4 +1,4 @@
-"""Replay buffer spiking: what another policy's dialogues do for the first rounds."""
+"""Replay buffer spiking: dialogues of another policy for the first rounds."""
 
 from __future__ import annotations
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from bbq_torchrl.vime.dynamics import DynamicsModel
-from bbq_torchrl.vime.dynamics_loss import DynamicsLoss
+from bbq_torchrl.vime.dynamics_loss import DynamicsLoss, vime_losses
 from bbq_torchrl.vime.information_gain import information_gain
 from bbq_torchrl.vime.reward import VIMEReward
-from bbq_torchrl.vime.vime_loss import VIMELoss
 
 __all__ = [
     "DynamicsLoss",
     "DynamicsModel",
-    "VIMELoss",
     "VIMEReward",
     "information_gain",
+    "vime_losses",
 ]

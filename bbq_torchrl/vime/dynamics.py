@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.bayes_mlp import BayesMLP
 from bbq_torchrl.bayes.functional import as_rows
-from bbq_torchrl.bayes.settings import checked_number
+from bbq_torchrl.checks import ABOVE_ZERO, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -92,8 +92,8 @@ class DynamicsModel(nn.Module):
         for name, size in (("observation_size", observation_size), ("action_size", action_size)):
             if size < 1:
                 raise ValueError(f"{name} must be at least 1, got {size}")
-        checked_number("noise_std", noise_std)
-        checked_number("std_floor", std_floor)
+        check("noise_std", noise_std, ABOVE_ZERO)
+        check("std_floor", std_floor, ABOVE_ZERO)
         self.observation_size = observation_size
         self.action_size = action_size
         self.noise_std = noise_std
@@ -128,7 +128,7 @@ class DynamicsModel(nn.Module):
 
     @property
     def std(self) -> Tensor:
-        """What each feature is divided by, [*replicas, S], at least ``std_floor``."""
+        """The divisor of each feature, [*replicas, S], at least ``std_floor``."""
         return self.var.sqrt().clamp_min(self.std_floor)
 
     @torch.no_grad()

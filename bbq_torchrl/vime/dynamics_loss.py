@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
 from tensordict.utils import unravel_key
+from torch import nn
 from torchrl.objectives import LossModule
 
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
-from bbq_torchrl.bayes.settings import checked_number
-from bbq_torchrl.objectives.num_data import NumData
-from bbq_torchrl.objectives.rows import weights_of_rows
+from bbq_torchrl.checks import AT_LEAST_ZERO, COUNT, check
+from bbq_torchrl.objectives.rows import NumData, weights_of_rows
 
 if TYPE_CHECKING:
+    from collections.abc import MutableMapping
+
     from tensordict.utils import NestedKey
     from torch import Tensor
 
@@ -44,10 +46,13 @@ class DynamicsLoss(NumData, LossModule):
     model's running statistics are read, not changed.
 
     Args:
-        dynamics: the model, also held by what computes the bonus; a submodule of the loss.
+        dynamics: the model, which the intrinsic reward shares; a submodule of the loss.
 
     Keyword Args:
         kl_temperature: factor of the KL; 1 is Bayes' rule. Defaults to 1.
+        every: trains the dynamics every this many batches; on the others "loss" is 0 and the last
+            metrics are reported again. The count is part of the state, and :meth:`begin_epoch`
+            restarts it. Defaults to 1.
         num_data: N, for each replica or one for all; see :meth:`set_num_data`,
             which is to be called before the first loss where this is None.
 
@@ -90,6 +95,7 @@ class DynamicsLoss(NumData, LossModule):
     default_keys = _AcceptedKeys
     tensor_keys: _AcceptedKeys
     dynamics: DynamicsModel
+    reported: Tensor
     out_keys = ["loss", "dynamics_loss", "dynamics_kl"]  # noqa: RUF012 - as in TorchRL
 
     def __init__(
@@ -97,14 +103,20 @@ class DynamicsLoss(NumData, LossModule):
         dynamics: DynamicsModel,
         *,
         kl_temperature: float = 1.0,
+        every: int = 1,
         num_data: int | Tensor | None = None,
     ) -> None:
-        checked_number("kl_temperature", kl_temperature, minimum=0)
+        check("kl_temperature", kl_temperature, AT_LEAST_ZERO)
+        check("every", every, COUNT)
         super().__init__()
         self.dynamics = dynamics
+        self.every = every
+        # on the host: whether a batch is skipped must not wait for a device
+        self.batches = 0
         self.replicas = dynamics.replicas
         self.kl_temperature = kl_temperature
         self._register_num_data(num_data, dynamics.network.posterior.mu)
+        self.register_buffer("reported", self.num_data.new_zeros((2, *self.replicas)))
         self._set_in_keys()
 
     def _set_in_keys(self) -> None:
@@ -123,6 +135,23 @@ class DynamicsLoss(NumData, LossModule):
         """Starts the model's weights again."""
         self.dynamics.reset_parameters()
 
+    def begin_epoch(self) -> None:
+        """Trains the dynamics on the next batch, and from there on every ``every`` batches.
+
+        To be called before each epoch where the replicas have epochs of different lengths
+        (:class:`~bbq_torchrl.data.ReplicaReplay`), or the length of one replica's epoch decides
+        which batches of the next the others' dynamics learn from.
+        """
+        self.batches = 0
+
+    def get_extra_state(self) -> Tensor:
+        """Returns the number of batches since the schedule began, int64, shape []."""
+        return torch.tensor(self.batches)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Restores what :meth:`get_extra_state` returned."""
+        self.batches = int(state)
+
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Returns the losses of a batch of transitions.
@@ -138,6 +167,16 @@ class DynamicsLoss(NumData, LossModule):
             RuntimeError: if N is not known.
         """
         self._check_num_data()
+        is_due = self.batches % self.every == 0
+        self.batches += 1
+        loss = self._loss(tensordict) if is_due else self.reported.new_zeros(())
+        dynamics_loss, dynamics_kl = self.reported.clone().unbind(0)
+        return TensorDict(
+            {"loss": loss, "dynamics_loss": dynamics_loss, "dynamics_kl": dynamics_kl}
+        )
+
+    def _loss(self, tensordict: TensorDictBase) -> Tensor:
+        """Returns the sum of the replicas' losses, and notes what is to be reported."""
         observation, action, following, terminated = (tensordict[key] for key in self.in_keys)
         rows = observation.shape[:-1]
         predicted = ~terminated.bool().reshape(*rows, 1)
@@ -162,10 +201,28 @@ class DynamicsLoss(NumData, LossModule):
         sums = self._flat(square).sum(-1) * (0.5 / self.dynamics.noise_std**2)
         kl = kl_sum.total()
         loss = sums / number + kl * (self.kl_temperature / self.num_data)
-        return TensorDict(
-            {"loss": loss.sum(), "dynamics_loss": loss.detach(), "dynamics_kl": kl.detach()}
-        )
+        self.reported.copy_(torch.stack([loss.detach(), kl.detach()]))
+        return loss.sum()
 
     def _flat(self, tensor: Tensor) -> Tensor:
         """Returns [*replicas, *batch] as [*replicas, B]."""
         return tensor.reshape(*self.replicas, -1)
+
+
+def vime_losses(q_loss: nn.Module, dynamics_loss: DynamicsLoss) -> nn.ModuleDict:
+    """Returns a Q-learning loss and the dynamics' loss, for a trainer of several losses.
+
+    Its state is that of 0.1's ``VIMELoss``, whose states it reads, too.
+    """
+    losses = nn.ModuleDict({"q_loss": q_loss, "dynamics_loss": dynamics_loss})
+    losses.register_load_state_dict_pre_hook(_read_old_state)
+    return losses
+
+
+def _read_old_state(
+    losses: nn.Module, state: MutableMapping[str, Any], prefix: str, *_: Any
+) -> None:
+    """Renames the entries that ``VIMELoss`` had besides those of its two losses."""
+    for old, new in (("held", "reported"), ("_extra_state", "_extra_state")):
+        if f"{prefix}{old}" in state:
+            state[f"{prefix}dynamics_loss.{new}"] = state.pop(f"{prefix}{old}")

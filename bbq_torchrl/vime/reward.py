@@ -1,4 +1,4 @@
-"""An intrinsic reward beside the task's in a replay buffer (VIME, Houthooft et al. 2016)."""
+"""An intrinsic reward besides the task's in a replay buffer (VIME, Houthooft et al. 2016)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
-from bbq_torchrl.bayes.settings import check_choice, checked_number
+from bbq_torchrl.bayes.replicas import checked_number
+from bbq_torchrl.checks import AT_LEAST_ZERO, check, one_of
 from bbq_torchrl.seeds import checked_seed
-from bbq_torchrl.vime.information_gain import information_gain
-from bbq_torchrl.vime.running_median import RunningMedian
+from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -83,7 +83,7 @@ class VIMEReward(Transform):
         intrinsic_reward_key: under "next", where the bonus goes, [*batch, 1].
 
     Attributes:
-        median: m, a :class:`~bbq_torchrl.vime.running_median.RunningMedian`, with its buffers.
+        median: m, a :class:`~bbq_torchrl.vime.information_gain.RunningMedian`, with its buffers.
 
     Raises:
         ValueError: for an argument outside of what is listed, or as part of an environment.
@@ -133,8 +133,8 @@ class VIMEReward(Transform):
         valid_key: NestedKey = "valid",
         intrinsic_reward_key: NestedKey = "intrinsic_reward",
     ) -> None:
-        check_choice("weights", weights, get_args(GainWeights))
-        eta = checked_number("eta", eta, dynamics.replicas, minimum=0)
+        check("weights", weights, one_of(*get_args(GainWeights)))
+        eta = checked_number("eta", eta, dynamics.replicas, AT_LEAST_ZERO)
         for name, value in (("step_size", step_size), ("clip", clip)):
             if not value > 0:
                 raise ValueError(f"{name} must be positive, got {value}")

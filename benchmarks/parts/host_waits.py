@@ -71,7 +71,7 @@ def drawn_as_on_a_device() -> Iterator[None]:
     """Draws noise by torch's generator and caches nothing, as on a CUDA device."""
     with (
         patch("bbq_torchrl.bayes.posterior.fill_normal_", lambda out: out.normal_()),
-        patch.object(BBQNLoss, "_held_for", lambda loss, tensors: None),
+        patch.object(BBQNLoss, "_cache_for", lambda loss, tensors: None),
         patch("bbq_torchrl.trainers.learn._AT_ONCE", 1),
     ):
         yield

@@ -1,4 +1,4 @@
-"""What the blocks share: how one is declared, the files of results/, Markdown."""
+"""Shared parts of the blocks: their registry, readers of results/, Markdown tables."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ ROOT = Path(__file__).resolve().parents[2]
 RESULTS, FIGURES = ROOT / "results", ROOT / "docs" / "figures"
 
 BLOCKS: dict[str, Callable[[], str]] = {}
-"""Name -> what returns the block; every page may hold each of them."""
+"""Name -> function that returns the block. Any page may include any block."""
 
 
 def block(name: str, *given: Any) -> Callable[[Callable[..., str]], Callable[..., str]]:
-    """Makes a function the block of a name, called with what is given here."""
+    """Registers a function, with these arguments, as the block of a name."""
 
     def declare(function: Callable[..., str]) -> Callable[..., str]:
         BLOCKS[name] = lambda: function(*given)
@@ -39,7 +39,7 @@ def code(text: object) -> str:
 
 
 def pivot(corner: str, cells: Mapping[tuple[str, str], object]) -> str:
-    """Returns a table of cells by row and column, both in the order in which they come first.
+    """Returns a table of cells by row and column, both in order of first appearance.
 
     Examples:
         >>> print(pivot("agent", {("dqn", "seed 0"): 0.5, ("bbqn", "seed 1"): 0.7}))
@@ -54,22 +54,22 @@ def pivot(corner: str, cells: Mapping[tuple[str, str], object]) -> str:
 
 
 def paired(one: Sequence[float], other: Sequence[float]) -> str:
-    """Returns the mean of ``one`` minus ``other``, pair by pair, with its t interval."""
+    """Returns the mean paired difference of ``one`` minus ``other`` with its t interval."""
     return str(difference([a - b for a, b in zip(one, other, strict=True)]))
 
 
 def command(folder: Path) -> str:
-    """Returns the command that made a run."""
+    """Returns the command of a run."""
     overrides = yaml.safe_load((folder / "overrides.yaml").read_text(encoding="utf-8"))
     return f"python train.py {shlex.join(overrides)}"
 
 
 def read_csv(name: str) -> list[dict[str, str]]:
-    """Returns the lines of a file in results/."""
+    """Returns the rows of a CSV file in results/."""
     with (RESULTS / name).open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
 def read_json(name: str) -> Any:
-    """Returns what a file in results/ holds."""
+    """Returns the content of a JSON file in results/."""
     return json.loads((RESULTS / name).read_text(encoding="utf-8"))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import yaml
 from PIL import Image
 
-from bbq_torchrl.domains.validate import PRIVILEGED_POLICY, RANDOM_POLICY
+from bbq_torchrl.domains.parts import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.evaluation import comparison, pairs, table1
 from bbq_torchrl.evaluation.ablations import ablations_report
 from bbq_torchrl.evaluation.figures import draw_comparison
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
-"""Environment -> what it is called."""
+"""Title of each environment."""
 
 EXPERIMENTS = {
     "tcbot": ("The public setting, 2,000 dialogues", "miulab", "v1, no error"),
@@ -43,10 +43,10 @@ EXPERIMENTS = {
     "long": ("Full domain, 400 rounds, our corpus", "movie", "reference"),
     "no_spike": ("Without spiking, our corpus", "movie", "reference"),
 }
-"""Folder in results/ -> what was trained on; corpus and setting of results/policies.json."""
+"""Folder in results/ -> title; corpus and setting of its scripted policies in policies.json."""
 
 COMPARED = yaml.safe_load(Path(__file__).with_name("compared.yaml").read_text(encoding="utf-8"))
-"""Which runs are set beside each other, and what is claimed of them."""
+"""Compared runs and the claims about them."""
 
 VERBS = {
     "early": f"books more in the first {pairs.EARLY:,} dialogues than",
@@ -58,14 +58,14 @@ COLUMNS = {
     "early": f"of the first {pairs.EARLY:,} dialogues",
     "cumulative": "of all training",
 }
-"""Quantity of a pairing -> its column beside the final success of two agents."""
+"""Column of each paired quantity, after the final success of two agents."""
 
 OTHERS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
-"""Whom BBQN-MAP is claimed to be ahead of: in the paper's Table 1, or in what it says of it."""
+"""Agents that BBQN-MAP is claimed to beat, by the paper's Table 1 or its text."""
 
 
 def groups(*folders: str) -> list[Group]:
-    """Returns what is kept in folders of results/: ``results/<folder>/**/result.json``."""
+    """Returns the runs below folders of results/: ``results/<folder>/**/result.json``."""
     files = [file for name in folders for file in (common.RESULTS / name).rglob("result.json")]
     return read_groups(sorted(file.parent for file in files))
 
@@ -82,7 +82,7 @@ def _commands_of(folder: str, fence: str) -> str:
 
 
 def _save(figure: Figure, name: str) -> None:
-    """Writes a picture of the documentation in 256 colors: a third of the size."""
+    """Writes a figure of the documentation in 256 colors, a third of the size."""
     file = common.FIGURES / f"{name}.png"
     save(figure, file)
     Image.open(file).convert("RGB").quantize(dither=Image.Dither.NONE).save(file, optimize=True)
@@ -93,10 +93,10 @@ def draw_figures() -> None:
     for folder in ("table1", "paper_batches"):
         kept = groups(folder)
         for env in DOMAINS:
-            # Only the full domain is measured beside the runs.
-            beside = _beside("movie", "reference") if env == "full" else None
+            # Scripted policies were measured in the full domain only.
+            references = _references("movie", "reference") if env == "full" else None
             if cells := table1.find_cells(kept, env):
-                _save(table1.draw_table1(cells, env, beside), f"{folder}_{env}")
+                _save(table1.draw_table1(cells, env, references), f"{folder}_{env}")
         if folder == "table1":
             (replicas,) = table1.table1_report(kept).data
             replace(replicas, name="table1").write(common.RESULTS)
@@ -105,11 +105,11 @@ def draw_figures() -> None:
             for name, (_, draw) in report(kept).figures.items():
                 _save(draw(), name)
     for name, (title, *played_in) in EXPERIMENTS.items():
-        _save(draw_comparison(groups(name), title=title, references=_beside(*played_in)), name)
+        _save(draw_comparison(groups(name), title=title, references=_references(*played_in)), name)
 
 
-def _beside(corpus: str, setting: str) -> dict[str, float]:
-    """Returns who stands beside agents in a figure, as measured in a setting."""
+def _references(corpus: str, setting: str) -> dict[str, float]:
+    """Returns the success of policies that do not learn, as reference lines of a figure."""
     rates = {
         policy: found["success_rate"]
         for (*played_in, policy), found in measured().items()
@@ -122,14 +122,14 @@ def _beside(corpus: str, setting: str) -> dict[str, float]:
 @block("results.table1", "table1")
 @block("results.paper_batches", "paper_batches")
 def _table1(folder: str) -> str:
-    """Returns the report on Table 1, its figures, and the commands of what was run."""
+    """Returns the report on Table 1, its figures, and the commands of its runs."""
     kept = groups(folder)
     found = table1.table1_report(kept)
     text = found.body
     for env, title in DOMAINS.items():
         text = text.replace(f"## env={env}\n", f"### {title}\n")
         if f"table1_{env}" in found.figures:
-            text += f"\n\n![{title}: learning curves](figures/{folder}_{env}.png)"
+            text += f"\n\n![{title}: learning curves](../figures/{folder}_{env}.png)"
     return f"{text}\n\n{_commands(kept)}"
 
 
@@ -142,7 +142,7 @@ def _report(made: Callable[[Sequence[Group]], Report], folder: str) -> str:
 
 @block("results.modes")
 def _modes() -> str:
-    """Returns the success of one posterior's policies, and by pairs what each adds to its mean."""
+    """Returns the success of one posterior's policies and their paired difference to its mean's."""
     lines = (common.RESULTS / "modes.jsonl").read_text(encoding="utf-8").splitlines()
     played = {entry["mode"]: entry["success_rate_per_replica"] for entry in map(json.loads, lines)}
     rows = [
@@ -155,7 +155,7 @@ def _modes() -> str:
 def _experiment(name: str) -> str:
     """Returns the report's tables, figure and commands of one experiment."""
     kept = groups(name)
-    figure = f"![Training success by round](figures/{name}.png)"
+    figure = f"![Training success by round](../figures/{name}.png)"
     parts = comparison.comparison_report(kept).parts
     shown = (str(part) for part in parts if part not in comparison.NOTES)
     return "\n\n".join([*filter(None, shown), figure, _commands(kept)])
@@ -167,7 +167,7 @@ for _name in EXPERIMENTS:
 
 @block("learning.quick")
 def _quick() -> str:
-    """Returns a line for each seed of the README's first command."""
+    """Returns a row for each seed of the README's first command."""
     (group,) = groups("quick")
     took = {int(seed): times for seed, *times in map(dict.values, read_csv("quick_seconds.csv"))}
     reached = rounds_to_reach(group.evaluation, 0.6, window=1).tolist()
@@ -183,27 +183,24 @@ def _quick() -> str:
 
 @block("learning.expect")
 def _expect() -> str:
-    """Returns what a user of the README's first command can expect."""
+    """Returns the sentence on the outcome of the README's first command."""
     (group,) = groups("quick")
     low, mean, high = (f"{of(group.final):.2f}" for of in (min, fmean, max))
-    script, best, rule, ceiling = _scripts()
     return (
-        "What to expect: nothing in the first five rounds, then success rises; "
-        f"{len(group.final)} fresh seeds end between {low} and {high} of dialogues booked "
-        f"(mean {mean}), where the best script, {code(script)}, books {best}, the rule agent of "
-        f"the spiked dialogues {rule}, and a privileged policy that reads the user's hidden goal "
-        f"{ceiling} "
-        "([each seed, and why nothing happens at first](docs/learning_starts.md))."
+        "Success stays near zero for the first five rounds, then rises: "
+        f"{len(group.final)} fresh seeds end by booking between {low} and {high} of the dialogues "
+        f"(mean {mean}; [each seed, and why learning starts late](docs/learning_starts.md))."
     )
 
 
 @block("results.scripts")
 def _best_script() -> str:
-    """Returns what scripts reach in the full domain."""
+    """Returns the sentence on the success of scripted policies in the full domain."""
     script, best, rule, ceiling = _scripts()
     return (
-        f"In the full domain the best script, {code(script)}, books {best}, the rule agent, whose "
-        f"dialogues fill the buffer at first, {rule}, and the privileged policy {ceiling}."
+        f"In the full domain the best script, {code(script)}, books {best} of the dialogues, the "
+        f"rule agent that spikes the buffer {rule}, and a privileged policy that reads the user's "
+        f"hidden goal {ceiling}."
     )
 
 
@@ -219,11 +216,11 @@ def _scripts() -> tuple[str, str, str, str]:
 
 
 def compared(rows: dict[str, list[str]], head: list[str]) -> str:
-    """Returns the final success of two agents, and their differences by pairs.
+    """Returns the final success of two agents and their differences by pairs.
 
     Args:
         rows: title -> the folders of their runs; a row without runs is left out.
-        head: of the columns of titles and agents.
+        head: column titles of the rows and the two agents.
     """
     lines = []
     for title, folders in rows.items():
@@ -245,7 +242,7 @@ for _name, _table in COMPARED["tables"].items():
 
 @block("results.claims")
 def _claims() -> str:
-    """Returns the claims as Markdown: what contradicts the paper first, what was not run last."""
+    """Returns the claims as Markdown: contradictions of the paper first, claims not run last."""
     of_table1 = groups("table1")
     rows = []
     for quantity, verb in VERBS.items():

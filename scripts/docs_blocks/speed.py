@@ -1,4 +1,4 @@
-"""What things cost, from results/speed.csv, beside the floor; how time and memory grow."""
+"""Tables of costs next to their lower bounds, from results/speed.csv; figure of growth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _SHOWN = {"update", "time_to_learn"}
 
 @block("speed")
 def _costs() -> str:
-    """Returns what updates and learning are to take beside what the last version took."""
+    """Returns the costs of updates and learning in the last version, with their limits."""
     *_, (version, rows) = read(RESULTS / "speed.csv").items()
     limits = [row for row in rows if row.target is not None]
     shown = [row for row in limits if row.part in _SHOWN]
@@ -40,13 +40,13 @@ def _costs() -> str:
     met = sum(bool(row.reached) for row in others)
     return (
         f"{as_table(shown)}\n\nVersion {version}. Of {len(others)} other limits (simulator, VIME, "
-        f"ten heads, memory, what a round spends beside updates) {met} are met."
+        f"ten heads, memory, the rest of a round) {met} are met."
     )
 
 
 @block("speed.floor")
 def _floor() -> str:
-    """Returns the least time beside the one measured."""
+    """Returns least and measured times."""
     *_, rows = read(RESULTS / "speed.csv").values()
     took = {row.what: _TO_US[row.unit](row.measured) for row in rows if row.unit in _TO_US}
     pairs = [(what, took[f"least time of {what}"], took[row]) for what, row in FLOOR.items()]

@@ -122,13 +122,13 @@ def test_draws_have_the_posterior_mean_and_spread():
     assert ((draws.std(1) / sigma) - 1).abs().max() < 0.03
 
 
-def test_a_draw_from_a_held_spread_has_a_gradient_in_the_mean_alone():
-    posterior, held = posterior_with(), {}
-    with weight_scope(sigma=held):
-        posterior.sample().sum().backward()
+def test_a_draw_with_a_cached_spread_has_a_gradient_in_the_mean_alone():
+    posterior, cache = posterior_with(), {}
+    with weight_scope("draw", sigma=cache):
+        posterior.weights().sum().backward()
     assert bool((posterior.mu.grad == 1).all())
     assert posterior.rho.grad is None
-    assert torch.equal(held[posterior], posterior.sigma)
+    assert torch.equal(cache[posterior], posterior.sigma)
 
 
 @pytest.mark.parametrize("std", [1e-6, 0.1, 1.0, 50.0, 500.0])

@@ -20,7 +20,7 @@ ON_PURPOSE = {
     ("Boltzmann", "annealing_num_steps"): "the key is a share of the rounds of a training",
     ("ReplicaAdam", "lr"): "the key follows protocol.lr",
     ("ThompsonSampling", "shared"): "None depends on per, and is false for the default of that",
-    ("VIMELoss", "dynamics_every"): "at every batch, VIME would more than double the time of DQN",
+    ("DynamicsLoss", "every"): "at every batch, VIME would more than double the time of DQN",
 }
 """(part, argument) whose default is another than the key's: why."""
 

@@ -6,6 +6,7 @@ import importlib
 import re
 
 import forked
+import grimp
 import pytest
 
 from scripts.docs_blocks import house
@@ -39,6 +40,43 @@ def test_the_picture_has_the_rooms_and_arrows_of_today(tmp_path, monkeypatch):
     drawn = parts.findall(house.FIGURE.read_text(encoding="utf-8"))
     assert len(drawn) > 40
     assert parts.findall(kept) == drawn, "run python scripts/write_docs.py"
+
+
+def circles(graph):
+    """The sets of modules that import one another, by Tarjan's algorithm."""
+    order, lowest, path, found = {}, {}, [], []
+
+    def visit(module):
+        order[module] = lowest[module] = len(order)
+        path.append(module)
+        for other in graph.find_modules_directly_imported_by(module):
+            if other not in order:
+                visit(other)
+            if other in path:
+                lowest[module] = min(lowest[module], lowest[other])
+        if lowest[module] == order[module]:
+            place = path.index(module)
+            if len(path) - place > 1:
+                found.append(sorted(path[place:]))
+            del path[place:]
+
+    for module in sorted(graph.modules):
+        if module not in order:
+            visit(module)
+    return found
+
+
+def test_no_two_files_import_one_another():
+    graph = grimp.build_graph("bbq_torchrl", exclude_type_checking_imports=False)
+    graph.remove_module("bbq_torchrl")  # offers load_run and train, imported when they are used
+    assert circles(graph) == []
+
+
+def test_a_circle_is_found():
+    graph = grimp.ImportGraph()
+    for importer, imported in ("ab", "bc", "ca", "cd"):
+        graph.add_import(importer=importer, imported=imported)
+    assert circles(graph) == [["a", "b", "c"]]
 
 
 # One process, since importing torch and torchrl takes seconds: what loads little comes first. The

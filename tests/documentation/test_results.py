@@ -75,8 +75,9 @@ def test_the_best_script_is_the_one_that_was_measured_to_be(tmp_path, monkeypatc
     (tmp_path / "policies.json").write_text(json.dumps(entries))
     monkeypatch.setattr(common, "RESULTS", tmp_path)
     assert BLOCKS["results.scripts"]() == (
-        "In the full domain the best script, `another`, books 0.70, the rule agent, whose "
-        "dialogues fill the buffer at first, 0.20, and the privileged policy 0.80."
+        "In the full domain the best script, `another`, books 0.70 of the dialogues, the rule "
+        "agent that spikes the buffer 0.20, and a privileged policy that reads the user's hidden "
+        "goal 0.80."
     )
 
 

@@ -11,7 +11,7 @@ from torchrl.data import Categorical
 from bbq_torchrl.bayes import BayesLinear
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.options import Task
-from bbq_torchrl.options.explore.thompson_boltzmann import ThompsonBoltzmann
+from bbq_torchrl.options.explore import ThompsonBoltzmann
 
 ACTIONS, DRAWS = 4, 20_000
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from dynamics_losses import vime_loss
 from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss
 
 LOSSES = {
@@ -11,7 +10,6 @@ LOSSES = {
     "bbqn": bayes_loss,
     "bootstrap": heads_loss,
     "noisy": noisy_loss,
-    "dqn with vime": vime_loss,
 }
 
 
@@ -20,7 +18,7 @@ def make(request):
     """Makes a loss of each kind; without its KL, where it has one, by ``data_only``."""
 
     def loss(*args, data_only=False, **settings):
-        if data_only and request.param in ("bbqn", "dqn with vime"):
+        if data_only and request.param == "bbqn":
             settings["kl_temperature"] = 0.0
         return LOSSES[request.param](*args, **settings)[0]
 

@@ -108,7 +108,7 @@ def test_the_loss_is_torchrls_dqn_loss(make, layers, double):
         *(
             (make, BBQNLoss, {"num_data": 100, **settings})
             for make in BAYESIAN
-            for settings in ({}, {"target": "mc"}, {"target": "mc", "hold": True})
+            for settings in ({}, {"target": "mc"}, {"target": "mc", "cache": True})
         ),
         (heads, BootstrapDQNLoss, {}),
         (noisy, NoisyDQNLoss, {}),

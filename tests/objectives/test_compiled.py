@@ -62,7 +62,7 @@ def test_a_pool_gives_the_traced_code_new_noise_all_the_same():
     [
         (plain_loss, {"dropout": 0.5}),
         (plain_loss, {"double_dqn": True}),
-        (bayes_loss, {"hold": True}),
+        (bayes_loss, {"cache": True}),
         (bayes_loss, {"target": "mc", "kl": "sampled"}),
         (bayes_loss, {"target": "mc", "target_noise": "shared"}),
         (heads_loss, {}),

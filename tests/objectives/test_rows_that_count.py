@@ -56,8 +56,7 @@ def test_priority_weights_count_unless_they_are_switched_off(make):
     plain = result(loss, td)
     td["priority_weight"] = torch.rand(32).double()
     weighted = result(loss, td)
-    for key in ("loss_value", *({"dynamics_loss"} & set(plain.keys()))):
-        assert not torch.allclose(weighted[key], plain[key])
+    assert not torch.allclose(weighted["loss_value"], plain["loss_value"])
     loss.use_prioritized_weights = False
     torch.testing.assert_close(result(loss, td), plain)
 
@@ -75,7 +74,7 @@ def test_rewards_may_be_whole_numbers_and_ends_and_masks_too(make):
 
 def data_shares(loss, td):
     """What a batch gives for each replica, and its gradients."""
-    out, outside = result(loss, td), {"loss", "kl", "dynamics_kl"}
+    out, outside = result(loss, td), {"loss", "kl"}
     return [out[key] for key in set(out.keys()) - outside] + [*gradients(loss, td)]
 
 

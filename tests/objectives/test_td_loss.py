@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import pytest
 import torch
 from torch.func import grad, vmap
 
-from bbq_torchrl.objectives.td_loss import DISTANCES, td_loss
+from bbq_torchrl.objectives.td_loss import Distance, td_loss
 
 
 def batch():
@@ -18,7 +20,7 @@ def batch():
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-@pytest.mark.parametrize("distance", DISTANCES)
+@pytest.mark.parametrize("distance", get_args(Distance))
 def test_gradients_are_autograds_and_none_for_targets_and_what_is_reported(distance, weighted):
     index, target, weight = batch()
     if not weighted:
@@ -40,7 +42,7 @@ def test_gradients_are_autograds_and_none_for_targets_and_what_is_reported(dista
 
 
 @pytest.mark.parametrize("in_dims", [(0, 0), (0, None), (None, 0)], ids=str)
-@pytest.mark.parametrize("distance", DISTANCES)
+@pytest.mark.parametrize("distance", get_args(Distance))
 def test_vmap_over_losses_is_a_loop(distance, in_dims):
     """Also where all share the values, or the weights of the rows."""
     index, target, weight = batch()

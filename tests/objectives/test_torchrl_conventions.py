@@ -12,10 +12,7 @@ from torchrl.objectives.utils import ValueEstimators
 
 def test_parameters_are_the_networks_once_and_targets_are_none(make):
     loss = make((2,))
-    networks = [loss.value_network]
-    if hasattr(loss, "dynamics_loss"):
-        networks.append(loss.dynamics_loss.dynamics)
-    expected = [id(p) for network in networks for p in network.parameters()]
+    expected = [id(p) for p in loss.value_network.parameters()]
     assert sorted(map(id, loss.parameters())) == sorted(expected)
     assert all(p.requires_grad for p in loss.parameters())
     assert not any(p.requires_grad for p in loss.target_value_network_params.values(True, True))
@@ -35,7 +32,7 @@ def test_it_reads_and_returns_what_its_keys_say(make, replicas):
     for key, value in out.items():
         assert value.shape == (() if key == "loss" else replicas)
         assert value.requires_grad == (key == "loss")
-    added = [["kl"], ["dynamics_loss", "dynamics_kl"], []]
+    added = [["kl"], []]
     assert loss.out_keys in [["loss", "loss_value", "td_error", "q_value", *a] for a in added]
     assert set(out.keys()) == set(loss.out_keys)
     assert td["td_error"].shape == (*replicas, 32, 1)
@@ -43,7 +40,6 @@ def test_it_reads_and_returns_what_its_keys_say(make, replicas):
 
 def test_keys_can_be_selected(make):
     loss = make()
-    loss = getattr(loss, "q_loss", loss)  # VIMELoss says that it does not support it
     assert list(loss.select_out_keys("loss")(transitions()).keys()) == ["loss"]
 
 
@@ -95,7 +91,6 @@ def test_the_discount_of_n_step_data_is_that_of_n_steps(make, gamma):
     target["next", "terminated"] = torch.ones(4, 8, 1).bool()
     has_heads = "bootstrap_mask" in vars(loss.tensor_keys)
     td["next", "next_state_value"] = value.unsqueeze(-2).expand(4, 8, 3, 1) if has_heads else value
-    loss = getattr(loss, "q_loss", loss)  # the dynamics have no target
     torch.testing.assert_close(result(loss, td), result(loss, target))
 
 

@@ -15,7 +15,8 @@ from .user import User
 from .values import plain
 
 if TYPE_CHECKING:
-    from bbq_torchrl.domains.domain import Action, Domain
+    from bbq_torchrl.domains.domain import Domain
+    from bbq_torchrl.domains.parts import Action
 
 SUCCESS_REWARD = 40.0
 FAILURE_REWARD = -10.0

@@ -106,8 +106,11 @@ def test_a_dialogue_has_as_many_turns_as_acts_for_both_and_one_too_many(restaura
         (lambda domain: Simulator(domain, max_turn=1), "a whole number of at least 2, got 1"),
         (lambda domain: Simulator(domain, max_turn=3.5), "a whole number of at least 2, got 3.5"),
         (lambda domain: Simulator(domain, max_turn=NAN), "a whole number of at least 2, got nan"),
-        (lambda domain: ErrorModel(domain, 1.5), "slot_error_prob must be a probability .* 1.5"),
-        (lambda domain: ErrorModel(domain, NAN), "slot_error_prob must be a probability .* nan"),
+        (
+            lambda domain: ErrorModel(domain, 1.5),
+            "error_prob must be a number .* 1.5",
+        ),
+        (lambda domain: ErrorModel(domain, NAN), "error_prob must be a number .* nan"),
         (lambda domain: ErrorModel(domain, 0.1, "typo"), "mode must be one of value, slot.*'typo'"),
         (lambda domain: ErrorModel(domain, intent_error_prob=-0.1), "intent_error_prob .* -0.1"),
         (lambda _: Rewards(success=NAN), "the reward for success must be finite, got nan"),

@@ -9,6 +9,7 @@ from tiny import TINY
 from bbq_torchrl.options import Task
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
+from bbq_torchrl.trainers import losses_of
 from benchmarks.parts.host_waits import NeverWaits, drawn_as_on_a_device
 
 SHRUNKEN = (
@@ -70,10 +71,11 @@ def test_a_rounds_updates_never_wait_and_find_all_on_their_device(agent, build):
     task = Task(env.layout.size, env.action_spec_unbatched, replicas=3, rounds=2, device=device)
     q_loss = config.agent.make_loss(config.agent.make_actor(task), task)
     loss, _ = config.intrinsic.make(q_loss, task)
-    if hasattr(loss, "set_num_data"):
-        loss.set_num_data(10)
+    for part in losses_of(loss):
+        if hasattr(part, "set_num_data"):
+            part.set_num_data(10)
     with NeverWaits():
-        loss(batch)["loss"].backward()
+        sum(part(batch)["loss"] for part in losses_of(loss)).backward()
     gradients = [p.grad for p in loss.parameters() if p.requires_grad]
     assert {gradient.device for gradient in gradients} == {device}
 

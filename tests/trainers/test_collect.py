@@ -12,9 +12,7 @@ from torchrl.modules import EGreedyModule
 from trainer_parts import TURNS, GuessEnv, random_policy
 
 from bbq_torchrl.data import TRANSITION_KEYS, BootstrapMask
-from bbq_torchrl.data.hooks import Measured, Seeded
-from bbq_torchrl.exploration.hooks import Annealed, Resampled
-from bbq_torchrl.hooks import modules_with, provides
+from bbq_torchrl.protocols import Annealed, Measured, Resampled, Seeded, modules_with, provides
 from bbq_torchrl.trainers import RoundEnv, episode_stats, rollout, rollouts
 from bbq_torchrl.trainers.collect import rows_per_replica
 
@@ -98,7 +96,7 @@ GREEDY = EGreedyModule(GuessEnv(2, 3).action_spec, annealing_num_steps=10)
 
 
 @pytest.mark.parametrize(
-    ("owner", "hooks", "has_them"),
+    ("owner", "protocol", "has_them"),
     [
         (TransformedEnv(GuessEnv(2, 3), InitTracker()), RoundEnv, True),
         (nn.Identity(), RoundEnv, False),
@@ -109,8 +107,8 @@ GREEDY = EGreedyModule(GuessEnv(2, 3).action_spec, annealing_num_steps=10)
         (BootstrapMask(2), Measured, False),
     ],
 )
-def test_hooks_are_found_by_their_names_in_what_need_not_inherit(owner, hooks, has_them):
-    assert provides(owner, hooks) is has_them
+def test_optional_methods_are_found_by_name_without_inheritance(owner, protocol, has_them):
+    assert provides(owner, protocol) is has_them
 
 
 def test_a_wrapper_that_hands_on_a_hook_is_not_called_besides():

@@ -1,13 +1,10 @@
-"""DynamicsLoss against its definition, and what it has of its own.
-
-What it shares with the other losses, tests/objectives shows by a VIMELoss.
-"""
+"""DynamicsLoss against its definition, and its schedule."""
 
 from __future__ import annotations
 
 import pytest
 import torch
-from dynamics_losses import dynamics_loss, model, result
+from dynamics_losses import COPIES, dynamics_loss, model, result
 from q_transitions import ACTIONS, FEATURES, REPLICAS, assert_learns, transitions
 from torch.distributions import Normal, kl_divergence
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -111,7 +108,35 @@ def test_statistics_stay_where_parameters_are_reset():
     assert loss.dynamics.mean.any()
 
 
+def test_the_dynamics_learn_every_this_many_batches_and_report_the_last_losses_in_between():
+    loss = dynamics_loss((2,), every=3)
+    learned, reported = [], []
+    for number in range(8):
+        if number == 7:
+            loss.begin_epoch()
+        out = loss(transitions((2,)))
+        learned.append(out["loss"].requires_grad)
+        assert learned[-1] or out["loss"] == 0
+        reported.append(out["dynamics_loss"])
+    assert learned == [True, False, False, True, False, False, True, True]
+    for number, is_new in enumerate(learned[1:], 1):
+        assert torch.equal(reported[number], reported[number - 1]) == (not is_new)
+
+
+@pytest.mark.parametrize("way", COPIES)
+def test_a_copy_continues_the_schedule(way):
+    loss, other = (dynamics_loss((2,), every=3) for _ in range(2))
+    batches = [transitions((2,)) for _ in range(5)]
+    for td in batches[:2]:
+        result(loss, td)
+    other = COPIES[way](loss, other)
+    for td in batches[2:]:
+        assert (result(loss, td) == result(other, td)).all()
+
+
 def test_what_is_missing_or_no_setting_is_refused():
+    with pytest.raises(ValueError, match=r"every must be an integer from 1 to 10\*\*9, got 0"):
+        dynamics_loss(every=0)
     with pytest.raises(RuntimeError, match="num_data is not known: give it to DynamicsLoss"):
         dynamics_loss(num_data=None)(transitions())
     with pytest.raises(ValueError, match="kl_temperature must be at least 0 and finite, got -1"):

@@ -72,7 +72,7 @@ def test_keys_can_have_other_names():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"weights": "mean"}, r"weights must be one of \['map', 'mc'\], got 'mean'"),
+        ({"weights": "mean"}, r"weights must be one of map, mc, got 'mean'"),
         ({"eta": -1.0}, "eta must be at least 0 and finite, got -1.0"),
         ({"eta": torch.ones(2)}, r"eta must .* have the replicas' shape \[\], got \[2\]"),
         ({"step_size": 0.0}, "step_size must be positive, got 0.0"),

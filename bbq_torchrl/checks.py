@@ -1,0 +1,169 @@
+"""One vocabulary of checks: the allowed values of a setting, and the refusal of others.
+
+check("mode", mode, one_of("draw", "mean"))
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.text import shown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_LARGEST = sys.float_info.max
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """The values that a setting may have.
+
+    Attributes:
+        text: completes the sentence ``"<name> must be ..."``.
+        test: returns whether a value is one of them.
+        per_replica: whether a list can give each replica a separate value.
+    """
+
+    text: str
+    test: Callable[[Any], bool]
+    per_replica: bool = False
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def numbers(low: float, high: float) -> Allowed:
+    """The numbers from ``low`` to ``high``."""
+    return Allowed(
+        f"a number from {low:g} to {high:g}".replace("e+", "e"),
+        lambda value: _is_number(value) and low <= value <= high,
+    )
+
+
+def integers(low: int, high: int = 10**9) -> Allowed:
+    """The integers from ``low`` to ``high``, which is a billion unless given."""
+    last = "10**9" if high == 10**9 else str(high)
+    return Allowed(
+        f"an integer from {low} to {last}",
+        lambda value: _is_integer(value) and low <= value <= high,
+    )
+
+
+ABOVE_ZERO = Allowed(
+    "positive and finite", lambda value: _is_number(value) and 0 < value < math.inf
+)
+AT_LEAST_ZERO = Allowed(
+    "at least 0 and finite", lambda value: _is_number(value) and 0 <= value < math.inf
+)
+# Networks and rewards are float32, which ends at 3e38: what is squared must stay below its root.
+POSITIVE = numbers(1e-15, 1e15)
+NON_NEGATIVE = numbers(0, 1e15)
+REWARD = numbers(-1e15, 1e15)
+STEP_SIZE = numbers(1e-30, 1e30)
+PROBABILITY = Allowed(
+    "a number between 0 and 1", lambda value: _is_number(value) and 0 <= value <= 1
+)
+BELOW_ONE = Allowed(
+    "a number from 0 to below 1", lambda value: _is_number(value) and 0 <= value < 1
+)
+ABOVE_ZERO_TO_ONE = Allowed(
+    "a number above 0 and up to 1", lambda value: _is_number(value) and 0 < value <= 1
+)
+NUMBER = Allowed(
+    "a number",
+    lambda value: _is_number(value) and (isinstance(value, float) or abs(value) <= _LARGEST),
+)
+INTEGER = Allowed("an integer", _is_integer)
+COUNT = integers(1)
+NON_NEGATIVE_INTEGER = integers(0)
+SIZE = integers(1, 1_000)  # what memory is multiplied with
+BATCH = integers(1, 100_000)
+THREADS = integers(1, 1024)  # torch crashes where it gets many times as many
+SEED = Allowed(
+    "an integer from 0 to 2**63 - 1", lambda value: _is_integer(value) and 0 <= value < 2**63
+)
+COUNTS = Allowed(
+    "a list of up to 10 integers from 1 to 10000, such as [256,256]",
+    lambda value: (
+        isinstance(value, list)
+        and 1 <= len(value) <= 10
+        and all(map(integers(1, 10_000).test, value))
+    ),
+)
+BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
+TEXT = Allowed("a text", lambda value: isinstance(value, str))
+ANY_TEXT = Allowed("a text", lambda value: isinstance(value, str) and value != "")
+
+
+def one_of(*choices: str) -> Allowed:
+    """The given texts."""
+    if len(choices) == 1:
+        return Allowed(f"{choices[0]!r}", lambda value: value == choices[0])
+    return Allowed(f"one of {', '.join(choices)}", lambda value: value in choices)
+
+
+def or_text(allowed: Allowed, text: str) -> Allowed:
+    """The values of ``allowed``, and the word ``text``."""
+    return Allowed(
+        f"{allowed.text} or {text!r}",
+        lambda value: value == text or allowed.test(value),
+        allowed.per_replica,
+    )
+
+
+def optional(allowed: Allowed, meaning: str) -> Allowed:
+    """The values of ``allowed``, and null; ``meaning`` says what null does."""
+    return Allowed(
+        f"{allowed.text} or null ({meaning})",
+        lambda value: value is None or allowed.test(value),
+        allowed.per_replica,
+    )
+
+
+def per_replica(allowed: Allowed) -> Allowed:
+    """The values of ``allowed``, and a list of them that the replicas share.
+
+    How long the list may be is checked where the number of replicas is known.
+
+    Examples:
+        >>> per_replica(POSITIVE).test([0.1, 0.2]), per_replica(POSITIVE).test([0.1, -1])
+        (True, False)
+    """
+
+    def test(value: Any) -> bool:
+        if isinstance(value, list):
+            return bool(value) and all(map(allowed.test, value))
+        return allowed.test(value)
+
+    return Allowed(f"{allowed.text} (or a list, one for each replica)", test, per_replica=True)
+
+
+def check(name: str, value: Any, allowed: Allowed, error: type[ValueError] = ValueError) -> Any:
+    """Returns a value that is allowed.
+
+    Args:
+        name: of the setting, for the message.
+        value: the value.
+        allowed: the values that the setting may have.
+        error: the class of the error. Defaults to ``ValueError``.
+
+    Raises:
+        ValueError: one sentence that names the setting, the value and what is allowed.
+
+    Examples:
+        >>> check("mode", "drawn", one_of("draw", "mean"))
+        Traceback (most recent call last):
+        ValueError: mode must be one of draw, mean, got 'drawn'
+    """
+    if not allowed.test(value):
+        raise error(f"{name} must be {allowed.text}, got {shown(value)}")
+    return value

@@ -1,0 +1,344 @@
+"""The options of ``agent=``: Q-networks and how they learn."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from bbq_torchrl.options.registry import Option, register
+from bbq_torchrl.options.settings import (
+    ABOVE_ZERO_TO_ONE,
+    BELOW_ONE,
+    BOOLEAN,
+    COUNTS,
+    NON_NEGATIVE,
+    NON_NEGATIVE_INTEGER,
+    POSITIVE,
+    PROBABILITY,
+    SIZE,
+    STEP_SIZE,
+    ConfigError,
+    Values,
+    one_of,
+    option,
+    optional,
+    or_text,
+    per_replica,
+    setting,
+)
+from bbq_torchrl.options.values import over_replicas, spread
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from tensordict.nn import TensorDictModuleBase
+    from torch import nn
+    from torchrl.envs import Transform
+    from torchrl.modules import QValueActor
+    from torchrl.objectives import LossModule
+
+    from bbq_torchrl.options.task import Task
+    from bbq_torchrl.trainers import ReplicaOptimizer
+
+
+@dataclass
+class AgentOption(Option):
+    """A Q-network of some hidden layers, trained by Adam.
+
+    Attributes:
+        offers: what exploration can use of it: any of ``posterior``, ``heads``, ``noise``,
+            ``values`` (one Q-value an action), or a word that a strategy of your own needs.
+        explores_by: the strategy that it has where none is chosen.
+        modes: of :meth:`make_evaluation`, where there are several policies to evaluate.
+    """
+
+    group: ClassVar[str] = "agent"
+
+    hidden: list[int] = setting([256, 256], COUNTS, "units of each hidden layer")
+    lr: Values = setting("${protocol.lr}", per_replica(STEP_SIZE), "step size of Adam")
+    gamma: Values = setting(0.9, per_replica(PROBABILITY), "discount of a turn")
+
+    offers: ClassVar[tuple[str, ...]] = ("values",)
+    explores_by: ClassVar[str] = "epsilon_greedy"
+    modes: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def make_actor(self, task: Task) -> QValueActor:
+        """Makes the Q-network and its choice of an action.
+
+        Weights are drawn from torch's global generator, and have the replicas as their first
+        dimension: a network of your own says so by an attribute ``replicas``, the number of them.
+        Of what is not active yet they start by :meth:`Task.reset_inactive_`.
+        """
+
+    @abstractmethod
+    def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
+        """Makes the loss, which returns ``loss`` (scalar) and ``loss_value`` [replicas]."""
+
+    def make_optimizer(
+        self, actor: QValueActor, parameters: Iterable[nn.Parameter], task: Task
+    ) -> ReplicaOptimizer:
+        """Makes the optimizer: Adam, a separate one for each replica.
+
+        Args:
+            actor: of :meth:`make_actor`.
+            parameters: all that are learned: the actor's, and those of an intrinsic reward's model.
+            task: what they fit.
+        """
+        from bbq_torchrl.trainers import ReplicaAdam
+
+        rates = list(map(float, spread(self.lr, task.replicas)))
+        return ReplicaAdam(parameters, task.replicas, lr=rates)
+
+    def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
+        """Makes the policy that acts without exploration."""
+        from bbq_torchrl.exploration import Greedy
+
+        return Greedy(actor)
+
+    def make_evaluation(
+        self, actor: QValueActor, mode: str | None = None
+    ) -> tuple[str, TensorDictModuleBase]:
+        """Returns the name of the policy that is to be reported, and that policy.
+
+        Args:
+            actor: of :meth:`make_actor`.
+            mode: one of :attr:`modes`; None: the agent's own.
+        """
+        return "greedy", self.make_greedy(actor)
+
+    def check_mode(self, mode: str | None) -> None:
+        """Refuses a mode that is not one of the agent's."""
+        if mode is not None and mode not in self.modes:
+            several = f"one of {', '.join(self.modes)} or " if self.modes else ""
+            raise ConfigError(f"mode must be {several}null for agent={self.name}, got {mode!r}")
+
+    def make_transforms(self, task: Task) -> list[Transform]:
+        """Returns the transforms of the replay buffer that the agent needs."""
+        return []
+
+
+EVALUATION_MODES = ("mean", "average", "draw", "thompson")
+"""The policies that a Bayesian agent can be evaluated by."""
+
+TARGET_NOISE = {"map": ("mean",), "mc": ("independent", "shared")}
+"""target -> the noise its weights can have, the default first."""
+
+
+@register
+@dataclass
+class BBQN(AgentOption):
+    """Bayes-by-Backprop Q-network: a Gaussian for every weight and bias."""
+
+    name: str = option("bbqn")
+    prior_std: Any = setting(
+        0.037,
+        or_text(per_replica(POSITIVE), "fan_in"),
+        "std of the prior; fan_in: sqrt(2 / fan-in) a layer",
+    )
+    mean_init: str = setting(
+        "kaiming", one_of("zero", "kaiming"), "where the posterior means start"
+    )
+    std_init: Any = setting(
+        0.02, optional(per_replica(POSITIVE), "prior_std"), "where the posterior stds start"
+    )
+    noise_std: Values = setting(
+        1.0, per_replica(POSITIVE), "std of the noise on the target, in units of Q"
+    )
+    kl: str = setting("closed", one_of("closed", "sampled"), "how KL(q || p) is computed")
+    kl_temperature: Values = setting(0.014, per_replica(NON_NEGATIVE), "factor on the KL term")
+    target: str = setting(
+        "map", one_of("map", "mc"), "target by the frozen posterior's mean, or by one draw of it"
+    )
+    target_noise: str | None = setting(
+        None,
+        optional(one_of("mean", "independent", "shared"), "mean for map, independent for mc"),
+        "noise of the target's weights: none, its own, or that of the online draw",
+    )
+    evaluate: str = setting(
+        "mean",
+        one_of(*EVALUATION_MODES),
+        "policy evaluated: mean network, average of draws, one draw, new draws at every step",
+    )
+    evaluate_draws: int = setting(10, SIZE, "draws that evaluate=average takes the mean of")
+
+    offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
+    explores_by: ClassVar[str] = "thompson_boltzmann"
+    modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
+
+    def check(self) -> None:
+        """Refuses a target noise of the other target."""
+        allowed = TARGET_NOISE[self.target]
+        if self.target_noise not in (None, *allowed):
+            raise ConfigError(
+                f"agent.target_noise must be {' or '.join(allowed)} with "
+                f"agent.target={self.target}, got {self.target_noise!r}"
+            )
+
+    def make_actor(self, task: Task) -> QValueActor:
+        """A Gaussian posterior over all weights of a ReLU network."""
+        from bbq_torchrl.bayes import BayesMLP
+        from bbq_torchrl.networks import q_actor
+
+        prior_std, std_init = self.prior_std, self.std_init
+        network = BayesMLP(
+            task.inputs,
+            task.actions,
+            self.hidden,
+            replicas=task.replicas,
+            prior_std=prior_std if prior_std == "fan_in" else over_replicas(prior_std, task),
+            mean_init=self.mean_init,  # type: ignore[arg-type]
+            std_init=None if std_init is None else over_replicas(std_init, task),
+            device=task.device,
+        )
+        task.reset_inactive_(network)
+        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
+
+    def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
+        """The negative ELBO of a draw of the weights."""
+        from bbq_torchrl.objectives import BBQNLoss
+
+        return BBQNLoss(
+            actor,
+            target=self.target,  # type: ignore[arg-type]
+            target_noise=self.target_noise,  # type: ignore[arg-type]
+            kl=self.kl,  # type: ignore[arg-type]
+            noise_std=over_replicas(self.noise_std, task),
+            kl_temperature=over_replicas(self.kl_temperature, task),
+            gamma=over_replicas(self.gamma, task),
+            cache=True,
+        )
+
+    def make_evaluation(
+        self, actor: QValueActor, mode: str | None = None
+    ) -> tuple[str, TensorDictModuleBase]:
+        """The mode and its policy, one of :data:`EVALUATION_MODES`."""
+        from bbq_torchrl.exploration import EvaluationPolicy
+
+        name = self.evaluate if mode is None else mode
+        return name, EvaluationPolicy(actor, mode=name, num_draws=self.evaluate_draws)  # type: ignore[arg-type]
+
+
+@register
+@dataclass
+class Bootstrap(AgentOption):
+    """Bootstrapped DQN: heads that learn from a sample of the transitions each."""
+
+    name: str = option("bootstrap")
+    heads: int = setting(10, SIZE, "number of heads")
+    trunk_layers: int | None = setting(
+        None,
+        optional(NON_NEGATIVE_INTEGER, "all hidden layers"),
+        "hidden layers that the heads share; 0: as many networks as heads",
+    )
+    mask_prob: float = setting(
+        1.0, ABOVE_ZERO_TO_ONE, "probability that a head learns from a transition"
+    )
+    prior_scale: float = setting(
+        3.0, NON_NEGATIVE, "scale of the randomized prior functions; 0: none"
+    )
+    double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
+
+    # Its greedy action is what most heads vote for: there is no value to put into a softmax.
+    offers: ClassVar[tuple[str, ...]] = ("heads",)
+    explores_by: ClassVar[str] = "bootstrap"
+
+    def check(self) -> None:
+        """Refuses more shared layers than there are."""
+        if (self.trunk_layers or 0) > len(self.hidden):
+            raise ConfigError(
+                f"agent.trunk_layers must be at most the {len(self.hidden)} layers of "
+                f"agent.hidden, got {self.trunk_layers}"
+            )
+
+    def make_actor(self, task: Task) -> QValueActor:
+        """A shared trunk and its heads."""
+        from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
+
+        network = BootstrapMLP(
+            task.inputs,
+            task.actions,
+            self.hidden,
+            heads=self.heads,
+            replicas=task.replicas,
+            trunk_layers=self.trunk_layers,
+            prior_scale=self.prior_scale,
+            device=task.device,
+        )
+        task.reset_inactive_(network)
+        return bootstrap_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
+
+    def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
+        """The squared TD error of the heads that a transition is for."""
+        from bbq_torchrl.objectives import BootstrapDQNLoss
+
+        gamma = over_replicas(self.gamma, task)
+        return BootstrapDQNLoss(actor, gamma=gamma, double_dqn=self.double)
+
+    def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
+        """The action that most heads vote for."""
+        from bbq_torchrl.exploration import MajorityVote
+
+        return MajorityVote(actor)
+
+    def make_evaluation(
+        self, actor: QValueActor, mode: str | None = None
+    ) -> tuple[str, TensorDictModuleBase]:
+        """The vote."""
+        return "vote", super().make_evaluation(actor, mode)[1]
+
+    def make_transforms(self, task: Task) -> list[Transform]:
+        """Draws for each stored transition the heads that learn from it."""
+        from bbq_torchrl.data import BootstrapMask
+
+        return [BootstrapMask(self.heads, self.mask_prob, replicas=task.replicas)]
+
+
+@register
+@dataclass
+class DQN(AgentOption):
+    """Deep Q-network, with or without dropout."""
+
+    name: str = option("dqn")
+    dropout: float = setting(
+        0.0,
+        BELOW_ONE,
+        "probability of dropping a hidden unit in the prediction",
+    )
+    double: bool = setting(False, BOOLEAN, "choose the target's action by the online network")
+    noisy: bool = setting(False, BOOLEAN, "NoisyNet layers in the place of dropout")
+
+    offers: ClassVar[tuple[str, ...]] = ("values", "noise")
+
+    def check(self) -> None:
+        """Refuses noise together with dropout."""
+        if self.noisy and self.dropout:
+            raise ConfigError(
+                "agent.noisy=true cannot be combined with agent.dropout="
+                f"{self.dropout}: the noise takes its place, so agent.dropout must be 0"
+            )
+
+    def make_actor(self, task: Task) -> QValueActor:
+        """A ReLU network, its layers noisy if asked for."""
+        from bbq_torchrl.networks import FlatMLP, NoisyMLP, q_actor
+
+        sizes = (task.inputs, task.actions, self.hidden)
+        network: FlatMLP | NoisyMLP
+        if self.noisy:
+            network = NoisyMLP(*sizes, replicas=task.replicas, device=task.device)
+        else:
+            network = FlatMLP(
+                *sizes, replicas=task.replicas, dropout=self.dropout, device=task.device
+            )
+        task.reset_inactive_(network)
+        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
+
+    def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
+        """The squared TD error, with dropout or noise in the prediction."""
+        from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
+
+        gamma = over_replicas(self.gamma, task)
+        if self.noisy:
+            return NoisyDQNLoss(actor, gamma=gamma, double_dqn=self.double)
+        return DropoutDQNLoss(actor, gamma=gamma, double_dqn=self.double)

@@ -1,0 +1,167 @@
+"""The checks of a whole configuration: what two options must agree on is said here.
+
+An option of another package adds such a check by the same door::
+
+    @agreement
+    def check_my_pair(config: Config) -> None: ...
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import fields
+
+from bbq_torchrl.options.agent import BBQN, DQN
+from bbq_torchrl.options.env import FullDomain
+from bbq_torchrl.options.registry import Option, explorations
+from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig
+from bbq_torchrl.options.settings import ConfigError, check_settings
+from bbq_torchrl.options.values import lists
+
+Agreement = Callable[[Config], None]
+
+_AGREEMENTS: dict[str, Agreement] = {}
+
+FIXED_ROWS = 200
+"""The cost of a step of parallel dialogues, or of an update, before its rows, in rows.
+
+Measured on a CPU core for BBQN and DQN, batches of 32 and 128, 50 to 1,000 dialogues, one and five
+replicas: with this, the time of a step or update per row is within a factor of two of its mean.
+"""
+
+
+def agreement(check: Agreement) -> Agreement:
+    """Adds a check of a training's configuration; a decorator.
+
+    The check raises :class:`~bbq_torchrl.options.ConfigError` for what cannot be combined.
+    """
+    _AGREEMENTS[f"{check.__module__}.{check.__qualname__}"] = check
+    return check
+
+
+def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
+    """Refuses a configuration that cannot be run.
+
+    Raises:
+        ConfigError: one sentence that names the key, its value and what is allowed.
+    """
+    if isinstance(config, Config):
+        # First, so that an error names the key that was given: others take its values over.
+        check_settings(config.env, "env.")
+        check_settings(config.protocol, "protocol.")
+    check_settings(config)
+    if not isinstance(config, Config):
+        return
+    _check_pair(config)
+    _check_lists(config)
+    for item in fields(config):
+        part = getattr(config, item.name)
+        if isinstance(part, Option):
+            _check_alone(part, config)
+    for check in _AGREEMENTS.values():
+        check(config)
+
+
+def _check_alone(part: Option, config: Config) -> None:
+    """Lets an option check itself; the old form of ``check`` takes the configuration."""
+    if inspect.signature(part.check).parameters:
+        warnings.warn(
+            f"{type(part).__qualname__}.check(config) will have no argument: what two options "
+            "must agree on is a function with @bbq_torchrl.options.agreement",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        part.check(config)  # type: ignore[call-arg]
+    else:
+        part.check()
+
+
+def _check_pair(config: Config) -> None:
+    agent, explore = config.agent.name, config.explore.name
+    allowed = explorations()[agent]
+    if explore not in allowed:
+        raise ConfigError(
+            f"agent={agent} cannot be combined with explore={explore}: "
+            f"explore must be one of {', '.join(allowed)}"
+        )
+
+
+def _check_lists(config: Config) -> None:
+    """Checks that the replicas can share the values of each list."""
+    for key, value in lists(config):
+        if config.replicas % len(value):
+            raise ConfigError(
+                f"{key} must be one value or a list of {config.replicas} (one for each of the "
+                f"replicas) or of a number that divides {config.replicas}, got {len(value)}: "
+                f"{value}"
+            )
+
+
+@agreement
+def _check_noise(config: Config) -> None:
+    """Refuses a strategy that needs a network's noise where it has none."""
+    agent, explore = config.agent, config.explore
+    if isinstance(agent, DQN) and "noise" in explore.needs and not agent.noisy:
+        raise ConfigError(
+            f"explore={explore.name} needs a network that has noise: agent.noisy must be true"
+        )
+
+
+@agreement
+def _check_kl(config: Config) -> None:
+    """Refuses a sampled KL where slots are added."""
+    if config.env.extends and isinstance(config.agent, BBQN) and config.agent.kl == "sampled":
+        raise ConfigError(
+            f"env={config.env.name} cannot be combined with agent.kl=sampled: the sampled "
+            "estimate moves the weights of slots that are not there yet, so agent.kl must be "
+            "closed"
+        )
+
+
+@agreement
+def _check_level(config: Config) -> None:
+    """Refuses sentences in training."""
+    if isinstance(config.env, FullDomain) and config.env.level == "text":
+        raise ConfigError(
+            "env.level must be act in training, got 'text': sentences are too slow for it; "
+            "env.errors=measured has the errors that were counted at that level"
+        )
+
+
+@agreement
+def _check_evaluation(config: Config) -> None:
+    """Refuses evaluations that would take longer than the rounds between them.
+
+    Both sides are counted, not timed: every step of the dialogues that are played in parallel, and
+    every update, counts 200 plus its rows (dialogues or transitions, of all replicas). Dialogues
+    are taken to be as long as they may be, and the buffer as full as it gets.
+
+    Raises:
+        ConfigError: with the numbers, and what would do.
+    """
+    protocol, replicas = config.protocol, config.replicas
+    if not protocol.eval_every or protocol.eval_every > protocol.rounds:
+        return
+    turns = config.env.steps()
+    dialogues = protocol.eval_every_dialogues
+    places = protocol.places(dialogues, replicas)
+    evaluation = math.ceil(dialogues / places) * turns * (FIXED_ROWS + replicas * places)
+    stored = (config.spike.dialogues + protocol.rounds * protocol.dialogues) * turns
+    updates = protocol.updates_per_round
+    if updates is None:
+        batches = math.ceil(min(protocol.capacity, stored) / protocol.batch_size)
+        updates = protocol.freezes * protocol.epochs * batches
+    a_round = turns * (FIXED_ROWS + replicas * protocol.dialogues)
+    a_round += updates * (FIXED_ROWS + replicas * protocol.batch_size)
+    if evaluation <= protocol.eval_every * a_round:
+        return
+    raise ConfigError(
+        f"protocol.eval_every must be 0 or at least {math.ceil(evaluation / a_round)} with "
+        f"protocol.eval_every_dialogues={dialogues}, got {protocol.eval_every}: an evaluation "
+        f"would take longer than the training between two ({evaluation:,} against "
+        f"{protocol.eval_every * a_round:,}, where a step or an update counts {FIXED_ROWS} and its "
+        "rows)"
+    )

@@ -1,0 +1,86 @@
+"""The options of ``domain=``: the subject of the dialogues."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from bbq_torchrl.options.registry import Option, register
+from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, option, setting
+
+if TYPE_CHECKING:
+    from bbq_torchrl.domains import Domain
+
+
+@dataclass
+class DomainOption(Option):
+    """The subject of the dialogues."""
+
+    group: ClassVar[str] = "domain"
+
+    @abstractmethod
+    def make(self) -> Domain:
+        """Loads the domain.
+
+        Raises:
+            ValueError or OSError: the corpus is damaged or not there.
+        """
+
+
+@register
+@dataclass
+class MovieDomain(DomainOption):
+    """The movie-booking corpus that ships with the package."""
+
+    name: str = option("movie")
+
+    def make(self) -> Domain:
+        """Loads it."""
+        from bbq_torchrl.domains import movie_domain
+
+        return movie_domain()
+
+
+@register
+@dataclass
+class FolderDomain(DomainOption):
+    """A domain folder: domain.yaml, knowledge_base.csv, goals.jsonl, values.json."""
+
+    name: str = option("folder")
+    path: str = setting(REQUIRED, ANY_TEXT, "the folder")
+
+    def make(self) -> Domain:
+        """Loads and validates it."""
+        from bbq_torchrl.domains import load_domain
+
+        return load_domain(self.path)
+
+
+@register
+@dataclass
+class MiuLabDomain(DomainOption):
+    """The public MiuLab files (TC-Bot), read safely; they are not part of this project."""
+
+    name: str = option("miulab")
+    path: str = setting(REQUIRED, ANY_TEXT, "folder that holds the files")
+    goals: str = setting("user_goals_first_turn_template.v2.p", ANY_TEXT, "file of user goals")
+    kb: str = setting("movie_kb.1k.p", ANY_TEXT, "file of the knowledge base")
+    values: str = setting("dicts.v3.p", ANY_TEXT, "file of the values that errors draw from")
+    skip_unusable: bool = setting(
+        True,
+        BOOLEAN,
+        "goals, rows and slots that cannot be used are left out and named, or refused",
+    )
+
+    def make(self) -> Domain:
+        """Reads the files."""
+        from bbq_torchrl.domains import load_miulab
+
+        return load_miulab(
+            self.path,
+            goals=self.goals,
+            kb=self.kb,
+            values=self.values,
+            skip_unusable=self.skip_unusable,
+        )

@@ -1,0 +1,234 @@
+"""The options of ``explore=``: the policy that acts while the agent learns."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from bbq_torchrl.options.registry import Option, register
+from bbq_torchrl.options.settings import (
+    BOOLEAN,
+    POSITIVE,
+    PROBABILITY,
+    Values,
+    one_of,
+    option,
+    other_default,
+    per_replica,
+    setting,
+)
+from bbq_torchrl.options.values import annealed_rounds, beside_dialogues, check_falls
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
+    from torchrl.modules import QValueActor
+
+    from bbq_torchrl.options.task import Task
+
+
+Exploration = tuple["TensorDictModuleBase", "dict[str, Callable[[], float | Tensor]]"]
+"""A policy, and its metrics by name: each returns one number, or [replicas]."""
+
+
+@dataclass
+class ExploreOption(Option):
+    """The policy that acts while the agent learns.
+
+    Attributes:
+        needs: what an agent must offer (:attr:`AgentOption.offers`) to explore so.
+    """
+
+    group: ClassVar[str] = "explore"
+
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """Makes the policy and its metrics.
+
+        Args:
+            actor: the agent's Q-network with its choice of an action.
+            greedy: the agent's policy without exploration.
+            task: sizes that it has to fit; the policy acts on batches [replicas, dialogues].
+        """
+
+
+@register
+@dataclass
+class GreedyActing(ExploreOption):
+    """The action of the highest Q-value; no exploration."""
+
+    name: str = option("greedy")
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The agent's policy without exploration."""
+        return greedy, {}
+
+
+@register
+@dataclass
+class EpsilonGreedy(ExploreOption):
+    """With probability epsilon a uniformly random legal action, else the greedy one."""
+
+    name: str = option("epsilon_greedy")
+    eps_init: Values = setting(0.04, per_replica(PROBABILITY), "epsilon in the first round")
+    eps_end: Values = setting(
+        0.01, per_replica(PROBABILITY), "epsilon from the last annealed round on"
+    )
+    anneal_fraction: float = setting(
+        0.5, PROBABILITY, "share of the rounds over which epsilon falls, linearly"
+    )
+
+    def check(self) -> None:
+        """Refuses an epsilon that rises."""
+        check_falls(self, "eps_init", "eps_end")
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The policy, followed by a module that replaces its action."""
+        from tensordict.nn import TensorDictSequential
+        from torch import Tensor
+        from torchrl.modules import EGreedyModule
+
+        from bbq_torchrl.exploration import BatchedEGreedy
+
+        start, end = (beside_dialogues(value, task) for value in (self.eps_init, self.eps_end))
+        has_several = isinstance(start, Tensor) or isinstance(end, Tensor)
+        epsilon = (BatchedEGreedy if has_several else EGreedyModule)(
+            task.action_spec,
+            eps_init=start,
+            eps_end=end,
+            annealing_num_steps=annealed_rounds(self.anneal_fraction, task),
+            action_mask_key=task.action_mask_key,
+        )
+        return TensorDictSequential(greedy, epsilon), {"epsilon": lambda: epsilon.eps.squeeze(-1)}
+
+
+@register
+@dataclass
+class BoltzmannActing(ExploreOption):
+    """Actions drawn from softmax(Q / temperature)."""
+
+    name: str = option("boltzmann")
+    temperature_init: Values = setting(
+        0.7, per_replica(POSITIVE), "temperature in the first round, units of Q"
+    )
+    temperature_end: Values = setting(
+        0.7, per_replica(POSITIVE), "temperature from the last annealed round on"
+    )
+    anneal_fraction: float = setting(
+        0.5, PROBABILITY, "share of the rounds over which the temperature falls, linearly"
+    )
+
+    needs: ClassVar[tuple[str, ...]] = ("values",)
+
+    def check(self) -> None:
+        """Refuses a temperature that rises."""
+        check_falls(self, "temperature_init", "temperature_end")
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The policy, which writes the values, and a module that draws an action by them."""
+        from tensordict.nn import TensorDictSequential
+
+        from bbq_torchrl.exploration import Boltzmann
+
+        boltzmann = Boltzmann(
+            beside_dialogues(self.temperature_init, task),
+            beside_dialogues(self.temperature_end, task),
+            annealed_rounds(self.anneal_fraction, task),
+            action_mask_key=task.action_mask_key,
+        )
+        return (
+            TensorDictSequential(greedy, boltzmann),
+            {"temperature": lambda: boltzmann.temperature.squeeze(-1)},
+        )
+
+
+@register
+@dataclass
+class Thompson(ExploreOption):
+    """Draw weights from the posterior and act greedily on them."""
+
+    name: str = option("thompson")
+    per: str = setting(
+        "step", one_of("step", "episode", "round"), "how long one draw of the weights is kept"
+    )
+    shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
+
+    needs: ClassVar[tuple[str, ...]] = ("posterior",)
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The module that draws."""
+        from bbq_torchrl.exploration import ThompsonSampling
+
+        return ThompsonSampling(actor, per=self.per, shared=self.shared), {}  # type: ignore[arg-type]
+
+
+@register
+@dataclass
+class ThompsonEpsilon(EpsilonGreedy, Thompson):
+    """Thompson sampling, and with probability epsilon a uniformly random legal action."""
+
+    name: str = option("thompson_epsilon")
+
+    needs: ClassVar[tuple[str, ...]] = Thompson.needs
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The module that draws weights, followed by one that replaces its action."""
+        policy, _ = Thompson.make(self, actor, greedy, task)
+        return EpsilonGreedy.make(self, actor, policy, task)
+
+
+@register
+@dataclass
+class ThompsonBoltzmann(BoltzmannActing, Thompson):
+    """Actions drawn from softmax(Q / temperature) of a weight draw, not from its best one."""
+
+    name: str = option("thompson_boltzmann")
+    temperature_end: Values = other_default(BoltzmannActing, "temperature_end", 0.05)
+
+    needs: ClassVar[tuple[str, ...]] = Thompson.needs
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The module that draws weights, followed by one that draws an action by its values."""
+        policy, _ = Thompson.make(self, actor, greedy, task)
+        return BoltzmannActing.make(self, actor, policy, task)
+
+
+@register
+@dataclass
+class BootstrapActing(ExploreOption):
+    """Act greedily on one of the heads, drawn for every dialogue."""
+
+    name: str = option("bootstrap")
+    per: str = setting(
+        "episode", one_of("step", "episode", "round"), "how long one draw of a head is kept"
+    )
+
+    needs: ClassVar[tuple[str, ...]] = ("heads",)
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The module that draws."""
+        from bbq_torchrl.exploration import BootstrapSampling
+
+        return BootstrapSampling(actor, per=self.per), {}  # type: ignore[arg-type]
+
+
+@register
+@dataclass
+class NoisyActing(ExploreOption):
+    """Act greedily on one draw of the NoisyNet's noise a step."""
+
+    name: str = option("noisy")
+    shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
+
+    needs: ClassVar[tuple[str, ...]] = ("noise",)
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The module that draws."""
+        from bbq_torchrl.exploration import NoisySampling
+
+        return NoisySampling(actor, shared=self.shared), {}

@@ -1,0 +1,130 @@
+"""The options of ``intrinsic=``: a reward besides the task's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from bbq_torchrl.options.registry import Option, register
+from bbq_torchrl.options.settings import (
+    COUNT,
+    COUNTS,
+    NON_NEGATIVE,
+    POSITIVE,
+    Values,
+    integers,
+    one_of,
+    option,
+    per_replica,
+    setting,
+)
+from bbq_torchrl.options.values import over_replicas
+
+if TYPE_CHECKING:
+    from torch import nn
+    from torchrl.envs import Transform
+    from torchrl.objectives import LossModule
+
+    from bbq_torchrl.options.task import Task
+
+
+@dataclass
+class IntrinsicOption(Option):
+    """A reward besides the task's; never part of a reported reward."""
+
+    group: ClassVar[str] = "intrinsic"
+
+    def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
+        """Returns the loss to train, and the transforms of the replay buffer that it needs.
+
+        Several losses are an ``nn.ModuleDict``, the agent's first.
+
+        Args:
+            loss: the agent's.
+            task: what a model of the task has to fit.
+        """
+        return loss, []
+
+
+@register
+@dataclass
+class NoIntrinsic(IntrinsicOption):
+    """The task's reward alone."""
+
+    name: str = option("none")
+
+
+@register
+@dataclass
+class Count(IntrinsicOption):
+    """A bonus of eta / sqrt(n) for a state whose kind was stored n times."""
+
+    name: str = option("count")
+    eta: Values = setting(
+        1.0, per_replica(NON_NEGATIVE), "bonus of a kind of state seen once, in units of reward"
+    )
+
+    def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
+        """Adds the transform that counts and gives the bonus."""
+        from bbq_torchrl.data import CountReward
+
+        features = task.inputs if task.counted_inputs is None else task.counted_inputs
+        eta = over_replicas(self.eta, task)
+        return loss, [CountReward(features, eta=eta, replicas=(task.replicas,))]
+
+
+@register
+@dataclass
+class VIME(IntrinsicOption):
+    """A reward for what a transition teaches a Bayesian model of the dynamics (VIME)."""
+
+    name: str = option("vime")
+    eta: Values = setting(
+        0.1,
+        per_replica(NON_NEGATIVE),
+        "factor of the normalized information gain, in units of reward",
+    )
+    weights: str = setting(
+        "map", one_of("map", "mc"), "information gain at the mean weights, or at one draw"
+    )
+    hidden: list[int] = setting([64, 64], COUNTS, "units of each hidden layer of the dynamics")
+    prior_std: float = setting(0.1, POSITIVE, "std of the prior of the dynamics' weights")
+    noise_std: float = setting(1.0, POSITIVE, "std of the standardized next state")
+    std_floor: float = setting(0.05, POSITIVE, "least std that a feature is divided by")
+    step_size: float = setting(0.01, POSITIVE, "size of the second-order step that gains")
+    clip: float = setting(10.0, POSITIVE, "greatest normalized information gain")
+    median_window: int = setting(
+        10, integers(1, 10**6), "rounds that the normalizing median is taken over"
+    )
+    dynamics_every: int = setting(8, COUNT, "updates of Q for one of the dynamics")
+
+    def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
+        """Adds the loss of the dynamics, and the transform that adds the bonus to the rewards."""
+        import torch
+
+        from bbq_torchrl.networks.growth import reset_inactive_
+        from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMEReward, vime_losses
+
+        dynamics = DynamicsModel(
+            task.inputs,
+            task.actions,
+            self.hidden,
+            replicas=task.replicas,
+            prior_std=self.prior_std,
+            noise_std=self.noise_std,
+            std_floor=self.std_floor,
+            device=task.device,
+        )
+        if task.inactive_inputs is not None and task.inactive_actions is not None:
+            # Of the outputs none: that a feature stays as it is can be learned before it appears.
+            inactive = torch.cat([task.inactive_inputs, task.inactive_actions])
+            reset_inactive_(dynamics.network, inputs=inactive)
+        reward = VIMEReward(
+            dynamics,
+            eta=over_replicas(self.eta, task),
+            weights=self.weights,  # type: ignore[arg-type]
+            step_size=self.step_size,
+            median_window=self.median_window,
+            clip=self.clip,
+        )
+        return vime_losses(loss, DynamicsLoss(dynamics, every=self.dynamics_every)), [reward]
