@@ -86,7 +86,7 @@ def test_a_loaded_run_is_a_policy_for_its_environment(finished):
 
 
 def test_other_weights_than_there_are_are_refused(finished):
-    with pytest.raises(ValueError, match=r"weights must be one of \['last', 'best'\], got 'first'"):
+    with pytest.raises(ValueError, match=r"weights must be one of last, best, got 'first'"):
         load_run(finished, weights="first")
 
 
