@@ -39,7 +39,7 @@ and prints the line to write into domain.yaml, with standard errors.
               essential slots alone, as in round 0
   batch=, seed=, device=, threads=
 
-Meaning and allowed values of a key: {page("environment")}
+Meaning and allowed values of a key: {page("reference/keys")}
 """
 
 _PRECISION = 5e-5

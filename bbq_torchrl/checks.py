@@ -41,47 +41,38 @@ def _is_integer(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
+def _number(text: str, test: Callable[[Any], bool]) -> Allowed:
+    return Allowed(text, lambda value: _is_number(value) and test(value))
+
+
 def numbers(low: float, high: float) -> Allowed:
     """The numbers from ``low`` to ``high``."""
-    return Allowed(
-        f"a number from {low:g} to {high:g}".replace("e+", "e"),
-        lambda value: _is_number(value) and low <= value <= high,
-    )
+    text = f"a number from {low:g} to {high:g}".replace("e+", "e")
+    return _number(text, lambda value: low <= value <= high)
+
+
+def at_least(low: float) -> Allowed:
+    """The numbers from ``low`` on."""
+    return Allowed(f"at least {low}", lambda value: bool(value >= low))
 
 
 def integers(low: int, high: int = 10**9) -> Allowed:
     """The integers from ``low`` to ``high``, which is a billion unless given."""
-    last = "10**9" if high == 10**9 else str(high)
-    return Allowed(
-        f"an integer from {low} to {last}",
-        lambda value: _is_integer(value) and low <= value <= high,
-    )
+    text = f"an integer from {low} to {'10**9' if high == 10**9 else high}"
+    return Allowed(text, lambda value: _is_integer(value) and low <= value <= high)
 
 
-ABOVE_ZERO = Allowed(
-    "positive and finite", lambda value: _is_number(value) and 0 < value < math.inf
-)
-AT_LEAST_ZERO = Allowed(
-    "at least 0 and finite", lambda value: _is_number(value) and 0 <= value < math.inf
-)
+ABOVE_ZERO = _number("positive and finite", lambda value: 0 < value < math.inf)
+AT_LEAST_ZERO = _number("at least 0 and finite", lambda value: 0 <= value < math.inf)
 # Networks and rewards are float32, which ends at 3e38: what is squared must stay below its root.
 POSITIVE = numbers(1e-15, 1e15)
 NON_NEGATIVE = numbers(0, 1e15)
 REWARD = numbers(-1e15, 1e15)
 STEP_SIZE = numbers(1e-30, 1e30)
-PROBABILITY = Allowed(
-    "a number between 0 and 1", lambda value: _is_number(value) and 0 <= value <= 1
-)
-BELOW_ONE = Allowed(
-    "a number from 0 to below 1", lambda value: _is_number(value) and 0 <= value < 1
-)
-ABOVE_ZERO_TO_ONE = Allowed(
-    "a number above 0 and up to 1", lambda value: _is_number(value) and 0 < value <= 1
-)
-NUMBER = Allowed(
-    "a number",
-    lambda value: _is_number(value) and (isinstance(value, float) or abs(value) <= _LARGEST),
-)
+PROBABILITY = _number("a number between 0 and 1", lambda value: 0 <= value <= 1)
+BELOW_ONE = _number("a number from 0 to below 1", lambda value: 0 <= value < 1)
+ABOVE_ZERO_TO_ONE = _number("a number above 0 and up to 1", lambda value: 0 < value <= 1)
+NUMBER = _number("a number", lambda value: isinstance(value, float) or abs(value) <= _LARGEST)
 INTEGER = Allowed("an integer", _is_integer)
 COUNT = integers(1)
 NON_NEGATIVE_INTEGER = integers(0)

@@ -53,7 +53,7 @@ dialogues, turns_per_second.
   seed=, device=, threads=
   --config-dir <folder>   of options of your own, as in bbq train; its Python is run
 
-Meaning and allowed values of a key: {page("configuration")}
+Meaning and allowed values of a key: {page("reference/keys")}
 """
 
 

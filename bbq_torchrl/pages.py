@@ -13,11 +13,11 @@ def page(name: str) -> Path:
     A wheel has the pages that ``pyproject.toml`` includes, a checkout has all.
 
     Args:
-        name: that of the file, without its ending.
+        name: path within docs/, without the ending.
 
     Examples:
         >>> page("chat").is_file()
         True
     """
     within = _PACKAGE / "docs" / f"{name}.md"
-    return within if within.is_file() else _PACKAGE.parent / "docs" / within.name
+    return within if within.is_file() else _PACKAGE.parent / "docs" / f"{name}.md"

@@ -1,12 +1,42 @@
-"""Old import paths, which work for one version with a DeprecationWarning."""
+"""Old names of modules, kept for one version: they lead to the new ones, with a warning."""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import sys
 import warnings
-from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import CodeType
+
+PACKAGES = {
+    "chat": "people.chat",
+    "chat.agent": "people.dialogue.agent",
+    "chat.goals": "people.dialogue.judge",
+    "chat.partner": "people.dialogue.partner",
+    "chat.posterior": "people.dialogue.posterior",
+    "chat.simulated_user": "people.study.users",
+    "chat.spelling": "people.dialogue.spelling",
+    "chat.talker": "people.study.agents",
+    "chat.tracking": "people.dialogue.tracker",
+    "language": "people.language",
+    "language.english": "people.language.words",
+    "language.frames": "people.language.asking",
+    "language.kept": "people.language.cache",
+    "language.numbers": "people.language.words",
+    "study": "people.study",
+    "study.figures": "people.study.report",
+    "study.outcome": "people.dialogue.judge",
+    "study.rating": "people.study.simulate",
+    "study.talk": "people.dialogue.talk",
+}
+"""Old package -> new package; its modules follow, except those that are listed."""
 
 _PAGES = {
     "agent": ("bbqn", "bootstrap", "dqn"),
@@ -22,53 +52,108 @@ _PAGES = {
     "spike": ("none", "rule"),
 }
 
-RENAMED = {
-    **{f"options.{page}.{name}": f"options.{page}" for page in _PAGES for name in _PAGES[page]},
+MODULES = {
+    **{f"options.{page}.{name}": (f"options.{page}",) for page in _PAGES for name in _PAGES[page]},
     **dict.fromkeys(
         ("hooks", "data.hooks", "exploration.hooks", "objectives.hooks", "trainers.hooks"),
-        "protocols",
+        ("protocols",),
     ),
-    **{f"cli.{name}": f"runs.{name}" for name in ("checks", "loading", "resume", "train")},
-    "cli.notebook": "runs.loading",
-    "cli.store": "runs.compose",
-    "cli.training": "runs.train",
-    "evaluation.learning": "evaluation.metrics",
-    "evaluation.names": "evaluation.runs",
-    "evaluation.statistics": "statistics",
-    "evaluation.tables": "reports",
-    "evaluation.transcripts": "evaluation.rollouts",
-    "evaluation.while_training": "evaluation.rollouts",
-    "markdown": "reports",
-    "run": "runs.train",
-    "shipped": "runs.shipped",
-    "sqlite": "extras",
-    "bayes.settings": "bayes.replicas",
-    "data.validation": "data.rows",
-    "domains.validate": "domains.parts",
-    "envs.checks": "envs.turns",
-    "envs.compiled": "envs.turns",
-    "exploration.greedy": "exploration.evaluation",
-    "exploration.noisy": "exploration.thompson",
-    "objectives.num_data": "objectives.rows",
-    "options.base": "options.registry",
-    "simulator.bits": "simulator.choices",
-    "trainers.memory": "trainers.learn",
-    "vime.running_median": "vime.information_gain",
+    **{f"cli.{name}": (f"runs.{name}",) for name in ("checks", "loading", "resume", "train")},
+    "cli.notebook": ("runs.loading",),
+    "cli.store": ("runs.compose",),
+    "cli.training": ("runs.train", "runs.build"),
+    "evaluation.learning": ("evaluation.metrics",),
+    "evaluation.names": ("evaluation.runs",),
+    "evaluation.statistics": ("statistics",),
+    "evaluation.tables": ("reports",),
+    "evaluation.transcripts": ("evaluation.rollouts",),
+    "evaluation.while_training": ("evaluation.rollouts",),
+    "markdown": ("reports",),
+    "run": ("runs.train",),
+    "shipped": ("runs.shipped",),
+    "sqlite": ("extras",),
+    "bayes.settings": ("bayes.replicas",),
+    "data.validation": ("data.rows",),
+    "domains.validate": ("domains.parts",),
+    "envs.checks": ("envs.turns",),
+    "envs.compiled": ("envs.turns",),
+    "exploration.boltzmann": ("exploration.annealed",),
+    "exploration.egreedy": ("exploration.annealed",),
+    "exploration.greedy": ("exploration.evaluation",),
+    "exploration.noisy": ("exploration.thompson",),
+    "objectives.bootstrap": ("objectives.dqn",),
+    "objectives.num_data": ("objectives.rows",),
+    "options.base": ("options.registry",),
+    "simulator.bits": ("simulator.choices",),
+    "trainers.memory": ("trainers.learn",),
+    "vime.running_median": ("vime.information_gain",),
 }
-"""Old name of a module -> its new one, both within the package."""
+"""Old module -> the modules that have its names now."""
 
 
-class _Renamed(ModuleType):
-    """A module that hands over the names of another one, with a warning."""
+class _Stand(ModuleType):
+    """Stands for a module that is gone: takes what is asked for from its new place."""
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        warnings.warn(f"{self.__name__} is now {self.__doc__}", DeprecationWarning, stacklevel=2)
-        return getattr(import_module(str(self.__doc__)), name)
+        package, _, old = self.__name__.partition(".")
+        for new in () if name.startswith("__") else MODULES[old]:
+            module = importlib.import_module(f"{package}.{new}")
+            if hasattr(module, name):
+                _warn(self.__name__, module.__name__)
+                return getattr(module, name)
+        raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+
+
+class _Finder(MetaPathFinder, Loader):
+    """Finds the modules of a package by its old name, also for `python -m`. Python asks it last."""
+
+    def __init__(self, package: str) -> None:
+        self._package = package
+        self._specs: dict[str, ModuleSpec | None] = {}
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        new = self._new_name(name)
+        found = None if new is None else importlib.util.find_spec(new)
+        if new is None or found is None:
+            return None
+        _warn(name, new)
+        return ModuleSpec(name, self, is_package=found.submodule_search_locations is not None)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        module = importlib.import_module(self._new_name(spec.name) or "")
+        self._specs[spec.name] = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Gives the module its own spec back: it has been executed under its new name."""
+        module.__spec__ = self._specs.pop(module.__spec__.name) if module.__spec__ else None
+
+    def get_code(self, name: str) -> CodeType | None:
+        """Returns the code of a module that `python -m` runs by its old name."""
+        spec = importlib.util.find_spec(self._new_name(name) or "")
+        code: CodeType | None = spec.loader.get_code(spec.name)  # type: ignore[union-attr]
+        return code
+
+    def _new_name(self, name: str) -> str | None:
+        package, _, head = name.partition(".")
+        tail = ""
+        while package == self._package and head:
+            if head in PACKAGES:
+                return f"{package}.{PACKAGES[head]}{tail}"
+            head, _, last = head.rpartition(".")
+            tail = f".{last}{tail}"
+        return None
+
+
+def _warn(old: str, new: str) -> None:
+    warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=3)
 
 
 def install(package: str) -> None:
-    """Makes the old paths of a package importable; nothing is imported before they are used."""
-    for old, new in RENAMED.items():
-        sys.modules[f"{package}.{old}"] = _Renamed(f"{package}.{old}", f"{package}.{new}")
+    """Makes the old names of a package importable; imports nothing by itself."""
+    for old in MODULES:
+        sys.modules.setdefault(f"{package}.{old}", _Stand(f"{package}.{old}"))
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.append(_Finder(package))

@@ -65,7 +65,7 @@ def draw_study(file: Path) -> None:
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
         port = str(bound.getsockname()[1])
-    command = [sys.executable, "-m", "bbq_torchrl.study", "serve", str(file), "--port", port]
+    command = [sys.executable, "-m", "bbq_torchrl.people.study", "serve", str(file), "--port", port]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     try:
         assert server.stdout is not None
@@ -134,11 +134,11 @@ def draw_chat(file: Path) -> None:
     import torch
     from rich.console import Console
 
-    from bbq_torchrl.chat import Partner, TrainedAgent
-    from bbq_torchrl.chat.goals import choose_goal
-    from bbq_torchrl.chat.terminal import Chat
-    from bbq_torchrl.language import Generator, load_phrases
-    from bbq_torchrl.language.kept import kept_understander
+    from bbq_torchrl.people.chat import Partner, TrainedAgent
+    from bbq_torchrl.people.chat.terminal import Chat
+    from bbq_torchrl.people.dialogue.judge import choose_goal
+    from bbq_torchrl.people.language import Generator, load_phrases
+    from bbq_torchrl.people.language.cache import cached_understander
 
     torch.set_num_threads(1)
     agent = TrainedAgent(AGENT)
@@ -152,7 +152,7 @@ def draw_chat(file: Path) -> None:
         return line
 
     names = load_phrases(agent.domain).names
-    partner = Partner(agent, kept_understander(agent.domain), Generator(agent.domain))
+    partner = Partner(agent, cached_understander(agent.domain), Generator(agent.domain))
     Chat(partner, choose_goal(partner.domain, 1, 0), screen, names=names).run(read)
     drawn = screen.export_svg(title=f"bbq chat {AGENT} --goal 1")
     # Any font of the reader's will do, and none is loaded from another host.

@@ -1,8 +1,7 @@
-"""Writes the parts of README.md and docs/ that are made from code and from results/.
+"""Generates blocks in README.md and docs/ from code and from results/.
 
-A page marks such a part by ``<!-- begin: name -->`` and ``<!-- end: name -->``; what stands between
-the marks is replaced by what the function of that name returns. So no table of keys, features or
-results is typed by hand.
+A page marks a block by ``<!-- begin: name -->`` and ``<!-- end: name -->``. The text between the
+marks is replaced by the result of the function of that name.
 
     python scripts/write_docs.py            rewrites the pages and the figures
     python scripts/write_docs.py --check    changes nothing; fails if a page is out of date
@@ -32,10 +31,10 @@ def pages() -> list[Path]:
 
 
 def rewrite(text: str, known: Mapping[str, Block], *, page: str = "the page") -> str:
-    """Returns ``text`` with every block made anew.
+    """Returns ``text`` with all blocks regenerated.
 
     Raises:
-        ValueError: if a block is not known, or a begin has no end.
+        ValueError: a block is unknown or not closed.
     """
 
     def fill(match: re.Match[str]) -> str:
@@ -50,7 +49,7 @@ def rewrite(text: str, known: Mapping[str, Block], *, page: str = "the page") ->
 
 
 def outdated(known: Mapping[str, Block]) -> dict[Path, str]:
-    """Returns the pages that are not what they should be, with their new text."""
+    """Returns the outdated pages with their new text."""
     changes = {}
     for page in pages():
         old = page.read_text(encoding="utf-8")

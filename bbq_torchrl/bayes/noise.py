@@ -16,6 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bbq_torchrl.checks import at_least, check
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -159,8 +161,7 @@ class NoisePool:
     """
 
     def __init__(self, draws: int = _DRAWS) -> None:
-        if draws < 2:
-            raise ValueError(f"draws must be at least 2, got {draws}")
+        check("draws", draws, at_least(2))
         self.draws = draws
         # numbers, and places that were drawn for windows to come
         self._pools: dict[Drawn, tuple[Tensor, list[int]]] = {}

@@ -14,9 +14,12 @@ COMMANDS = {
     "search": ("bbq_torchrl.search.__main__", "search for hyper-parameters"),
     "report": ("bbq_torchrl.evaluation.report", "compare finished runs over their seeds"),
     "domains": ("bbq_torchrl.calibrate", "import a corpus as a domain, calibrate a domain"),
-    "language": ("bbq_torchrl.language.__main__", "understand and speak sentences, and measure it"),
-    "chat": ("bbq_torchrl.chat.__main__", "talk with a trained agent in the terminal"),
-    "study": ("bbq_torchrl.study.__main__", "have people talk with agents and rate them"),
+    "language": (
+        "bbq_torchrl.people.language.__main__",
+        "understand and speak sentences, and measure it",
+    ),
+    "chat": ("bbq_torchrl.people.chat.__main__", "talk with a trained agent in the terminal"),
+    "study": ("bbq_torchrl.people.study.__main__", "have people talk with agents and rate them"),
 }
 """name -> the module whose ``main`` it is, and what it does."""
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from bbq_torchrl.bayes.replicas import replica_shape
+from bbq_torchrl.checks import ABOVE_ZERO_TO_ONE, at_least, check
 from bbq_torchrl.seeds import checked_seed, own_seed
 
 if TYPE_CHECKING:
@@ -72,10 +73,8 @@ class BootstrapMask(Transform):
         mask_key: NestedKey = "bootstrap_mask",
         valid_key: NestedKey = "valid",
     ) -> None:
-        if heads < 1:
-            raise ValueError(f"heads must be at least 1, got {heads}")
-        if not 0 < prob <= 1:
-            raise ValueError(f"prob must be in (0, 1], got {prob}")
+        check("heads", heads, at_least(1))
+        check("prob", prob, ABOVE_ZERO_TO_ONE)
         super().__init__(in_keys=[], out_keys=[], in_keys_inv=[], out_keys_inv=[mask_key])
         self.heads = heads
         self.prob = prob

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
 
+from bbq_torchrl.checks import at_least, check
 from bbq_torchrl.data.rows import (
     Batch,
     gather_rows,
@@ -98,10 +99,8 @@ class ReplicaReplay:
         transform: Transform | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
-        if capacity < 1:
-            raise ValueError(f"capacity must be at least 1, got {capacity}")
-        if replicas < 1:
-            raise ValueError(f"replicas must be at least 1, got {replicas}")
+        check("capacity", capacity, at_least(1))
+        check("replicas", replicas, at_least(1))
         self.capacity = capacity
         self.replicas = replicas
         self.keys = tuple(keys)
@@ -287,8 +286,7 @@ class ReplicaReplay:
         return rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
 
     def _check_readable(self, batch_size: int) -> None:
-        if batch_size < 1:
-            raise ValueError(f"batch_size must be at least 1, got {batch_size}")
+        check("batch_size", batch_size, at_least(1))
         self._check_not_empty()
 
     def _check_not_empty(self) -> None:

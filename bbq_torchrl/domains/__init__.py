@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from bbq_torchrl.domains.domain import Domain
 from bbq_torchrl.domains.folder import load_domain, movie_domain, save_data
 from bbq_torchrl.domains.miulab import load_miulab
 from bbq_torchrl.domains.parts import REQUIRED_ACTS, Action, Goal, ScriptedPolicySpec
-from bbq_torchrl.domains.tensors import DomainTensors, build_vocabulary, tensorize
 from bbq_torchrl.domains.values import (
     AVAILABLE,
     DONT_CARE,
@@ -16,6 +17,9 @@ from bbq_torchrl.domains.values import (
     RESERVED_TEXT,
     fold,
 )
+
+if TYPE_CHECKING:
+    from bbq_torchrl.domains.tensors import DomainTensors, build_vocabulary, tensorize
 
 __all__ = [
     "AVAILABLE",
@@ -38,3 +42,12 @@ __all__ = [
     "save_data",
     "tensorize",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when it is asked for: only tensors need torch, which takes seconds.
+    if name in ("DomainTensors", "build_vocabulary", "tensorize"):
+        from bbq_torchrl.domains import tensors
+
+        return getattr(tensors, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

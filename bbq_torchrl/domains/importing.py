@@ -36,21 +36,7 @@ _TURN_WIDTH = 40
 def main(arguments: Sequence[str]) -> int:
     """Runs the command line. Returns the exit code."""
     given = _parser().parse_args(arguments)
-    domain, changes = import_corpus(
-        given.folder,
-        slots=given.slots,
-        acts=given.acts,
-        kb=given.kb,
-        goals=given.goals,
-        values=given.values,
-        ticket=given.ticket,
-        complete=given.complete,
-        essential=given.essential,
-        free=given.free,
-        opening=given.opening,
-        without=given.without,
-        name=given.name,
-    )
+    domain, changes = import_corpus(**vars(given))  # named as its arguments
     lines = [
         f"{given.folder}: {len(domain.records)} records, {len(domain.goals)} goals, "
         f"{len(domain.slots)} slots, {len(domain.actions)} actions",

@@ -86,7 +86,7 @@ def _read(found: Source, content: object) -> None:
         "opening_slot": _opening,
         "turn_width": partial(check, allowed=INTEGER),
         "policies": partial(_policies, found),
-        "reference_slot_error_prob": lambda *given: float(check(*given, NUMBER)),
+        "reference_slot_error_prob": lambda key, value: float(check(key, value, NUMBER)),
     }
     given = found.take((), partial(check, allowed=_MAPPING), "the file", content)
     if given is None:
@@ -135,7 +135,7 @@ def _policy(key: str, content: object) -> ScriptedPolicySpec:
     policy = check(key, content, _MAPPING)
     _check_keys(key, policy, ("kind", "steps"))
     steps = _names(f"{key}.steps", policy["steps"])
-    return ScriptedPolicySpec(check(f"{key}.kind", policy["kind"], TEXT), steps)  # type: ignore[arg-type]
+    return ScriptedPolicySpec(check(f"{key}.kind", policy["kind"], TEXT), steps)
 
 
 def _check_keys(

@@ -15,7 +15,6 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.parts import RANDOM_POLICY
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
-from bbq_torchrl.envs.text import text_channel
 from bbq_torchrl.seeds import checked_seed
 from bbq_torchrl.simulator import MeasuredErrors
 from bbq_torchrl.simulator.measured_errors import (
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 ERRORS_FILE = "errors.json"
 """The counts in a domain's folder."""
 
-_COMMAND = "python -m bbq_torchrl.language count"
+_COMMAND = "bbq language count"
 _BATCH = 500
 _RANDOM = 0.15  # share of scripted actions at random: an agent that learns does everything
 
@@ -95,6 +94,8 @@ def count_errors(
         trained: the policies of trained agents, of one replica, by name; without any the scripted
             policies play all turns.
     """
+    from bbq_torchrl.envs.text import text_channel  # imports the language layer
+
     channel = _Recorder(text_channel(domain))
     names = tuple(domain.policies) or (RANDOM_POLICY,)
     halves: list[tuple[Iterable[str | TensorDictModuleBase], float]] = [(names, _RANDOM)]

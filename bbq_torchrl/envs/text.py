@@ -8,9 +8,9 @@ import torch
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.coding import Coding
-from bbq_torchrl.language import Frame, Generator, TextError, Understood
-from bbq_torchrl.language.asking import Asking, repeated
-from bbq_torchrl.language.kept import kept_understander
+from bbq_torchrl.people.language import Frame, Generator, TextError, Understood
+from bbq_torchrl.people.language.asking import Asking, repeated
+from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.simulator import Utterance
 from bbq_torchrl.simulator.choices import index_below
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import Domain, DomainTensors
-    from bbq_torchrl.language import Understander
+    from bbq_torchrl.people.language import Understander
     from bbq_torchrl.simulator.tracker import AgentTurn
 
 VARIANTS = 16
@@ -33,8 +33,9 @@ class TextChannel:
 
     The sentence is made by the domain's grammar, in words that are drawn, and understood in the
     light of the agent's act, as in a chat; and by the rule of the chat
-    (:class:`~bbq_torchrl.language.asking.Asking`) the system asks again. A user who is asked again
-    says the same in other words, or the one value that was asked about, and each time takes a turn.
+    (:class:`~bbq_torchrl.people.language.asking.Asking`) the system asks again. A user who is asked
+    again says the same in other words, or the one value that was asked about, and each time takes
+    a turn.
     A value in another spelling of the domain's ("7:30pm", "7:30 pm") is the one that was said: that
     corpora spell values in several ways is no misunderstanding. What was understood once of the
     same act after the same act of the agent in the same words is remembered and not understood
@@ -161,6 +162,6 @@ def text_channel(domain: Domain, ask_below: float | None = None) -> TextChannel:
     Raises:
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
-    understand = kept_understander(domain)
+    understand = cached_understander(domain)
     speak = Generator(domain)
     return TextChannel(tensorize(domain), understand, speak, ask_below)

@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from bbq_torchrl.checks import check, one_of
+from bbq_torchrl.checks import at_least, check, one_of
 from bbq_torchrl.protocols import Resampled, provides
 
 if TYPE_CHECKING:
@@ -42,8 +42,7 @@ def schedule(
     Raises:
         ValueError: for a schedule without a step.
     """
-    if annealing_num_steps < 1:
-        raise ValueError(f"annealing_num_steps must be at least 1, got {annealing_num_steps}")
+    check("annealing_num_steps", annealing_num_steps, at_least(1))
     pair = [torch.as_tensor(value, dtype=torch.float32) for value in (start, end)]
     first, last = (value.clone() for value in torch.broadcast_tensors(*pair))
     return first, last
@@ -59,14 +58,14 @@ def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
         ) from None
 
 
-def fit_posteriors(held: Mapping[GaussianPosterior, Tensor]) -> bool:
+def fit_posteriors(drawn: Mapping[GaussianPosterior, Tensor]) -> bool:
     """Returns whether draws have the dtype and device that their posteriors have now.
 
     A loss that shares the network may have been moved, which the policy is not told.
     """
     return all(
         (draws.dtype, draws.device) == (posterior.mu.dtype, posterior.mu.device)
-        for posterior, draws in held.items()
+        for posterior, draws in drawn.items()
     )
 
 
@@ -109,7 +108,7 @@ class ActorPolicy(TensorDictModuleBase):
     ``TensorDict.from_module`` name the weights of both alike, and weights of an actor are synced
     into a policy by name, as TorchRL's trainers and collectors do.
 
-    What it has drawn and holds is drawn anew once the policy is moved or cast (:meth:`to`).
+    Its draws are renewed once the policy is moved or cast (:meth:`to`).
 
     Args:
         actor: what chooses actions from values.

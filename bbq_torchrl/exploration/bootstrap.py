@@ -109,7 +109,7 @@ class BootstrapSampling(_OnHeads):
             ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to
             "is_init".
 
-    Held heads are drawn anew when the batch shape changes: other rows are other episodes. The
+    Heads are drawn anew when the batch shape changes: other rows are other episodes. The
     numbers come from torch's global generator, for all rows at each call that may need one, so
     that what a row draws never depends on when the others begin.
 
@@ -136,37 +136,37 @@ class BootstrapSampling(_OnHeads):
         self, actor: QValueActor, *, per: Per = "episode", init_key: NestedKey = "is_init"
     ) -> None:
         super().__init__(actor, per, init_key)
-        self._held: Tensor | None = None
+        self._heads: Tensor | None = None
         self._drawn_from: list[float] | None = None
 
     @property
     def heads(self) -> Tensor | None:
         """The head that each row acted on last, int64 [*batch]; None before the first action."""
-        return self._held
+        return self._heads
 
     def resample(self) -> None:
         """Forgets the heads: the next call draws new ones."""
-        self._held = None
+        self._heads = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that is greedy on the row's head, and that head's values."""
         choice, values = self._head_values(tensordict)
         if not explores():
             return choice.vote(tensordict, values)
-        self._held = self._next_heads(tensordict, values)
-        index = self._held[..., None, None].expand(*self._held.shape, 1, values.shape[-1])
+        self._heads = self._next_heads(tensordict, values)
+        index = self._heads[..., None, None].expand(*self._heads.shape, 1, values.shape[-1])
         return choice.act_greedily(tensordict, values.gather(-2, index).squeeze(-2))
 
     @torch.inference_mode(False)  # the heads outlive the call
     def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
         rows = values.shape[:-2]
         new = self._begins(tensordict)
-        held = self._held
+        last = self._heads
         now = weight_sums(self.parameters()) if self.per == "round" else None
-        if held is not None and (held.shape != rows or self._drawn_from != now):
-            held = None
+        if last is not None and (last.shape != rows or self._drawn_from != now):
+            last = None
         self._drawn_from = now
-        if held is not None and self.per == "round":
-            return held
+        if last is not None and self.per == "round":
+            return last
         drawn = torch.randint(values.shape[-2], rows, device=values.device)
-        return drawn if new is None or held is None else torch.where(new, drawn, held)
+        return drawn if new is None or last is None else torch.where(new, drawn, last)

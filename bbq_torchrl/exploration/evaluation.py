@@ -9,7 +9,7 @@ import torch
 from bbq_torchrl.bayes.layers import own_weights_of_rows
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.checks import check, one_of
+from bbq_torchrl.checks import at_least, check, one_of
 from bbq_torchrl.exploration.base import (
     ActorPolicy,
     fit_posteriors,
@@ -106,20 +106,19 @@ class EvaluationPolicy(ActorPolicy):
         self, actor: QValueActor, *, mode: EvaluationMode = "mean", num_draws: int = 10
     ) -> None:
         check("mode", mode, one_of(*get_args(EvaluationMode)))
-        if num_draws < 1:
-            raise ValueError(f"num_draws must be at least 1, got {num_draws}")
+        check("num_draws", num_draws, at_least(1))
         if mode != "mean":
             posteriors(actor)
         super().__init__(actor)
         self.mode = mode
         self.num_draws = num_draws if mode == "average" else 1
-        self._held: list[dict[GaussianPosterior, Tensor]] = []
+        self._draws: list[dict[GaussianPosterior, Tensor]] = []
         self._drawn_from: list[float] = []
         self.register_load_state_dict_post_hook(forget_draws)
 
     def resample(self) -> None:
         """Forgets the draws: the next call makes new ones."""
-        self._held = []
+        self._draws = []
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -132,13 +131,13 @@ class EvaluationPolicy(ActorPolicy):
                 return self.actor(tensordict)
         found = posteriors(self.actor)
         now = posterior_sums(found)
-        if not self._held or self._drawn_from != now or not fit_posteriors(self._held[0]):
-            self._held = [{p: p.sample() for p in found} for _ in range(self.num_draws)]
+        if not self._draws or self._drawn_from != now or not fit_posteriors(self._draws[0]):
+            self._draws = [{p: p.sample() for p in found} for _ in range(self.num_draws)]
             self._drawn_from = now
         network, choice = split_actor(self.actor)
         inputs = tensordict.select(*network.in_keys, strict=False)
         totals: dict[NestedKey, Tensor] = {}
-        for weights in self._held:
+        for weights in self._draws:
             with weight_scope(weights=weights):
                 out = network(inputs.copy())
             for key in network.out_keys:

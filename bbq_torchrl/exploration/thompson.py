@@ -54,7 +54,7 @@ class ThompsonSampling(ActorPolicy):
     Independent draws for each row cost a batch of noise for every weight if they are to stay
     (B·P numbers, P ≈ 145,000 for 268-256-256-39). Per step they come from local
     reparameterization, which is exact for one input per draw, at a hundredth of that; a layer
-    of one's own without :meth:`~bbq_torchrl.bayes.BayesLayer.run_local` pays the former. A held
+    of one's own without :meth:`~bbq_torchrl.bayes.BayesLayer.run_local` pays the former. A kept
     draw is redrawn when the batch shape changes: other rows are other episodes.
 
     Raises:
@@ -87,16 +87,16 @@ class ThompsonSampling(ActorPolicy):
     ) -> None:
         super().__init__(actor, per, init_key)
         self.shared = per == "round" if shared is None else shared
-        self._held: dict[GaussianPosterior, Tensor] = {}
-        self._held_rows: torch.Size | None = None
+        self._draws: dict[GaussianPosterior, Tensor] = {}
+        self._rows: torch.Size | None = None
         self._drawn_from: list[float] | None = None
         posteriors(actor)
         self.register_load_state_dict_post_hook(forget_draws)
 
     def resample(self) -> None:
         """Forgets the draws: the next call acts on new ones."""
-        self._held = {}
-        self._held_rows = self._drawn_from = None
+        self._draws = {}
+        self._rows = self._drawn_from = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action that is greedy on the drawn weights, and the values."""
@@ -110,25 +110,25 @@ class ThompsonSampling(ActorPolicy):
                 return self.actor(tensordict)
         # the draws outlive the call, and are redrawn in place
         with torch.inference_mode(False), torch.no_grad():
-            self._hold(tensordict)
-        with weight_scope(weights=self._held):
+            self._draw(tensordict)
+        with weight_scope(weights=self._draws):
             return self.actor(tensordict)
 
-    def _hold(self, tensordict: TensorDictBase) -> None:
+    def _draw(self, tensordict: TensorDictBase) -> None:
         found = posteriors(self.actor)
         replicas = found[0].replicas
         rows = tensordict.batch_size[len(replicas) :]
         new = self._begins(tensordict)
         now = posterior_sums(found) if self.per == "round" else None
-        fits = self._held_rows == rows and self._drawn_from == now
-        if not fits or not fit_posteriors(self._held):
+        fits = self._rows == rows and self._drawn_from == now
+        if not fits or not fit_posteriors(self._draws):
             drawn = () if self.shared else tuple(rows)
-            self._held = {posterior: posterior.sample(drawn) for posterior in found}
-            self._held_rows, self._drawn_from = rows, now
+            self._draws = {posterior: posterior.sample(drawn) for posterior in found}
+            self._rows, self._drawn_from = rows, now
         elif new is not None:
             if self.shared and rows:
                 new = new.flatten(len(replicas)).any(-1)
-            for posterior, draws in self._held.items():
+            for posterior, draws in self._draws.items():
                 posterior.redraw_(draws, new)
 
 

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
-from bbq_torchrl.checks import AT_LEAST_ZERO, check
+from bbq_torchrl.checks import AT_LEAST_ZERO, at_least, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,8 +78,7 @@ class BootstrapMLP(nn.Module):
     ) -> None:
         super().__init__()
         trunk_layers = len(hidden) if trunk_layers is None else trunk_layers
-        if heads < 1:
-            raise ValueError(f"heads must be at least 1, got {heads}")
+        check("heads", heads, at_least(1))
         if not 0 <= trunk_layers <= len(hidden):
             raise ValueError(
                 f"trunk_layers must be from 0 to {len(hidden)}, the number of hidden layers, got "

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from bbq_torchrl.bayes.functional import FlatLayout, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WEIGHT_MODE, WeightMode, current_scope
-from bbq_torchrl.checks import check
+from bbq_torchrl.checks import BELOW_ONE, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,8 +54,7 @@ class FlatMLP(nn.Module):
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
-        if not 0 <= dropout < 1:
-            raise ValueError(f"dropout must be in [0, 1), got {dropout}")
+        check("dropout", dropout, BELOW_ONE)
         self.in_features, self.out_features = in_features, out_features
         self.layout = FlatLayout((in_features, *hidden, out_features))
         self.replicas = replica_shape(replicas)

@@ -1,8 +1,7 @@
 """Losses as native TorchRL LossModules."""
 
 from bbq_torchrl.objectives.bbqn import BBQNLoss
-from bbq_torchrl.objectives.bootstrap import BootstrapDQNLoss
-from bbq_torchrl.objectives.dqn import DropoutDQNLoss, NoisyDQNLoss
+from bbq_torchrl.objectives.dqn import BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 __all__ = [

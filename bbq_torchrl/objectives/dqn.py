@@ -1,14 +1,22 @@
-"""The DQN losses: with dropout in the prediction only, and with the noise of a NoisyNet."""
+"""The DQN losses: with dropout in the prediction, with the noise of a NoisyNet, and of heads."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import dispatch
 
 from bbq_torchrl.networks.noisy_mlp import noisy_layers
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
+from bbq_torchrl.objectives.rows import row_weights
+from bbq_torchrl.objectives.td_loss import td_loss
 
 if TYPE_CHECKING:
-    from torch import nn
+    from tensordict.utils import NestedKey
+    from torch import Tensor, nn
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.bayes.scope import WeightMode
@@ -99,3 +107,155 @@ class NoisyDQNLoss(OneStepQLoss):
     def __init__(self, value_network: QValueActor | nn.Module, **settings: Any) -> None:
         super().__init__(value_network, **settings)
         noisy_layers(self.value_network)
+
+
+class BootstrapDQNLoss(OneStepQLoss):
+    """The DQN loss of K heads, each with its own target and its own share of the data.
+
+    Each head learns r + γ max Q(s', ·) of its own frozen copy, or with ``double_dqn`` the value
+    that its frozen copy gives the action of its own choice. A head's loss is the mean over the
+    rows that it learns from, and the heads' losses add up: a head learns as it would alone.
+    (:class:`~bbq_torchrl.networks.BootstrapMLP` divides the gradient of a shared trunk by K, so
+    that the trunk follows the mean of the heads' losses.)
+
+    Reads what :class:`OneStepQLoss` does and, where the input has it, ``bootstrap_mask`` (bool
+    [*replicas, *batch, K], True where the head learns from the row; TorchRL's ``set_keys`` gives it
+    another name), together with "valid". Without it all heads learn from every row. Rows that no
+    head learns from may hold anything, NaN too.
+
+    Args:
+        value_network: an actor as :func:`~bbq_torchrl.networks.bootstrap_actor` makes it, or a
+            network that maps the observation to values [*replicas, *batch, K, N].
+
+    Keyword Args:
+        gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
+        action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
+            has one.
+        delay_value: whether the target is a frozen copy of the network. Defaults to True.
+        double_dqn: whether each online head chooses its target's action. Defaults to False.
+        loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
+
+    Raises:
+        ValueError: for an argument outside of what is listed; when called, for values or a mask
+            whose shape does not fit.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from torchrl.objectives import HardUpdate
+        >>> from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
+        >>> from bbq_torchrl.objectives import BootstrapDQNLoss
+        >>> actor = bootstrap_actor(BootstrapMLP(3, 4, heads=10, replicas=5), Categorical(4))
+        >>> loss = BootstrapDQNLoss(actor)
+        >>> freeze = HardUpdate(loss, value_network_update_interval=0)
+        >>> state = dict(observation=torch.ones(5, 32, 3), action_mask=torch.ones(5, 32, 4).bool())
+        >>> end = dict(reward=torch.ones(5, 32, 1), terminated=torch.ones(5, 32, 1).bool())
+        >>> td = TensorDict(
+        ...     {**state, "action": torch.ones(5, 32).long(), "next": {**state, **end}}, [5, 32]
+        ... )
+        >>> td["bootstrap_mask"] = torch.rand(5, 32, 10) < 0.5
+        >>> out = loss(td)
+        >>> out["loss"].backward()
+        >>> sorted(out.keys()), out["loss_value"].shape
+        (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
+    """
+
+    @dataclass
+    class _AcceptedKeys(OneStepQLoss._AcceptedKeys):
+        """The entries whose names ``set_keys`` changes.
+
+        Attributes:
+            bootstrap_mask: which heads learn from a row. Defaults to ``"bootstrap_mask"``.
+        """
+
+        bootstrap_mask: NestedKey = "bootstrap_mask"
+
+    tensor_keys: _AcceptedKeys
+    default_keys = _AcceptedKeys
+    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL looks for a class's own
+
+    @dispatch  # type: ignore[untyped-decorator]
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Returns the losses of a batch of transitions.
+
+        Also writes the squared TD error [*replicas, *batch, 1], the mean over the heads that learn
+        from the row, into the input under the priority key, for prioritized replay.
+
+        Args:
+            tensordict: a batch [*replicas, *batch].
+
+        Returns:
+            a TensorDict with the scalar "loss" to differentiate, the sum over heads and replicas,
+            and without a graph "loss_value", "td_error" (mean of |Q - target|) and "q_value"
+            (mean of Q at the actions taken), each [*replicas]: means over the heads that learn from
+            any row of the batch, so that their size does not depend on K.
+        """
+        keys = self.tensor_keys
+        online, target = self._tensors()
+        reward, index = self._reward_and_index(tensordict)
+        mask = tensordict.get(keys.bootstrap_mask, None)
+        weight = self._head_weights(tensordict, mask, reward)
+        values = self._function(online, self._inputs(tensordict, weight), "draw")
+        if values.shape[:-2] != reward.shape[:-1]:
+            raise ValueError(
+                "the network must return values [*batch, heads, actions] with batch "
+                f"{list(reward.shape[:-1])}, got {list(values.shape)}"
+            )
+        if mask is not None and mask.shape != values.shape[:-1]:
+            raise self._wrong_mask(mask, list(values.shape[:-1]))
+        with torch.no_grad():
+            td_target = self._td_target(tensordict, online, target)
+            heads = values.shape[:-1]
+            rows = None if weight is None else self._by_head(weight.expand(heads).unsqueeze(-1))
+        loss, td_error, q_value, square = td_loss(
+            self._by_head(values),
+            self._by_head(self._beside_values(index).expand(*heads, 1)),
+            self._by_head(td_target),
+            rows,
+            self.loss_function,
+        )
+        learns = torch.ones_like(square) if rows is None else (rows > 0).to(square.dtype)
+        share = learns.sum(-3).clamp_min_(1)
+        tensordict.set(keys.priority, (square.sum(-3) / share).reshape(reward.shape), inplace=True)
+        learns = learns.any(-2).squeeze(-1).to(square.dtype)
+        learns /= learns.sum(-1, keepdim=True).clamp_min_(1)
+        return TensorDict(
+            {
+                "loss": loss.sum(),
+                "loss_value": (loss.detach() * learns).sum(-1),
+                "td_error": (td_error * learns).sum(-1),
+                "q_value": (q_value * learns).sum(-1),
+            }
+        )
+
+    def _by_head(self, tensor: Tensor) -> Tensor:
+        """Returns [*replicas, *batch, K, features] as [*replicas, K, B, features]."""
+        dims = len(self.replicas)
+        tensor = tensor.movedim(-2, dims)
+        return tensor.reshape(*tensor.shape[: dims + 1], -1, tensor.shape[-1])
+
+    def _beside_values(self, entry: Tensor) -> Tensor:
+        """Returns an entry [*replicas, *batch, n] with a dimension for the heads."""
+        return entry.unsqueeze(-2)
+
+    def _head_weights(
+        self, tensordict: TensorDictBase, mask: Tensor | None, like: Tensor
+    ) -> Tensor | None:
+        """Returns row weights [*replicas, *batch, K or 1] that add up to 1 for each head."""
+        weight = row_weights(self, tensordict, like)
+        if mask is None:
+            return weight
+        if mask.ndim != like.ndim or mask.shape[:-1] != like.shape[:-1]:
+            raise self._wrong_mask(mask, [*like.shape[:-1], "heads"])
+        learns = mask.to(torch.result_type(like, 1.0))  # rewards may be whole numbers
+        weight = learns if weight is None else learns * weight
+        dims = tuple(range(len(self.replicas), like.ndim - 1))
+        # 0 / tiny for a head that learns from no row at all: it has no gradient
+        tiny = torch.finfo(weight.dtype).tiny
+        return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)
+
+    def _wrong_mask(self, mask: Tensor, shape: list[int | str]) -> ValueError:
+        wanted = ", ".join(str(size) for size in shape)
+        key = self.tensor_keys.bootstrap_mask
+        return ValueError(f"{key!r} must have shape [{wanted}], got {list(mask.shape)}")

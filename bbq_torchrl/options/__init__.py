@@ -8,7 +8,7 @@ Hydra; an option's ``make`` does.
 from __future__ import annotations
 
 from bbq_torchrl.options.agent import AgentOption
-from bbq_torchrl.options.agreement import agreement, validate
+from bbq_torchrl.options.agreements import agreement, validate
 from bbq_torchrl.options.domain import DomainOption
 from bbq_torchrl.options.env import EnvOption
 from bbq_torchrl.options.explore import Exploration, ExploreOption

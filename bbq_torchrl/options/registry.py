@@ -55,7 +55,7 @@ class Option(ABC):
     def check(self) -> None:  # noqa: B027 (most have nothing to refuse)
         """Refuses values that contradict each other; each value alone has been checked by then.
 
-        What two options must agree on is in :mod:`bbq_torchrl.options.agreement`.
+        What two options must agree on is in :mod:`bbq_torchrl.options.agreements`.
 
         Raises:
             ConfigError: one sentence that names the key, its value and what is allowed.

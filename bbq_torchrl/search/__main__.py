@@ -34,8 +34,8 @@ the same command continues a search. Prints the best trial as one line of JSON.
   search.trials=, search.objective=, search.folder=, ...
   search.space.<key>={{type: float, low: 0.1, high: 1, log: true}}, search.space.<key>.high=2
 
-All keys of a search: {scale}
-Those of bbq train: {configuration}
+Searches: {scale}
+All keys, of a search and of bbq train: {keys}
 """
 
 
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     interruption.tell(lambda: "in a search", lambda: "the same command continues the search")
     if not arguments or {"-h", "--help"} & set(arguments):
-        pages = {name: page(name) for name in ("scale", "configuration")}
+        pages = {"scale": page("scale"), "keys": page("reference/keys")}
         output.write(USAGE.format(names=", ".join(options(SEARCH)), **pages))
         return 0
     try:

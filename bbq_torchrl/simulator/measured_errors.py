@@ -47,7 +47,7 @@ class MeasuredErrors(Movable):
 
     Args:
         domain: the domain's tensors.
-        counts: what ``python -m bbq_torchrl.language count`` writes.
+        counts: what ``bbq language count`` writes.
 
     Raises:
         KeyError, TypeError or ValueError: the counts are of another domain, or none.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
+from bbq_torchrl.checks import at_least, check
 from bbq_torchrl.protocols import (
     Annealed,
     ReplicaOptimizer,
@@ -156,8 +157,8 @@ class RoundTrainer:
             "keep_checkpoints",
             "max_steps",
         ):
-            if (count := getattr(self, name)) is not None and count < 1:
-                raise ValueError(f"{name} must be at least 1, got {count}")
+            if (count := getattr(self, name)) is not None:
+                check(name, count, at_least(1))
         if self.updates_per_round is not None and self.updates_per_round < self.freezes:
             raise ValueError(
                 f"updates_per_round must be at least freezes ({self.freezes}), got "

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.checks import BELOW_ONE, at_least, check
 from bbq_torchrl.trainers.collect import Policy, collect_dialogues
 from bbq_torchrl.trainers.errors import SpikeError
 
@@ -46,11 +47,9 @@ class Spike:
 
     def __post_init__(self) -> None:
         for name in ("dialogues", "drop_window"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+            check(name, getattr(self, name), at_least(1))
         if self.drop_above is not None:
-            if not 0.0 <= self.drop_above < 1.0:
-                raise ValueError(f"drop_above must be in [0, 1) or None, got {self.drop_above}")
+            check("drop_above", self.drop_above, BELOW_ONE)
             if not self.protect:
                 raise ValueError(
                     "drop_above needs protect=True: unprotected spiked transitions leave by "

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.bayes_mlp import BayesMLP
 from bbq_torchrl.bayes.functional import as_rows
-from bbq_torchrl.checks import ABOVE_ZERO, check
+from bbq_torchrl.checks import ABOVE_ZERO, at_least, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,8 +90,7 @@ class DynamicsModel(nn.Module):
     ) -> None:
         super().__init__()
         for name, size in (("observation_size", observation_size), ("action_size", action_size)):
-            if size < 1:
-                raise ValueError(f"{name} must be at least 1, got {size}")
+            check(name, size, at_least(1))
         check("noise_std", noise_std, ABOVE_ZERO)
         check("std_floor", std_floor, ABOVE_ZERO)
         self.observation_size = observation_size

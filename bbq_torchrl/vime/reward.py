@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.bayes.replicas import checked_number
-from bbq_torchrl.checks import AT_LEAST_ZERO, check, one_of
+from bbq_torchrl.checks import ABOVE_ZERO, AT_LEAST_ZERO, at_least, check, one_of
 from bbq_torchrl.seeds import checked_seed
 from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
 
@@ -136,10 +136,8 @@ class VIMEReward(Transform):
         check("weights", weights, one_of(*get_args(GainWeights)))
         eta = checked_number("eta", eta, dynamics.replicas, AT_LEAST_ZERO)
         for name, value in (("step_size", step_size), ("clip", clip)):
-            if not value > 0:
-                raise ValueError(f"{name} must be positive, got {value}")
-        if median_window < 1:
-            raise ValueError(f"median_window must be at least 1, got {median_window}")
+            check(name, value, ABOVE_ZERO)
+        check("median_window", median_window, at_least(1))
         reward = unravel_key(("next", reward_key))
         bonus = unravel_key(("next", intrinsic_reward_key))
         state = (observation_key, action_key, unravel_key(("next", observation_key)))

@@ -1,6 +1,6 @@
-"""The parts of the documentation that are made from code and from results.
+"""Generated blocks of the documentation.
 
-A module declares its blocks, by :func:`~scripts.docs_blocks.common.block`, as it is imported here.
+Importing a module here registers its blocks by :func:`~scripts.docs_blocks.common.block`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ __all__ = ["BLOCKS", "config", "domain", "draw_figures", "story", "tables"]
 
 
 def draw_figures() -> None:
-    """Draws, or copies, every figure that is made from results."""
+    """Draws or copies all generated figures."""
     results.draw_figures()
     speed.draw_growth()
     house.draw_house()

@@ -21,12 +21,12 @@ from scripts.docs_blocks.common import block, code, table
 @block("config.calibrate", CalibrateConfig)
 @block("config.search", SearchConfig, f"{SEARCH}.")
 def _keys(schema: type, prefix: str = "") -> str:
-    """Returns a row for each key of a root that is no group, with its default."""
+    """Returns a row for each key of a root, without the groups."""
     return _table({"default": schema}, prefix)
 
 
 def _group(group: str) -> str:
-    """Returns what each option is, and one table of all keys with each option's default."""
+    """Returns a summary of each option, and a table of all keys with each option's default."""
     known = {name: schemas()[group][name] for name in options(group)}
     meaning = {
         name: (inspect.getdoc(schema) or "").split("\n\n")[0] for name, schema in known.items()
@@ -79,6 +79,6 @@ def _groups() -> str:
 
 
 def _names(names: list[str]) -> str:
-    """Returns the names as code; those of a folder as one, behind the others."""
+    """Returns the names as code, with one name per folder at the end."""
     shown = dict.fromkeys(re.sub("/.*", "/…", name) for name in names)
     return ", ".join(code(name) for name in sorted(shown, key=lambda name: "/" in name))

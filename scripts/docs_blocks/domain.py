@@ -1,4 +1,4 @@
-"""Actions, features, corpus and dialogues to read, from the objects that the code uses."""
+"""Actions, features and example dialogues, from the objects that the code uses."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _features() -> str:
 
 @block("dialogues")
 def _dialogues() -> str:
-    """Returns the first dialogue that succeeds and the first that a misheard value spoils."""
+    """Returns the first successful dialogue and the first that fails from a misheard value."""
     env = DialogueEnv(movie_domain(), batch_size=(1, 64), seed=0)
     texts = transcripts(env, scripted_policy("careful_essential", env), 64)
     good = next(text for text in texts if text.endswith("success\n"))

@@ -1,12 +1,13 @@
-"""Blocks that show a file as it is: of the examples, and reports in results/."""
+"""Blocks that show files: examples, and reports in results/."""
 
 from __future__ import annotations
 
+import csv
 import re
 import shutil
 import sys
 
-from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block
+from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, table
 
 EXAMPLES = ROOT / "examples"
 
@@ -20,7 +21,7 @@ def _deep_sea() -> str:
 
 
 def _extending(name: str) -> str:
-    """Returns a file of the example package of options, so that the page shows what runs."""
+    """Returns a file of the example package as a code block."""
     file = EXAMPLES / "extending" / "bbq_extending" / f"{name}.py"
     return f"```python\n{file.read_text(encoding='utf-8')}```"
 
@@ -31,21 +32,36 @@ for _name in ("ucb_policy", "ucb", "langevin", "visits", "chain"):
 
 @block("study.uncertainty")
 def _uncertainty() -> str:
-    """Returns the table of how well uncertainty warns, of the study of several kinds of it."""
+    """Returns the table on uncertainty as a predictor of failure."""
     text = (RESULTS / "study" / "uncertainty" / "report.md").read_text(encoding="utf-8")
     return text.split("\n## Does uncertainty predict failure?")[1].split("\n## ")[0]
 
 
 @block("study.simulated")
 def _simulated() -> str:
-    """Returns the report of the study with simulated users, a level deeper."""
+    """Returns the report of the study with simulated users, two heading levels deeper."""
     text = (RESULTS / "study" / "report.md").read_text(encoding="utf-8")
     text = re.sub(r"\]\((\w+)\.png\)", r"](figures/study_simulated_\1.png)", text)
     return re.sub("^#", "###", text, count=1).replace("\n## ", "\n#### ")
 
 
+@block("chat.control")
+def _control() -> str:
+    """Returns the table of what the rules of the dialogue control cost in the simulator."""
+    with (RESULTS / "control.csv").open(encoding="utf-8", newline="") as file:
+        rows = [
+            (
+                row["rules"],
+                f"{float(row['success']):.3f} ± {float(row['standard_error']):.3f}",
+                row["turns"],
+            )
+            for row in csv.DictReader(file)
+        ]
+    return table(("rules", "success", "turns"), rows)
+
+
 def copy_figures() -> None:
-    """Copies that report's figures to the documentation's."""
+    """Copies the figures of that report to docs/figures/."""
     for name in ("success", "ratings"):
         file = FIGURES / f"study_simulated_{name}.png"
         shutil.copyfile(RESULTS / "study" / f"{name}.png", file)

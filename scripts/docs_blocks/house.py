@@ -27,18 +27,18 @@ _CURVE = [Path.MOVETO, *[Path.CURVE4] * 3]
 
 @cache
 def _house() -> tuple[list[list[str]], networkx.DiGraph]:
-    """Returns the rooms of each layer of the contract, the highest first, and who imports whom.
+    """Returns the layers of the contract, highest first, and the graph of imports.
 
-    The graph also has the packages that the contract does not name; it lacks the imports that the
-    contract lets pass.
+    The graph includes packages outside the contract and excludes the contract's exceptions.
     """
     contract, *_ = api.read_configuration(str(ROOT / ".importlinter"))["contracts_options"]
-    layers = [re.findall(rf"{PACKAGE}\.(\w+)", layer) for layer in contract["layers"]]
+    layers = [re.findall(rf"{PACKAGE}\.([\w.]+)", layer) for layer in contract["layers"]]
     graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True, cache_dir=None)
     for importer, imported in (line.split(" -> ") for line in contract["ignore_imports"]):
         graph.remove_import(importer=importer, imported=imported)
     packages = {file.parent.name for file in (ROOT / PACKAGE).glob("*/__init__.py")}
-    others = sorted(packages.difference(*layers))
+    named = {room.partition(".")[0] for layer in layers for room in layer}
+    others = sorted(packages - named)
     rooms = {f"{PACKAGE}.{room}": room for layer in (others, *layers) for room in layer}
     house = networkx.DiGraph()
     house.add_nodes_from(rooms.values())
@@ -52,7 +52,7 @@ def _house() -> tuple[list[list[str]], networkx.DiGraph]:
 
 @block("house.rooms")
 def _table() -> str:
-    """Returns a row for each room, from the highest layer to the lowest, which is 1."""
+    """Returns a row for each room, from the highest layer down to layer 1."""
     layers, house = _house()
     height = {room: len(layers) - row for row, layer in enumerate(layers) for room in layer}
     rows = []
@@ -65,7 +65,7 @@ def _table() -> str:
 
 
 def draw_house() -> None:
-    """Draws the rooms in their layers, and the arrows that do not follow from two others."""
+    """Draws the rooms in layers, without arrows that follow from two others."""
     layers, house = _house()
     places = {
         room: (_ALONE[row % 3] if len(layer) == 1 else (column + 0.5) / len(layer), -row)

@@ -18,9 +18,12 @@ from bbq_torchrl.options import (
     AgentOption,
     ConfigError,
     ExploreOption,
+    agreement,
+    agreements,
     explorations,
     register,
     registry,
+    validate,
 )
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import COUNT, option, setting
@@ -136,6 +139,32 @@ def test_an_agent_must_be_able_to_explore_by_its_own_strategy():
     register(lost)
     with pytest.raises(ConfigError, match=r"Lost.explores_by must be one of .*greedy.*'thompson'$"):
         explorations()
+
+
+def test_two_options_agree_by_a_function_of_the_whole_configuration(monkeypatch):
+    monkeypatch.setattr(agreements, "_AGREEMENTS", dict(agreements._AGREEMENTS))
+
+    @agreement
+    def never_two(config):
+        if config.replicas == 2:
+            raise ConfigError("replicas must not be 2 here")
+
+    validate(compose(["agent=dqn", "replicas=3"]))
+    with pytest.raises(ConfigError, match="replicas must not be 2 here"):
+        validate(compose(["agent=dqn", "replicas=2"]))
+
+
+def test_a_check_of_the_old_form_gets_the_configuration_and_warns():
+    config, given = compose(["agent=dqn"]), []
+
+    class Old(type(config.explore)):
+        def check(self, config):
+            given.append(config)
+
+    config.explore = Old(**vars(config.explore))
+    with pytest.warns(DeprecationWarning, match=r"Old.check\(config\) will have no argument"):
+        validate(config)
+    assert given == [config]
 
 
 def test_an_option_of_a_folder_is_checked_and_paired_like_ours(own):

@@ -97,9 +97,7 @@ def first(argument):
     return f"{key}={value.split(',')[0]}"
 
 
-OPTIONS, ENVIRONMENT, PARTS = (
-    ROOT / "docs" / f"{name}.md" for name in ("options", "environment", "parts")
-)
+OPTIONS, DOMAINS, PARTS = (ROOT / "docs" / f"{name}.md" for name in ("options", "domains", "parts"))
 
 
 def printed(page, language, start):
@@ -209,7 +207,7 @@ def test_the_whole_domain_is_loaded_and_played(tmp_path):
         ("goals.jsonl", "json", '{"constraints"'),
         ("values.json", "json", '{"food"'),
     ):
-        (tmp_path / name).write_text(printed(ENVIRONMENT, language, start))
+        (tmp_path / name).write_text(printed(DOMAINS, language, start))
     env = DialogueEnv(load_domain(tmp_path), batch_size=(50,), seed=0)
     for policy in ("rule", "careful"):
         rollout = env.rollout(20, scripted_policy(policy, env), break_when_any_done=False)

@@ -10,8 +10,8 @@ import pytest
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.spelling import plain
 from bbq_torchrl.envs.measured import load_errors
-from bbq_torchrl.language.labeled import lines_of
-from bbq_torchrl.language.phrases import load_phrases
+from bbq_torchrl.people.language.labeled import lines_of
+from bbq_torchrl.people.language.phrases import load_phrases
 
 ALIKE = {
     "a blank at the end": ("reno", "reno "),

@@ -6,8 +6,10 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import forked
 import pytest
 import torch
+from forked import ROOT
 
 from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.envs import (
@@ -18,7 +20,7 @@ from bbq_torchrl.envs import (
     scripted_policy,
 )
 from bbq_torchrl.envs.text import TextChannel
-from bbq_torchrl.language import Frame, Understood
+from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.simulator import MeasuredErrors
 
 PLACES = 40
@@ -197,7 +199,8 @@ def test_a_slot_that_is_not_active_is_not_heard(movie):
 
 def counted(domain, monkeypatch, turns=500, trained=None, **settings):
     """Returns the counts, as they are written and read again."""
-    monkeypatch.setattr(measured, "text_channel", lambda _: channel_of(domain, **settings)[0])
+    name = "bbq_torchrl.envs.text.text_channel"
+    monkeypatch.setattr(name, lambda _: channel_of(domain, **settings)[0])
     monkeypatch.setattr(measured, "_BATCH", 60)
     text = measured.errors_text(measured.count_errors(domain, turns, trained=trained))
     assert max(map(len, text.splitlines())) < 3_000
@@ -283,3 +286,12 @@ def test_counts_that_are_damaged_or_of_other_slots_are_refused(movie, tmp_path):
     for slots in (movie.slots[:-1], (*movie.slots, "seats")):
         with pytest.raises(ValueError, match=r"counts the errors of another domain.*its slots are"):
             measured.load_errors(replace(movie, slots=slots))
+
+
+def test_measured_errors_are_read_without_the_language_layer():
+    program = (
+        "import sys, torch; from bbq_torchrl.domains import movie_domain; "
+        "from bbq_torchrl.envs.measured import load_errors; load_errors(movie_domain()); "
+        "sys.exit(any(name.startswith('bbq_torchrl.people') for name in sys.modules))"
+    )
+    forked.python("-c", program, cwd=ROOT)

@@ -114,8 +114,14 @@ MANY = Categorical(4, shape=(3,))
         (lambda: FlatLayout((3,)), "sizes must be at least two positive integers, got"),
         (lambda: FlatLayout((3, 0, 2)), "sizes must be at least two positive integers, got"),
         (lambda: BootstrapMLP(3, 2, (0,)), "sizes must be at least two positive integers, got"),
-        (lambda: FlatMLP(3, 2, dropout=-0.1), r"dropout must be in \[0, 1\), got -0.1"),
-        (lambda: FlatMLP(3, 2, dropout=1.0), r"dropout must be in \[0, 1\), got 1.0"),
+        (
+            lambda: FlatMLP(3, 2, dropout=-0.1),
+            r"dropout must be a number from 0 to .*, got -0.1",
+        ),
+        (
+            lambda: FlatMLP(3, 2, dropout=1.0),
+            r"dropout must be a number from 0 to .*, got 1.0",
+        ),
         (lambda: FlatMLP(3, 2)(torch.ones(3), "off"), "mode must be one of .*, got 'off'"),
         (lambda: BootstrapMLP(3, 2, heads=0), "heads must be at least 1, got 0"),
         (lambda: BootstrapMLP(3, 2, trunk_layers=3), "from 0 to 2, the number of hidden layers"),

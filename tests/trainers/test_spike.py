@@ -82,7 +82,7 @@ def test_one_that_fills_the_capacity_is_refused(tmp_path):
     ("changed", "message"),
     [
         ({"dialogues": 0}, "dialogues must be at least 1, got 0"),
-        ({"drop_above": 1.5}, r"drop_above must be in \[0, 1\) or None, got 1.5"),
+        ({"drop_above": 1.5}, r"drop_above must be a number from 0 to below 1, got 1.5"),
         ({"drop_above": 0.5, "protect": False}, "drop_above needs protect=True"),
         ({"drop_window": 0}, "drop_window must be at least 1, got 0"),
     ],

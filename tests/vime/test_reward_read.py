@@ -75,8 +75,8 @@ def test_keys_can_have_other_names():
         ({"weights": "mean"}, r"weights must be one of map, mc, got 'mean'"),
         ({"eta": -1.0}, "eta must be at least 0 and finite, got -1.0"),
         ({"eta": torch.ones(2)}, r"eta must .* have the replicas' shape \[\], got \[2\]"),
-        ({"step_size": 0.0}, "step_size must be positive, got 0.0"),
-        ({"clip": 0.0}, "clip must be positive, got 0.0"),
+        ({"step_size": 0.0}, "step_size must be positive and finite, got 0.0"),
+        ({"clip": 0.0}, "clip must be positive and finite, got 0.0"),
         ({"median_window": 0}, "median_window must be at least 1, got 0"),
     ],
 )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @register
 @dataclass
 class Chain(EnvOption):
-    """The N-chain: a little reward near the start, a large one at the far end; no dialogue."""
+    """The N-chain: a little reward near the start, a large one at the far end."""
 
     name: str = option("chain")
     length: int = setting(10, integers(3, 1_000), "states of the chain")
@@ -36,7 +36,7 @@ class Chain(EnvOption):
         seed: int = 0,
         device: torch.device | str = "cpu",
     ) -> EnvBase:
-        """Makes the chain; nothing in it is random, so that the seed changes nothing."""
+        """Makes the chain, which is deterministic: the seed has no effect."""
         from bbq_extending.chain_env import ChainEnv
 
         return ChainEnv(
@@ -48,5 +48,5 @@ class Chain(EnvOption):
         )
 
     def steps(self) -> int:
-        """As in the paper, nine more than there are states."""
+        """Returns the episode length, nine more than the number of states (as in the paper)."""
         return self.length + 9

@@ -68,7 +68,7 @@ class ChainEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        """Does nothing: there is no chance in it."""
+        """Does nothing: the chain is deterministic."""
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         which = None if tensordict is None else tensordict.get("_reset", None)

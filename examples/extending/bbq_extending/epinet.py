@@ -1,4 +1,4 @@
-"""``agent=epinet`` and ``explore=index``: an epinet, and acting with one index an episode."""
+"""``agent=epinet`` and ``explore=index``: an epinet, and acting with one index per episode."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @register
 @dataclass
 class Epinet(AgentOption):
-    """Deep Q-network with an epinet, whose index stands for what the agent does not know."""
+    """Deep Q-network with an epinet, whose index represents epistemic uncertainty."""
 
     name: str = option("epinet")
     index_size: int = setting(8, SIZE, "dimensions of the index")

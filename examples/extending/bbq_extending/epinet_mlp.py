@@ -1,4 +1,4 @@
-"""An epinet: a Q-network that also reads an epistemic index, and disagrees with itself over it."""
+"""An epinet: a Q-network whose values also depend on an epistemic index."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class EpinetMLP(nn.Module):
-    r"""A ReLU network with an epinet beside it, or replicas of both (Osband et al., 2023).
+    r"""A ReLU network with an epinet, or replicas of both (Osband et al., 2023).
 
     With the base network's last hidden features φ(x), which pass no gradient on, and an index z:
 
@@ -91,10 +91,10 @@ class EpinetMLP(nn.Module):
 
     @torch.no_grad()
     def _priors(self, x: Tensor) -> Tensor:
-        """Returns what each prior makes of the input, [*replicas, *batch, index_size, out]."""
+        """Returns the output of each prior network, [*replicas, *batch, index_size, out]."""
         return torch.stack([prior(x) for prior in self.priors], -2)
 
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
-        """Sets the weights of inputs that come into use later to 0, the priors' too."""
+        """Sets the weights of inputs that become active later to 0, in the priors too."""
         for network in (self.trunk, *self.priors):
             network.reset_inactive_(inputs, outputs)

@@ -1,4 +1,4 @@
-"""Acting and learning with an epistemic index, an entry of the TensorDict that a network reads."""
+"""Acting and learning with an epistemic index, an input of the network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
 
 INDEX = "index"
-"""Entry that holds the index, [*batch, index_size]."""
+"""TensorDict key of the index, [*batch, index_size]."""
 
 
 class IndexSampling(ActorPolicy):
@@ -69,7 +69,7 @@ class IndexSampling(ActorPolicy):
         return tensordict.update(self.actor(rows.set(INDEX, index)).select(*self.out_keys))
 
     def _next(self, tensordict: TensorDictBase, drawn: Tensor) -> Tensor:
-        """Returns the indices held, and new ones where an episode begins."""
+        """Returns the current indices, with new ones where an episode begins."""
         if self._held is None or self._held.shape != drawn.shape:
             return drawn
         begins = tensordict.get("is_init", None)
@@ -79,7 +79,7 @@ class IndexSampling(ActorPolicy):
 
 
 class IndexLoss(OneStepQLoss):
-    """The squared TD error with an index of its own for each row, the same in its target.
+    """The squared TD error with one index per row, shared with the row's target.
 
     Takes what :class:`~bbq_torchrl.objectives.OneStepQLoss` takes, and an actor that reads the
     index; writes the indices into the batch.
@@ -95,7 +95,7 @@ class IndexLoss(OneStepQLoss):
 
     @property
     def has_fixed_targets(self) -> bool:
-        """Never: a row's target is another one with each index."""
+        """False: a row's target depends on its index."""
         return False
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -1,4 +1,4 @@
-"""Langevin dynamics with Adam's drift, for replicas that must not touch one another."""
+"""Langevin dynamics with Adam's drift, independent for each replica."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class LangevinAdam:
         self.squares = [torch.zeros_like(parameter) for parameter in self.parameters]
 
     def zero_grad(self) -> None:
-        """Forgets the gradients."""
+        """Clears the gradients."""
         for parameter in self.parameters:
             parameter.grad = None
 
@@ -101,7 +101,7 @@ class LangevinAdam:
                 parameter[rows] += noise_std * noise[rows]
 
     def scale_lr(self, share: float) -> None:
-        """Goes on at that share of the learning rate, and with the noise that belongs to it."""
+        """Scales the learning rate, and the noise with it."""
         self.lr = self.rate * share
 
     def state_dict(self) -> dict[str, Any]:

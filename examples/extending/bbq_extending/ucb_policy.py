@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 class UpperConfidence(ActorPolicy):
     """Takes the action of the highest mean + coefficient · std over draws of the weights.
 
-    Explores under RANDOM and outside of any context (as TorchRL's ``EGreedyModule``), else acts on
-    the mean weights. Every row and step has draws of its own, by local reparameterization.
+    Explores under RANDOM and outside any context (as TorchRL's ``EGreedyModule``), else acts on
+    the mean weights. Draws are independent for each row and step, by local reparameterization.
 
     Args:
         actor: a Q-value actor on a network with Bayesian layers.

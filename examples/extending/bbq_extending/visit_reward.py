@@ -56,7 +56,7 @@ class VisitReward(Transform):
         self.register_buffer("eta", values.expand(replicas)[:, None, None], persistent=False)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Counts the states that the transitions lead to, and writes their hash."""
+        """Counts the next states of the transitions and writes their hash."""
         state = tensordict.get(("next", "observation"))
         signs = (state @ self.projections > 0).long()
         powers = 2 ** torch.arange(signs.shape[-1], device=signs.device)
@@ -67,7 +67,7 @@ class VisitReward(Transform):
         return tensordict.set(("next", "state_hash"), hashes.unsqueeze(-1))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Returns a shallow copy whose reward has the bonus; the input stays."""
+        """Returns a shallow copy with the bonus in its reward."""
         hashes = tensordict.get(("next", "state_hash")).squeeze(-1)
         bonus = self.eta / self.counts.gather(1, hashes).unsqueeze(-1).sqrt()
         reward = tensordict.get(("next", "reward"))

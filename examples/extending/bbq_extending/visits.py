@@ -1,4 +1,4 @@
-"""``intrinsic=visits``: a reward for states that were seldom seen."""
+"""``intrinsic=visits``: a reward for rarely seen states."""
 
 from __future__ import annotations
 

@@ -1,0 +1,183 @@
+"""Annealed exploration: ε-greedy, and Boltzmann with a temperature."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torchrl.modules import EGreedyModule
+
+from bbq_torchrl.exploration.base import check_batch, explores, schedule
+from bbq_torchrl.networks.q_actor import legal_actions
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from tensordict.utils import NestedKey
+    from torch import Tensor
+    from torchrl.data import TensorSpec
+
+
+class BatchedEGreedy(EGreedyModule):
+    """TorchRL's ``EGreedyModule`` with a separate epsilon for each part of the batch.
+
+    TorchRL's compares its random numbers to whatever shape its buffers have, and only its
+    constructor insists on one number: this one replaces the buffers.
+
+    Args:
+        spec: of the action.
+        eps_init: epsilon at first, a tensor that broadcasts with the batch, such as [*replicas, 1]
+            for one a replica.
+        eps_end: epsilon after ``annealing_num_steps`` steps, likewise.
+        annealing_num_steps: length of the schedule.
+
+    Keyword Args:
+        action_key: as in ``EGreedyModule``, like the other one.
+        action_mask_key: bool [*batch, N], or None for no mask.
+        device: of the schedule.
+
+    Raises:
+        ValueError: if not 1 ≥ eps_init ≥ eps_end ≥ 0, without any step, or, when called, for a
+            batch that the epsilons do not broadcast with.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> epsilon = torch.tensor([[0.0], [1.0]])
+        >>> explore = BatchedEGreedy(Categorical(4), epsilon, epsilon, 1)
+        >>> td = TensorDict(action=torch.zeros(2, 100).long(), batch_size=[2, 100])
+        >>> explore(td)["action"].float().mean(-1)
+        tensor([0.0000, ...])
+    """
+
+    def __init__(
+        self,
+        spec: TensorSpec,
+        eps_init: float | Tensor,
+        eps_end: float | Tensor,
+        annealing_num_steps: int = 1000,
+        *,
+        action_key: NestedKey = "action",
+        action_mask_key: NestedKey | None = None,
+        device: torch.device | None = None,
+    ) -> None:
+        start, end = schedule(eps_init, eps_end, annealing_num_steps)
+        if not bool(((start <= 1) & (start >= end) & (end >= 0)).all()):
+            raise ValueError(
+                "eps_init must be at least eps_end and both be between 0 and 1, got "
+                f"{start.tolist()} and {end.tolist()}"
+            )
+        super().__init__(
+            spec,
+            1.0,
+            0.0,
+            annealing_num_steps,
+            action_key=action_key,
+            action_mask_key=action_mask_key,
+            device=device,
+        )
+        self.eps_init = start.to(device)
+        self.eps_end = end.to(device)
+        self.eps = start.to(device, copy=True)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action [*batch], a random one where it explores."""
+        check_batch("eps", self.eps, tensordict.batch_size)
+        return super().forward(tensordict)
+
+
+class Boltzmann(TensorDictModuleBase):
+    """Replaces the greedy action by a draw from softmax(Q / temperature).
+
+    Goes behind an actor; explores under RANDOM and outside of any context, else leaves the
+    action as it is. The temperature falls linearly with :meth:`step` and is a buffer, so that
+    checkpoints hold it.
+
+    Args:
+        temperature_init: temperature at first, in units of Q (rewards): one number, or a tensor
+            that broadcasts with the batch, such as [*replicas, 1] for one a replica.
+        temperature_end: temperature after ``annealing_num_steps`` steps, likewise.
+        annealing_num_steps: length of the schedule.
+
+    Keyword Args:
+        action_key: where the greedy action is and the drawn one goes: one-hot [*batch, N] where the
+            greedy one is, else (and where there is none) an index [*batch].
+        action_value_key: values [*batch, N].
+        action_mask_key: bool [*batch, N], or None for no mask.
+        device: of the schedule.
+
+    Raises:
+        ValueError: if not temperature_init ≥ temperature_end > 0, without any step, or, when
+            called, for a batch that the temperatures do not broadcast with.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> explore = Boltzmann(2.0, 0.5, 3, action_mask_key=None)
+        >>> td = TensorDict(action_value=torch.tensor([[0.0, 99.0, -99.0]]), batch_size=[1])
+        >>> explore(td)["action"]
+        tensor([1])
+        >>> explore.step(2)
+        >>> explore.temperature
+        tensor(1.)
+    """
+
+    temperature: Tensor
+    temperature_init: Tensor
+    temperature_end: Tensor
+
+    def __init__(
+        self,
+        temperature_init: float | Tensor,
+        temperature_end: float | Tensor,
+        annealing_num_steps: int = 1000,
+        *,
+        action_key: NestedKey = "action",
+        action_value_key: NestedKey = "action_value",
+        action_mask_key: NestedKey | None = "action_mask",
+        device: torch.device | str | None = None,
+    ) -> None:
+        start, end = schedule(temperature_init, temperature_end, annealing_num_steps)
+        if not bool(((start >= end) & (end > 0)).all()):
+            raise ValueError(
+                "temperature_init must be at least temperature_end and that positive, got "
+                f"{start.tolist()} and {end.tolist()}"
+            )
+        super().__init__()
+        self.action_key = action_key
+        self.action_value_key = action_value_key
+        self.action_mask_key = action_mask_key
+        self.in_keys = [action_value_key]
+        if action_mask_key is not None:
+            self.in_keys.append(action_mask_key)
+        self.out_keys = [action_key]
+        self.annealing_num_steps = annealing_num_steps
+        self.register_buffer("temperature_init", start.to(device))
+        self.register_buffer("temperature_end", end.to(device))
+        self.register_buffer("temperature", start.to(device, copy=True))
+
+    def step(self, frames: int = 1) -> None:
+        """Lowers the temperature by ``frames`` steps of the schedule."""
+        fall = (self.temperature_init - self.temperature_end) / self.annealing_num_steps
+        self.temperature.copy_(
+            torch.maximum(self.temperature_end, self.temperature - frames * fall)
+        )
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the drawn action in the form of the greedy one."""
+        if not explores():
+            return tensordict
+        check_batch("temperature", self.temperature, tensordict.batch_size)
+        # values have one dimension more than the batch
+        temperature = self.temperature.unsqueeze(-1)
+        logits = tensordict.get(self.action_value_key).detach() / temperature
+        # argmax(logit - log E), E ~ Exp(1), is a draw from the softmax (the Gumbel trick)
+        logits = logits - torch.empty_like(logits).exponential_().log_()
+        mask = legal_actions(tensordict, self.action_mask_key)
+        if mask is not None:
+            logits = torch.where(mask, logits, float("-inf"))
+        action, greedy = logits.argmax(-1), tensordict.get(self.action_key, None)
+        if greedy is not None and greedy.shape == logits.shape:
+            action = torch.zeros_like(greedy).scatter_(-1, action.unsqueeze(-1), 1)
+        return tensordict.set(self.action_key, action)

@@ -1,0 +1,13 @@
+"""Talking with a trained agent: what a person types becomes an act, and an act a sentence.
+
+``bbq chat <run folder>`` is the command line (extra ``chat``). :class:`Partner` is the same without
+a terminal, and :func:`~bbq_torchrl.people.study.agents.make_talker` makes the agents of a study.
+"""
+
+from __future__ import annotations
+
+from bbq_torchrl.people.dialogue.agent import TrainedAgent
+from bbq_torchrl.people.dialogue.partner import Answer, Partner
+from bbq_torchrl.people.dialogue.tracker import Tracking
+
+__all__ = ["Answer", "Partner", "Tracking", "TrainedAgent"]

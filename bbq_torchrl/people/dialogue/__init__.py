@@ -1,0 +1,19 @@
+"""Dialogue state, policy, control, success and beliefs: the parts that chat and study share."""
+
+from __future__ import annotations
+
+RULE_NAMES = (
+    "yes_ends",
+    "answers_first",
+    "no_unasked_inform",
+    "no_asking_back",
+    "no_repeat",
+    "drop_no_match",
+    "confirm",
+    "book",
+    "names",
+    "contrary",
+    "farewell",
+    "check",
+)
+"""The rules of :mod:`~bbq_torchrl.people.dialogue.control`, here where no torch is needed."""

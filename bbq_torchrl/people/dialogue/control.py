@@ -1,0 +1,183 @@
+"""Rules between the Q-values and the sentence: manners that the simulated user never taught.
+
+The simulated user repeats its questions until they are answered and minds no repetition, so an
+agent that learned from it loses nothing by bad manners. People do mind. A rule leaves out actions,
+or forgets what stands in the way. ``scripts/measure_control.py`` measures what each rule costs in
+the simulator (``results/control.csv``). The rules are on in chat and study, and off in experiments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
+from bbq_torchrl.people.dialogue import RULE_NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from tensordict import TensorDictBase
+
+    from bbq_torchrl.simulator import Simulator
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One rule.
+
+    Attributes:
+        says: what the rule does, in a sentence.
+        allowed: returns the actions that it allows in a state, bool ``[*B, A]``; ``None`` for a
+            rule that concerns the memory or the sentence.
+    """
+
+    says: str
+    allowed: Callable[[Control, TensorDictBase], torch.Tensor] | None = None
+
+
+class Control:
+    """Applies rules, in their order, each only where it leaves an action.
+
+    Args:
+        simulator: of the domain; its tracker completes the agent's acts.
+        rules: names of :data:`RULES`.
+
+    Attributes:
+        rules: the names, in the order of :data:`RULES`.
+
+    Raises:
+        ValueError: a name is unknown.
+    """
+
+    def __init__(self, simulator: Simulator, rules: Iterable[str] | None = None) -> None:
+        names = list(RULES if rules is None else rules)
+        for name in names:
+            if name not in RULES:
+                raise ValueError(f"a rule must be one of {', '.join(RULES)}, got {name!r}")
+        self.rules = tuple(name for name in RULES if name in names)
+        domain = simulator.domain
+        self._tracker = simulator.tracker
+        self._acts, self._complete = domain.act, domain.complete
+        self._act, self._slot = domain.action_act, domain.action_slot.clamp(min=0)
+        has_slot = domain.action_slot >= 0
+        is_inform = has_slot & (domain.action_act == domain.act["inform"])
+        self._is_booking = is_inform & (domain.action_slot == domain.complete)
+        is_ticket = domain.action_slot == domain.ticket
+        self._is_answer = is_inform & ~self._is_booking & ~is_ticket
+        self._is_request = has_slot & (domain.action_act == domain.act["request"])
+        self._is_end = (domain.action_act == domain.act["thanks"]) | (
+            domain.action_act == domain.act["closing"]
+        )
+        self._has_no_slot = ~has_slot
+        self._can_answer = torch.zeros(domain.n_slots, dtype=torch.bool)
+        self._can_answer[self._slot[self._is_answer]] = True
+
+    def allowed(
+        self, state: TensorDictBase, legal: torch.Tensor
+    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """Returns the actions that all rules allow, and where each rule left some out.
+
+        Args:
+            state: of the simulator or of a :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
+            legal: bool ``[*B, A]``.
+
+        Returns:
+            bool ``[*B, A]``, and by rule bool ``[*B, A]``, the actions that it left out.
+        """
+        left_out = {}
+        for name in self.rules:
+            rule = RULES[name].allowed
+            if rule is not None:
+                kept = legal & rule(self, state)
+                kept = torch.where(kept.any(-1, keepdim=True), kept, legal)
+                left_out[name] = legal & ~kept
+                legal = kept
+        return legal, left_out
+
+    def remember(self, state: TensorDictBase) -> TensorDictBase:
+        """Returns the state after a person's act, without what the rules forget."""
+        if "drop_no_match" not in self.rules:
+            return state
+        is_told = (state["user_informs"] != NONE).any(-1, keepdim=True)
+        held = torch.where(is_told & (state["held"] == NO_MATCH), NONE, state["held"])
+        return state.replace(held=held)
+
+    def _open(self, state: TensorDictBase) -> torch.Tensor:
+        """Returns the questions of the user that the agent can answer, bool ``[*B, S]``."""
+        return (state["heard_requests"] | state["open_requests"]) & self._can_answer
+
+    def _yes_ends(self, state: TensorDictBase) -> torch.Tensor:
+        is_yes = state["heard_act"] == self._acts["thanks"]
+        is_offer = state["agent_informs"][..., self._complete] == AVAILABLE
+        ends = is_yes & is_offer & ~self._open(state).any(-1)
+        return ~ends[..., None] | self._is_end
+
+    def _answers_first(self, state: TensorDictBase) -> torch.Tensor:
+        open_ = self._open(state)
+        was_offered = state["held"][..., self._complete] != NONE
+        must = open_.any(-1) & was_offered
+        return ~must[..., None] | (self._is_answer & open_[..., self._slot])
+
+    def _no_unasked_inform(self, state: TensorDictBase) -> torch.Tensor:
+        open_ = self._open(state)
+        is_unasked = (self._is_answer & ~open_[..., self._slot]) | self._is_end
+        return ~(open_.any(-1, keepdim=True) & is_unasked)
+
+    def _no_asking_back(self, state: TensorDictBase) -> torch.Tensor:
+        known = self._open(state) | (state["user_informs"] > DONT_CARE)
+        return ~(self._is_request & known[..., self._slot])
+
+    def _no_repeat(self, state: TensorDictBase) -> torch.Tensor:
+        told, asked = state["agent_informs"] != NONE, state["agent_requests"]
+        offers = told[..., self._complete, None]
+        is_last = (self._act == state["agent_act"][..., None]) & (
+            self._has_no_slot
+            | (self._is_request & asked[..., self._slot])
+            | (self._is_booking & offers)
+            | (~self._is_booking & ~offers & told[..., self._slot])
+        )
+        last = is_last.to(torch.uint8).argmax(-1)
+        again = self._tracker.complete(state["held"], last)
+        is_same = (again.informs == state["agent_informs"]) & (again.requests == asked)
+        return ~(is_last & is_same.all(-1, keepdim=True))
+
+
+RULES = dict(
+    zip(
+        RULE_NAMES,
+        (
+            Rule("A yes to an offer that stands ends the dialogue.", Control._yes_ends),
+            Rule(
+                "A question after an offer is answered before anything else.",
+                Control._answers_first,
+            ),
+            Rule(
+                "With a question open the agent tells nothing else, and does not end the dialogue.",
+                Control._no_unasked_inform,
+            ),
+            Rule(
+                "The agent does not ask for what the person asks for or has just told.",
+                Control._no_asking_back,
+            ),
+            Rule("No act is repeated unchanged.", Control._no_repeat),
+            Rule('A remembered "no match" is forgotten when the person tells a value.'),
+            Rule(
+                "A sentence understood badly is checked, and its content kept "
+                '("Dune, Tuesday, is that right?").'
+            ),
+            Rule('"Book it" makes the agent offer, and after an offer it is a yes.'),
+            Rule("An exact name that the understanding dropped is checked."),
+            Rule('A value said with words such as "not" or "or later" is checked.'),
+            Rule("Only words of farewell let a person end the conversation."),
+            Rule('A known value is checked ("5:50 pm, is that right?"), not asked for.'),
+        ),
+        strict=True,
+    )
+)
+"""Rules by name, in the order in which they apply."""
+
+IN_THE_SIMULATOR = (*(name for name, rule in RULES.items() if rule.allowed), "drop_no_match")
+"""The rules that concern acts and memory; the others concern sentences alone."""

@@ -1,0 +1,172 @@
+"""Goals of people, and the judge of whether a conversation met one.
+
+A simulated user knows what it has asked and what was answered; of a person only the goal card and
+the dialogue acts are known.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import defaultdict
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT, fold
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from bbq_torchrl.domains import Domain, Goal
+    from bbq_torchrl.domains.frames import Frame
+
+_NO_MATCH = fold(RESERVED_TEXT[NO_MATCH])
+_AVAILABLE = fold(RESERVED_TEXT[AVAILABLE])
+_DONT_CARE = fold(RESERVED_TEXT[DONT_CARE])
+
+
+def card(goal: Goal, labels: Mapping[str, str]) -> dict[str, Any]:
+    """Returns what a goal card shows.
+
+    Args:
+        goal: the person's.
+        labels: how people call the slots.
+
+    Returns:
+        ``wishes``, pairs of label and value, and ``questions``, labels.
+    """
+    return {
+        "wishes": [
+            (labels.get(slot, slot), "anything" if fold(value) == _DONT_CARE else value)
+            for slot, value in goal.constraints.items()
+        ],
+        "questions": [labels.get(slot, slot) for slot in goal.requests],
+    }
+
+
+class Judge:
+    """Judges conversations in a domain.
+
+    A conversation is a success if
+
+    1. the last offer of a booking holds every wish of the goal card,
+    2. that offer says that there is a ticket,
+    3. every question of the card was answered, and one record of the knowledge base holds all
+       wishes and all answers,
+    4. it ended before it ran out of turns.
+
+    The simulator also asks that nothing said to be without a match is left so: each such slot gets
+    another value afterwards, by either side, and a refused offer counts until the agent informs
+    the ticket itself. A person who has what the card says is not failed for it; of other
+    conversations it is one more reason. With ``as_simulated`` it is a condition, and in dialogues
+    without errors that the agent ends, the rule is the simulator's.
+
+    Args:
+        domain: what the conversations are about.
+        as_simulated: whether to judge as the simulator does.
+    """
+
+    def __init__(self, domain: Domain, *, as_simulated: bool = False) -> None:
+        self._as_simulated = as_simulated
+        self._ticket, self._complete = domain.ticket_slot, domain.complete_slot
+        self._free = frozenset(domain.free_slots)
+        self._all = frozenset(range(len(domain.records)))
+        self._rows: dict[tuple[str, str], set[int]] = defaultdict(set)
+        self._has: dict[str, set[int]] = defaultdict(set)
+        for row, record in enumerate(domain.records):
+            for slot, value in record.items():
+                self._rows[slot, fold(value)].add(row)
+                self._has[slot].add(row)
+
+    def is_attainable(self, goal: Goal) -> bool:
+        """Returns whether some record holds all wishes and has all that is asked for."""
+        has_all = (self._has.get(slot, ()) for slot in goal.requests)
+        return bool(self._matching(goal.constraints).intersection(*has_all))
+
+    def reasons(
+        self, goal: Goal, exchanges: Iterable[tuple[Frame, Frame]], *, in_time: bool = True
+    ) -> tuple[str, ...]:
+        """Returns the reasons why a conversation was no success; none for a success.
+
+        Args:
+            goal: the person's goal card.
+            exchanges: what was understood of the person and what the agent said, first to last.
+            in_time: it did not run out of turns.
+        """
+        offer: dict[str, str] = {}
+        answers: dict[str, str] = {}
+        latest: dict[str, str] = {}
+        for heard, said in exchanges:
+            latest |= _folded(heard.informs)
+            told = _folded(said.informs)
+            if self._complete in told:
+                offer = told
+                if told[self._complete] == _NO_MATCH:
+                    latest[self._ticket] = _NO_MATCH
+            elif said.act == "inform":
+                latest |= told
+                answers |= told
+        asked = {slot: answers.get(slot, _NO_MATCH) for slot in goal.requests}
+        wishes = _folded(goal.constraints)
+        faults = {
+            "no offer": not offer,
+            "wishes": bool(offer) and not _holds(offer, wishes),
+            "no ticket": bool(offer) and offer[self._complete] != _AVAILABLE,
+            "questions": not self._matching(wishes) & self._holding(asked.items()),
+        }
+        is_strict = self._as_simulated or any(faults.values())
+        faults["no match left"] = is_strict and _NO_MATCH in latest.values()
+        faults["out of turns"] = not in_time
+        return tuple(reason for reason, holds in faults.items() if holds)
+
+    def _matching(self, values: Mapping[str, str]) -> frozenset[int]:
+        """Returns the records that hold all values; free slots and "do not care" match any."""
+        return self._holding(
+            (slot, value)
+            for slot, value in _folded(values).items()
+            if slot not in self._free and value != _DONT_CARE
+        )
+
+    def _holding(self, items: Iterable[tuple[str, str]]) -> frozenset[int]:
+        """Returns the records that hold all values, as they are."""
+        return self._all.intersection(*(self._rows.get(item, ()) for item in items))
+
+
+def _folded(values: Mapping[str, str]) -> dict[str, str]:
+    return {slot: fold(value) for slot, value in values.items()}
+
+
+def _holds(offer: Mapping[str, str], wishes: Mapping[str, str]) -> bool:
+    return all(value in (offer.get(slot), _DONT_CARE) for slot, value in wishes.items())
+
+
+REASONS = {
+    "no offer": "no booking was offered",
+    "wishes": "the last offer did not hold all of your wishes",
+    "no ticket": "the last offer was not available",
+    "questions": "not every question was answered with what the booking has",
+    "no match left": "something was said to be without a match, and left so",
+    "out of turns": "it ran out of turns",
+}
+"""A judge's reason, in a clause."""
+
+
+def choose_goal(domain: Domain, number: int | None, seed: int) -> Goal:
+    """Returns a goal of the domain.
+
+    Args:
+        domain: whose goals.
+        number: which one, from 1; ``None`` draws one that some record can meet.
+        seed: of the draw.
+
+    Raises:
+        ValueError: there is no such goal, or none that can be met.
+    """
+    goals = domain.goals
+    if number is not None:
+        if not 1 <= number <= len(goals):
+            raise ValueError(f"--goal must be between 1 and {len(goals)}, got {number}")
+        return goals[number - 1]
+    judge = Judge(domain)
+    attainable = [goal for goal in goals if judge.is_attainable(goal)]
+    if not attainable:
+        raise ValueError(f"no goal of the domain {domain.name} can be met: use --free")
+    return random.Random(seed).choice(attainable)

@@ -1,0 +1,338 @@
+"""A conversation with an agent: text in, text out, and the acts and beliefs between."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.values import NONE, RESERVED_TEXT
+from bbq_torchrl.people.dialogue.control import Control
+from bbq_torchrl.people.dialogue.spelling import Spelling
+from bbq_torchrl.people.dialogue.tracker import Tracking
+from bbq_torchrl.people.language import Frame, TextError, Understood
+from bbq_torchrl.people.language.asking import MOST_ASKS, Asking
+from bbq_torchrl.people.language.words import is_contrary, is_farewell, is_no, is_yes
+from bbq_torchrl.simulator import Simulator
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from bbq_torchrl.people.dialogue.agent import Reasons, TrainedAgent
+    from bbq_torchrl.people.dialogue.talk import Beliefs
+    from bbq_torchrl.people.language import Nlu
+
+
+class Nlg(Protocol):
+    """Says what an agent means."""
+
+    def agent(
+        self,
+        frame: Frame,
+        held: Mapping[str, str] | None = None,
+        *,
+        session: str | int = 0,
+        turn: int = 0,
+    ) -> str:
+        """Returns the sentence of an act."""
+
+    def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns a question about what was not understood."""
+
+    def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns a question whether some values are right."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """All that an agent remembers between two texts.
+
+    Attributes:
+        state: of the tracker; ``None`` before the first act heard.
+        asking: the questions asked again since the agent last acted.
+        checked: the slot whose known value the agent has asked to be confirmed, or empty.
+        texts: how many there have been.
+    """
+
+    state: TensorDict | None = None
+    asking: Asking = field(default_factory=Asking)
+    checked: str = ""
+    texts: int = 0
+
+    def to_json(self) -> str:
+        """Returns the memory as JSON."""
+        state = None
+        if self.state is not None:
+            state = {key: value.tolist() for key, value in self.state.items()}
+        return json.dumps(
+            {
+                "state": state,
+                "asking": asdict(self.asking),
+                "checked": self.checked,
+                "texts": self.texts,
+            }
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> Memory:
+        """Returns the memory that :meth:`to_json` wrote."""
+        content = json.loads(text)
+        state, asking = content["state"], content["asking"]
+        if state is not None:
+            state = TensorDict({key: torch.tensor(value) for key, value in state.items()}, [])
+        if (waiting := asking["waiting"]) is not None:
+            waiting = Frame(waiting["act"], waiting["informs"], tuple(waiting["requests"]))
+        known: dict[str, Any] = {
+            **asking,
+            "waiting": waiting,
+            "choices": tuple(asking["choices"]),
+        }
+        return cls(state, Asking(**known), content.get("checked", ""), content["texts"])
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An agent's answer to a text.
+
+    Attributes:
+        text: what the agent says.
+        understood: of the person's text; ``None`` where it could not be read.
+        heard: the act that the agent acted on, with what was cleared up in later turns.
+        said: the agent's act, its values filled in.
+        memory: what the agent remembers for the next text.
+        acted: whether the agent took an action; otherwise it asked again, or greeted.
+        ended: whether the conversation is over: ``"agent"``, ``"person"``, ``"turns"`` or ``""``.
+        control: the rules that kept the agent from the act of its choice.
+    """
+
+    text: str
+    understood: Understood | None
+    heard: Frame
+    said: Frame
+    memory: Memory
+    acted: bool = False
+    ended: str = ""
+    control: tuple[str, ...] = ()
+
+
+class Partner:
+    """An agent to talk with; conversations are in the memory that it returns, not in it.
+
+    Args:
+        agent: the policy.
+        nlu: understands.
+        nlg: speaks.
+        spelling: of values; ``None`` for that of the agent's own domain and phrases.
+        ask_below: the confidence below which it asks again, between 0 (never) and 1; ``None`` for
+            the threshold of the nlu.
+        rules: of the dialogue control, see :mod:`~bbq_torchrl.people.dialogue.control`; ``None``
+            for all.
+
+    Attributes:
+        agent: the policy.
+        domain: what they talk about, in the spelling that all acts have.
+        control: the rules between the policy and the nlg.
+
+    Examples:
+        >>> partner = Partner(TrainedAgent("runs/bbqn"), understand, speak)  # doctest: +SKIP
+        >>> answer = partner.reply(None, "two tickets for wonka please", seed=0)  # doctest: +SKIP
+        >>> answer.text  # doctest: +SKIP
+        'Which city are you in?'
+        >>> answer = partner.reply(answer.memory, "reno", seed=1)  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        agent: TrainedAgent,
+        nlu: Nlu,
+        nlg: Nlg,
+        spelling: Spelling | None = None,
+        *,
+        ask_below: float | None = None,
+        rules: Iterable[str] | None = None,
+    ) -> None:
+        self.agent, self._ask_below = agent, ask_below
+        self._nlu, self._nlg = nlu, nlg
+        self._spelling = spelling or Spelling(agent.domain)
+        self.domain = self._spelling.domain
+        # The agent sees numbers of records: those that match in whichever spelling.
+        simulator = Simulator(tensorize(self.domain), max_turn=agent.simulator.max_turn)
+        self._tracking = Tracking(simulator, agent.active)
+        self.control = Control(simulator, rules)
+
+    def reply(self, memory: Memory | None, text: str, seed: int) -> Answer:
+        """Answers a text.
+
+        Args:
+            memory: of the last answer; ``None`` at the start.
+            text: what the person typed.
+            seed: of everything random in the answer.
+        """
+        before = memory or Memory()
+        now = replace(before, texts=before.texts + 1, checked="")
+        asking, words = before.asking, {"session": seed, "turn": now.texts}
+        last = None if before.state is None else self._tracking.said(before.state)
+        try:
+            understood = self._understood(text, asking.question(last))
+        except TextError as error:
+            return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
+        if asking.is_check or before.checked:
+            checked = self._answer_to_check(before, text, understood.frame)
+            if checked is None:
+                return self._after_no(before, now, understood, words)
+            understood = replace(understood, **checked)
+        is_bye = understood.frame.act == "closing"
+        if is_bye and "farewell" in self.control.rules and not is_farewell(text):
+            understood = replace(understood, frame=Frame("not_sure"), confidence=0.0)
+        missed = {}
+        if "names" in self.control.rules and not (understood.unclear or is_bye):
+            missed = self._spelling.of(self._spelling.missed(text, understood.frame))
+            frame = understood.frame
+            informs = {**frame.informs, **missed}
+            act = "inform" if missed and not frame.requests else frame.act
+            understood = replace(understood, frame=replace(frame, act=act, informs=informs))
+        if self._doubts(asking, understood, text, has_missed=bool(missed)):
+            values = _values(asking.joined(understood.frame))
+            if understood.unclear or not values or "confirm" not in self.control.rules:
+                return self._ask_again(now, understood, self._nlg.clarify(understood, **words))
+            now = replace(now, asking=asking.checking(understood))
+            said = Frame("not_sure", values)
+            sentence = self._nlg.check(values, **words)
+            return Answer(sentence, understood, understood.frame, said, now)
+        heard, now = asking.joined(understood.frame), replace(now, asking=Asking())
+        if heard.act == "closing" or heard == Frame("greeting"):
+            # Not the agent's decision: a greeting is returned, a farewell ends it.
+            said, ended = Frame(heard.act), "person" if heard.act == "closing" else ""
+            sentence = self._nlg.agent(said, **words)
+            return Answer(sentence, understood, heard, said, now, ended=ended)
+        return self._act(now, understood, heard, seed, words)
+
+    def _act(
+        self, now: Memory, understood: Understood, heard: Frame, seed: int, words: dict[str, int]
+    ) -> Answer:
+        """Returns the answer of the policy to an act."""
+        legal = self.agent.legal
+        wants_ticket = heard == Frame("request", {}, (self.domain.ticket_slot,))
+        if wants_ticket and now.state is not None and "book" in self.control.rules:
+            last = self._tracking.said(now.state)
+            if last is not None and self.domain.complete_slot in last.informs:
+                heard = Frame("thanks")
+            else:
+                booking = self.domain.action_index(f"inform({self.domain.complete_slot})")
+                legal = torch.arange(len(legal)) == booking
+        state = self._hear(now.state, heard)
+        observation = self._tracking.observe(state)
+        action = self.agent.decide(observation, seed)
+        allowed, left_out = self.control.allowed(state, legal)
+        left_out["book"] = self.agent.legal & ~legal
+        control = tuple(name for name, actions in left_out.items() if actions[action])
+        if control:
+            action = self.agent.decide(observation, seed, allowed)
+        after = self._tracking.act(state, action)
+        said = self._tracking.said(after)
+        assert said is not None
+        held = self._tracking.held(state)
+        known = {slot: value for slot, value in _values(held).items() if slot in said.requests}
+        if said.act == "request" and known and "check" in self.control.rules:
+            now = replace(now, checked=said.requests[0])
+            sentence = self._nlg.check(known, **words)
+        else:
+            sentence = self._nlg.agent(said, held, **words)
+        ended = "agent" if said.act in ("thanks", "closing") else ""
+        if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
+            ended = "turns"
+        now = replace(now, state=after)
+        return Answer(sentence, understood, heard, said, now, True, ended, control)
+
+    def _doubts(
+        self, asking: Asking, understood: Understood, text: str, *, has_missed: bool
+    ) -> bool:
+        """Returns whether a sentence is asked about rather than acted on."""
+        if asking.asks(self._nlu, understood, self._ask_below):
+            return True
+        may_ask = asking.times < MOST_ASKS and self._ask_below != 0 and not asking.is_check
+        is_turned = "contrary" in self.control.rules and is_contrary(text)
+        is_doubtful = has_missed or (is_turned and bool(_values(understood.frame)))
+        return may_ask and is_doubtful
+
+    def _answer_to_check(self, before: Memory, text: str, frame: Frame) -> dict[str, Any] | None:
+        """Returns what a text means after "..., is that right?"; ``None`` for a plain no."""
+        is_bare = not (frame.informs or frame.requests)
+        if is_no(text) or (is_bare and frame.act == "deny"):
+            return None
+        says_yes = is_yes(text) or (is_bare and frame.act in ("confirm_answer", "thanks"))
+        if not says_yes:
+            return {}
+        if before.checked:
+            assert before.state is not None
+            value = self._tracking.held(before.state)[before.checked]
+            return {"frame": Frame("inform", {before.checked: value}), "confidence": 1.0}
+        return {"frame": before.asking.waiting, "confidence": 1.0, "unclear": ()}
+
+    def _after_no(
+        self, before: Memory, now: Memory, understood: Understood, words: dict[str, int]
+    ) -> Answer:
+        """Returns the next question after a no to "..., is that right?"."""
+        if not before.checked:
+            again = Understood(Frame("not_sure"), 0.0)
+            now = replace(now, asking=Asking(before.asking.times))
+            return self._ask_again(now, again, self._nlg.clarify(again, **words))
+        assert now.state is not None
+        held = now.state["held"].clone()
+        held[self.domain.slots.index(before.checked)] = NONE
+        now = replace(now, state=now.state.replace(held=held))
+        said = Frame("request", {}, (before.checked,))
+        return Answer(self._nlg.agent(said, **words), understood, understood.frame, said, now)
+
+    def beliefs(self, memory: Memory | None, heard: Frame, seed: int) -> Beliefs | None:
+        """Returns what the agent thought when it heard an act; ``None`` without a posterior.
+
+        Args:
+            memory: before the text.
+            heard: the act it acted on.
+            seed: of the draws.
+        """
+        return self.agent.beliefs(self._observed(memory, heard), seed)
+
+    def values(self, memory: Memory | None, heard: Frame, seed: int) -> dict[str, float]:
+        """Returns the values that the agent acted on, by action; arguments as of `beliefs`."""
+        return self.agent.values(self._observed(memory, heard), seed)
+
+    def reasons(self, memory: Memory | None, heard: Frame, seed: int) -> Reasons | None:
+        """Returns why its best action is better than the second; arguments as of `beliefs`."""
+        return self.agent.reasons(self._observed(memory, heard), seed)
+
+    def _observed(self, memory: Memory | None, heard: Frame) -> torch.Tensor:
+        return self._tracking.observe(self._hear((memory or Memory()).state, heard))
+
+    def _hear(self, state: TensorDict | None, heard: Frame) -> TensorDict:
+        if state is None:
+            return self._tracking.start(heard)
+        return self.control.remember(self._tracking.hear(state, heard))
+
+    def _understood(self, text: str, question: Frame | None) -> Understood:
+        """Returns what a text means, its values in the one spelling."""
+        understood = self._nlu(text, question)
+        frame = understood.frame
+        return replace(understood, frame=replace(frame, informs=self._spelling.of(frame.informs)))
+
+    def _ask_again(self, now: Memory, understood: Understood | None, sentence: str) -> Answer:
+        """Returns a question about a text; the state of the dialogue stays as it is."""
+        now = replace(now, asking=now.asking.again(understood))
+        heard = said = Frame("not_sure")
+        if understood is not None:
+            heard = understood.frame
+            if understood.unclear:
+                unclear = understood.unclear[0]
+                said = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
+        return Answer(sentence, understood, heard, said, now)
+
+
+def _values(of: Frame | Mapping[str, str]) -> dict[str, str]:
+    """Returns the values of a frame or of the tracker that are of the domain."""
+    informs = of.informs if isinstance(of, Frame) else of
+    return {slot: value for slot, value in informs.items() if value not in RESERVED_TEXT.values()}

@@ -1,0 +1,80 @@
+"""One spelling for each value, in which people and agents, goals and records agree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.people.language.lexicon import Lexicon
+from bbq_torchrl.people.language.words import POLITE, tokenize
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.domains.frames import Frame
+
+
+_LETTERS = 5
+"""A single word of fewer letters may be no name."""
+
+
+class Spelling:
+    """The one spelling that each value of a domain has in a conversation.
+
+    Corpora spell some values in several ways ("7:30pm" and "7:30 pm", "2" and "two"), and a record
+    or a goal has one of them. Whoever types the other means the same.
+
+    Args:
+        domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
+
+    Attributes:
+        domain: the same, its records and goals in that spelling: the one that most of them have.
+
+    Examples:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> domain = movie_domain()
+        >>> spelling = Spelling(domain)
+        >>> spelling.of({"numberofpeople": "two", "starttime": "2:15pm", "city": "nowhere"})
+        {'numberofpeople': '2', 'starttime': '2:15 pm', 'city': 'nowhere'}
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        self._lexicon = Lexicon(domain)
+        self.domain = replace(
+            domain,
+            records=tuple(map(self.of, domain.records)),
+            goals=tuple(
+                replace(goal, constraints=self.of(goal.constraints)) for goal in domain.goals
+            ),
+        )
+
+    def of(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns slot to value in that spelling; values that the domain has not, as they are."""
+        return {slot: self._lexicon.respell(slot, value) for slot, value in values.items()}
+
+    def missed(self, text: str, frame: Frame) -> dict[str, str]:
+        """Returns slot to value of the exact names in a text that its frame leaves out.
+
+        Args:
+            text: what a person typed.
+            frame: what was understood of it.
+        """
+        words = tokenize(text)
+        taken = {word for value in frame.informs.values() for word in tokenize(value)}
+        found: dict[str, tuple[str, ...]] = {}
+        for slot, names in self._lexicon.names.items():
+            if slot in frame.informs or slot in frame.requests:
+                continue
+            for name in names:
+                places = range(len(words) - len(name) + 1)
+                is_said = any(tuple(words[at : at + len(name)]) == name for at in places)
+                is_name = len(name) > 1 or (len(name[0]) >= _LETTERS and name[0] not in POLITE)
+                if is_said and is_name and taken.isdisjoint(name):
+                    found[slot] = max(found.get(slot, ()), name, key=len)
+        values = {}
+        for slot, name in found.items():
+            link = self._lexicon.link(slot, " ".join(name))
+            if len(link.values) == 1 and self._lexicon.only_slot(" ".join(name)) == slot:
+                values[slot] = link.values[0]
+        return values

@@ -1,0 +1,136 @@
+"""``bbq language measure``, ``train`` and ``count``."""
+
+from __future__ import annotations
+
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl import interruption
+
+    interruption.listen()
+
+import json
+import sys
+import time
+from os.path import expanduser
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from bbq_torchrl import output
+from bbq_torchrl.domains import load_domain
+from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.people.language.generate import Generator
+from bbq_torchrl.people.language.labeled import read_lines
+from bbq_torchrl.people.language.measure import measure_lines, measure_round_trip
+from bbq_torchrl.people.language.simulated import play
+from bbq_torchrl.people.language.understand import SENTENCES, Understander
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from tensordict.nn import TensorDictModuleBase
+
+    from bbq_torchrl.domains import Domain
+
+_ROUND_TRIPS = 3_000  # turns
+
+
+@output.refusing
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command; returns 0, or 2 after a line that says what is wrong."""
+    parser = output.Parser(prog="bbq language")
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name, help_ in (
+        ("train", "train an understander and write its file"),
+        ("measure", "train an understander and measure it on labeled sentences"),
+    ):
+        command = commands.add_parser(name, help=help_)
+        command.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
+        command.add_argument(
+            "--sentences", type=int, default=SENTENCES, help="of people to learn from"
+        )
+        command.add_argument("--seed", type=int, default=0)
+        command.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
+        command.add_argument("--file", type=Path, help="where the understander goes")
+        if name == "measure":
+            command.add_argument("--data", type=Path, default=Path("tests/data/language"))
+            command.add_argument("--dialogues", type=int, default=10_000, help="for the round trip")
+            command.add_argument("--out", type=Path, default=Path("results/language.json"))
+    count = commands.add_parser(
+        "count", help="count what is misheard of simulated users, for env.errors=measured"
+    )
+    count.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
+    count.add_argument("--turns", type=int, default=100_000, help="of users, at least")
+    count.add_argument("--seed", type=int, default=0)
+    count.add_argument(
+        "--trained", nargs="+", default=[], help="run folders or shipped:<name>, to play half of it"
+    )
+    given = parser.parse_args(arguments)
+    domain = load_domain(given.domain)
+    if given.command == "count":
+        _count(given, domain)
+        return 0
+    labeled = [] if given.labeled is None else read_lines(given.labeled, domain)
+    started = time.process_time()
+    understand = Understander.train(
+        domain, sentences=given.sentences, seed=given.seed, labeled=labeled
+    )
+    seconds = time.process_time() - started
+    with TemporaryDirectory() as unkept:
+        folder = unkept if given.command == "measure" else ""
+        file = given.file or Path(folder, f"{domain.name}.language.npz")
+        understand.save(file)
+        megabytes = round(file.stat().st_size / 1e6, 2)
+    if given.command == "measure":
+        turns = play(domain, given.dialogues, seed=given.seed)[:_ROUND_TRIPS]
+        figures = {
+            "domain": domain.name,
+            "learned_from": given.sentences,
+            "seed": given.seed,
+            "training_seconds": round(seconds, 1),
+            "megabytes": megabytes,
+            **measure_lines(understand, given.data),
+            **measure_round_trip(understand, Generator(domain), turns),
+        }
+        text = json.dumps(_rounded(figures), indent=1) + "\n"
+        output.write(text)
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        given.out.write_text(text, encoding="utf-8")
+    return 0
+
+
+def _count(given: argparse.Namespace, domain: Domain) -> None:
+    # Imported here: the language layer is below the environments, and needs no TorchRL.
+    from bbq_torchrl.envs.measured import ERRORS_FILE, count_errors, errors_text
+
+    torch.set_num_threads(1)
+    trained = {name: _agent(name, domain) for name in given.trained}
+    counts = count_errors(domain, given.turns, seed=given.seed, trained=trained)
+    file = Path(expanduser(given.domain)) / ERRORS_FILE
+    file.write_text(errors_text(counts), encoding="utf-8")
+    output.write(f"{counts['turns']} turns counted: {file}\n")
+
+
+def _agent(name: str, domain: Domain) -> TensorDictModuleBase:
+    """Returns what a run folder, or a shipped agent, has learned to do in a domain."""
+    from bbq_torchrl import load_run
+
+    run = load_run(name, dialogues=1)
+    own = getattr(run.env, "domain", None)
+    if own is None or own.action_names != domain.action_names or run.config.replicas != 1:
+        raise ValueError(
+            f"--trained must name runs of one replica in the domain {domain.name}, got {name}"
+        )
+    return run.policy
+
+
+def _rounded(figures: Any) -> Any:
+    if isinstance(figures, dict):
+        return {key: _rounded(value) for key, value in figures.items()}
+    return round(figures, 4) if isinstance(figures, float) else figures
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+"""An understander that is trained once for a domain, and kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.people.language.labeled import DRILLED_FILE, LEARNED_FILE, read_lines
+from bbq_torchrl.people.language.phrases import LANGUAGE_FILE
+from bbq_torchrl.people.language.understand import Understander
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bbq_torchrl.domains import Domain
+
+
+def cached_understander(
+    domain: Domain,
+    labeled: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Understander:
+    """Returns the understander of a domain, trained where the cache folder has none.
+
+    It is kept under a name that is a hash of all it was made of.
+
+    Args:
+        domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
+        labeled: own labeled lines to learn from as well.
+        tell: is told when training begins, which takes a minute.
+
+    Raises:
+        ValueError or OSError: a file that cannot be used.
+        ModuleNotFoundError: the extra ``language`` is not installed.
+    """
+    lines = [] if labeled is None else read_lines(labeled, domain)
+    kept = _cache_folder() / "bbq-torchrl" / f"{language_key(domain, labeled)}.npz"
+    with suppress(OSError, ValueError):
+        _make_private(kept.parent)
+        return Understander.load(kept, domain)
+    tell("Learning the language of the domain, once; it takes about a minute ...")
+    own = Understander.train(domain, labeled=lines)
+    with suppress(OSError):  # without a cache folder it is made anew
+        _make_private(kept.parent)
+        own.save(kept)
+    return own
+
+
+def _cache_folder() -> Path:
+    """Returns the user's cache folder; without a home, a place where nothing can be kept."""
+    if given := os.environ.get("XDG_CACHE_HOME"):
+        return Path(given)
+    try:
+        return Path.home() / ".cache"
+    except RuntimeError:  # neither HOME nor a name of the user, as in some containers
+        return Path(os.devnull)
+
+
+def _make_private(folder: Path) -> None:
+    """Makes a folder that only its user can enter, or makes it so: what it holds is believed.
+
+    Raises:
+        OSError: it cannot be made, or is another user's.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
+        raise PermissionError(errno.EPERM, "is another user's", os.fspath(folder))
+    folder.chmod(0o700)
+
+
+def language_key(domain: Domain, labeled: Path | None = None) -> str:
+    """Returns a hash of all that an understander is made of, and that sentences are made of.
+
+    Args:
+        domain: what is spoken of.
+        labeled: own labeled lines.
+    """
+    digest = hashlib.sha256(f"{version('bbq-torchrl')} {domain!r}".encode())
+    sources = sorted(Path(__file__).parent.glob("*.*"))
+    files = (LANGUAGE_FILE, LEARNED_FILE, DRILLED_FILE)
+    own = [] if domain.folder is None else [domain.folder / name for name in files]
+    for path in (*sources, *own, *([labeled] if labeled is not None else [])):
+        if path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:24]

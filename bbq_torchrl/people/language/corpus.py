@@ -1,0 +1,306 @@
+"""Sentences to learn from: frames of every kind, said by the domain's grammar."""
+
+from __future__ import annotations
+
+import random
+import re
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
+from bbq_torchrl.people.language.asking import OPENING
+from bbq_torchrl.people.language.compose import Composer
+from bbq_torchrl.people.language.noise import as_second_language, slangy, with_typos
+from bbq_torchrl.people.language.simulated import play
+from bbq_torchrl.people.language.surfaces import Surfaces
+from bbq_torchrl.people.language.tagger import OUTSIDE
+from bbq_torchrl.people.language.words import tokenize
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bbq_torchrl.people.language.lexicon import Lexicon
+    from bbq_torchrl.people.language.templates import Piece
+
+_SLOTLESS = tuple(
+    "greeting thanks deny confirm_answer not_sure closing welcome request inform confirm_question "
+    "multiple_choice".split()
+)
+_SMALL_WORDS = frozenset(("in", "or", "ok", "hi", "me", "oh"))
+_DIALOGUES = 1_000
+_KEPT = 100  # of 500
+_Count = int | tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Example:
+    """A sentence with what it means.
+
+    Attributes:
+        words: as :func:`~bbq_torchrl.people.language.words.tokenize` makes them.
+        tags: the slot whose value each word is part of, else :data:`OUTSIDE`.
+        frame: what is meant.
+        question: the agent's last act; :data:`OPENING` before its first.
+    """
+
+    words: list[str]
+    tags: list[str]
+    frame: Frame
+    question: Frame
+
+
+def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
+    """Returns the words of pieces and their tags."""
+    words: list[str] = []
+    tags: list[str] = []
+    for slot, together in groupby(pieces, key=lambda piece: piece.slot):
+        own = tokenize("".join(piece.text for piece in together))
+        words += own
+        tags += [OUTSIDE if slot is None else slot] * len(own)
+    return words, tags
+
+
+def make_examples(
+    lexicon: Lexicon,
+    count: int,
+    seed: int,
+    *,
+    noise: float = 1.0,
+    simulated: bool = False,
+) -> list[Example]:
+    """Returns sentences of the domain's own grammar.
+
+    Args:
+        lexicon: the domain's phrases and values.
+        count: how many.
+        seed: chooses all.
+        noise: scales how often sentences are spoiled.
+        simulated: whether the acts are those of simulated users, who ask several things at once.
+    """
+    rng = random.Random(seed)
+    # Other dialogues than those that the round trip is measured on.
+    other = seed + 1_000_000
+    turns = play(lexicon.domain, _DIALOGUES, seed=other, kept=_KEPT) if simulated else []
+    frames = _Frames(lexicon)
+    composer = Composer(lexicon, simulated=simulated)
+    surfaces = Surfaces(lexicon)
+    examples: list[Example] = []
+    while len(examples) < count:
+        question, frame = rng.choice(turns) if simulated else frames.draw(rng)
+        is_clear = simulated and rng.random() < 0.5
+        words, tags = tag(composer.compose(frame, question, rng, surfaces, is_clear=is_clear))
+        example = _spoil(Example(words, tags, frame, question or OPENING), rng, noise)
+        if example.words and len(example.words) <= 60:
+            examples.append(example)
+    return examples
+
+
+def spoiled(examples: Sequence[Example], seed: int) -> list[Example]:
+    """Returns sentences of people spoiled as those of the grammar are."""
+    rng = random.Random(seed)
+    return [_spoil(example, rng, 1.0) for example in examples]
+
+
+def _spoil(example: Example, rng: random.Random, noise: float) -> Example:
+    tagged = list(zip(example.words, example.tags, strict=True))
+    if rng.random() < 0.5 * noise:
+        tagged = [
+            (w, t)
+            for w, t in tagged
+            if t != OUTSIDE or w.isalnum() or "'" in w or rng.random() < 0.15
+        ]
+    if rng.random() < 0.3 * noise:
+        tagged = as_second_language(tagged, rng)
+    if rng.random() < 0.15 * noise:
+        tagged = slangy(tagged, rng)
+    words = [word for word, _ in tagged]
+    if rng.random() < 0.35 * noise:
+        words = with_typos(words, 0.12, rng)
+    return replace(example, words=words, tags=[tag for _, tag in tagged])
+
+
+def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
+    """Returns the values of a slot by the shape of their keys, and how often to draw each."""
+    shapes: dict[str, list[str]] = {}
+    for value in lexicon.values(slot):
+        key = lexicon.key(slot, value)
+        is_read = lexicon.kinds[slot] != "text" and any(letter.isdigit() for letter in key)
+        shapes.setdefault(re.sub(r"\d+", "0", key) if is_read else "", []).append(value)
+    return list(shapes.values()), [len(values) ** 0.5 for values in shapes.values()]
+
+
+class _Frames:
+    """Draws what agents ask and users mean."""
+
+    def __init__(self, lexicon: Lexicon) -> None:
+        domain = lexicon.domain
+        self._domain, self._lexicon = domain, lexicon
+        self._slotless = [act for act in _SLOTLESS if act in domain.acts]
+        goals = len(domain.goals)
+        requested = [s for goal in domain.goals for s in goal.requests]
+        told = [a.slot for a in domain.actions if a.kind == "inform" and a.slot]
+        asked = [a.slot for a in domain.actions if a.kind == "request" and a.slot]
+        constrained = [s for goal in domain.goals for s in goal.constraints]
+        self._asked = [s for s in asked if s in lexicon.slots]
+        self._told = [s for s in told if s in lexicon.slots]
+        wanted = dict.fromkeys((*requested, *told, *asked))
+        wanted.pop(domain.complete_slot, None)
+        self._wanted = {slot: 1.0 + 3.0 * (requested.count(slot) / goals) ** 0.5 for slot in wanted}
+        self._wanted[domain.ticket_slot] = 6.0
+        self._valued = {
+            slot: 0.35 + 2.0 * (constrained.count(slot) / goals) ** 0.5 for slot in lexicon.slots
+        }
+        self._wishes = {
+            slot: [g.constraints[slot] for g in domain.goals if g.constraints.get(slot, ANY) != ANY]
+            for slot in lexicon.slots
+        }
+        self._shapes = {slot: _shapes(lexicon, slot) for slot in lexicon.slots}
+
+    def draw(self, rng: random.Random) -> tuple[Frame, Frame]:
+        """Returns the agent's last act and what the user means."""
+        kind = rng.random()
+        if kind < 0.32:
+            return OPENING, self._opening(rng)
+        if kind < 0.70 and self._asked:
+            slot = rng.choices(self._asked, [self._valued[s] for s in self._asked])[0]
+            return Frame("request", {}, (slot,)), self._answer(slot, rng)
+        if kind < 0.83 and self._told:
+            slot = rng.choice(self._told)
+            value = NO_MATCH_TEXT if rng.random() < 0.2 else self._value(slot, rng)
+            return Frame("inform", {slot: value}), self._reaction(slot, rng)
+        if kind < 0.93:
+            complete = self._domain.complete_slot
+            verdict = rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))
+            question = self._frame("inform", rng, {complete: verdict}, values=(1, 2, 3, 4))
+            return question, self._verdict(question, rng)
+        act = rng.choice(("greeting", "deny", "confirm_question", "confirm_answer"))
+        if rng.random() < 0.3:
+            ticket = Frame(
+                "inform", {self._domain.ticket_slot: rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))}
+            )
+            return ticket, self._reaction(None, rng)
+        return Frame(act), self._after_act(act, rng)
+
+    def _value(self, slot: str, rng: random.Random) -> str:
+        """Returns a value; those of few kinds ("after work") as often as clocks of many."""
+        if self._wishes.get(slot) and rng.random() < 0.35:
+            return rng.choice(self._wishes[slot])
+        shapes, weights = self._shapes[slot]
+        value = rng.choice(rng.choices(shapes, weights)[0])
+        return rng.choice(self._lexicon.values(slot)) if value in _SMALL_WORDS else value
+
+    def _drawn(
+        self, weights: Mapping[str, float], rng: random.Random, count: _Count, but: Sequence[str]
+    ) -> list[str]:
+        """Returns slots drawn by their weights, one perhaps several times, but none of some."""
+        size = count if isinstance(count, int) else rng.choice(count)
+        slots = [slot for slot in weights if slot not in but]
+        return rng.choices(slots, [weights[slot] for slot in slots], k=size) if slots else []
+
+    def _frame(
+        self,
+        act: str,
+        rng: random.Random,
+        told: Mapping[str, str] | None = None,
+        *,
+        requests: _Count = 0,
+        values: _Count = 0,
+        but: tuple[str, ...] = (),
+    ) -> Frame:
+        """Returns an act with questions and values that are drawn; none of both, and none of some.
+
+        Args:
+            act: the act.
+            rng: draws.
+            told: values that are told besides.
+            requests: how many questions, or of what to draw how many.
+            values: how many values, or of what to draw how many.
+            but: slots that are left out.
+        """
+        asked = tuple(dict.fromkeys(self._drawn(self._wanted, rng, requests, but)))
+        slots = self._drawn(self._valued, rng, values, (*but, *asked))
+        drawn = {slot: self._value(slot, rng) for slot in slots}
+        return Frame(act, {**(told or {}), **drawn}, asked)
+
+    def _slotless_act(self, rng: random.Random) -> Frame:
+        return Frame(rng.choice(self._slotless))
+
+    def _opening(self, rng: random.Random) -> Frame:
+        kind = rng.random()
+        count = rng.choices((0, 1, 2, 3, 4, 5), (2, 5, 6, 5, 3, 1))[0]
+        if kind < 0.62:
+            asked = rng.choices((1, 2, 3), (16, 3, 1))[0]
+            return self._frame("request", rng, requests=asked, values=count)
+        if kind < 0.66:
+            return self._frame("confirm_question", rng, values=(1, 2, 3))
+        if kind < 0.9:
+            return self._frame("inform", rng, values=max(count, 1))
+        return Frame("greeting") if rng.random() < 0.5 else self._slotless_act(rng)
+
+    def _answer(self, slot: str, rng: random.Random) -> Frame:
+        kind = rng.random()
+        value = {slot: self._value(slot, rng)}
+        if kind < 0.36:
+            return Frame("inform", value)
+        if kind < 0.46:
+            return self._frame("inform", rng, value, values=1, but=(slot,))
+        if kind < 0.56:
+            return self._frame("inform", rng, value, requests=1, but=(slot,))
+        if kind < 0.67:
+            return Frame("inform", {slot: ANY})
+        if kind < 0.70:
+            return self._frame("inform", rng, {slot: ANY}, requests=1, but=(slot,))
+        if kind < 0.72:
+            return Frame("inform", {rng.choice(self._asked): ANY})
+        if kind < 0.79:
+            return self._frame("inform", rng, values=(1, 1, 2), but=(slot,))
+        if kind < 0.88:
+            if rng.random() < 0.7 and slot in self._wanted:
+                other = self._frame("request", rng, values=(0, 0, 0, 1), but=(slot,))
+                return replace(other, requests=(slot,))
+            return self._frame("request", rng, requests=1, values=(0, 0, 0, 1))
+        if kind < 0.93:
+            return Frame("not_sure") if "not_sure" in self._slotless else self._slotless_act(rng)
+        return self._slotless_act(rng)
+
+    def _reaction(self, slot: str | None, rng: random.Random) -> Frame:
+        kind = rng.random()
+        if kind < 0.2 and slot is not None:
+            value = {slot: self._value(slot, rng)}
+            return self._frame("inform", rng, value, values=(0, 0, 1), but=(slot,))
+        if kind < 0.3:
+            return self._frame("inform", rng, requests=(0, 0, 1), values=1)
+        if kind < 0.62:
+            return self._frame("request", rng, requests=1, values=(0, 0, 0, 1))
+        if kind < 0.69:
+            return self._frame("confirm_question", rng, values=1)
+        if kind < 0.82:
+            return Frame("thanks")
+        if kind < 0.92:
+            return Frame("deny")
+        return self._slotless_act(rng)
+
+    def _verdict(self, question: Frame, rng: random.Random) -> Frame:
+        kind = rng.random()
+        if kind < 0.29:
+            return Frame("thanks")
+        if kind < 0.46:
+            return self._frame("thanks", rng, requests=(1, 1, 1, 2))
+        if kind < 0.62:
+            return Frame("deny")
+        if kind < 0.82:
+            slots = [slot for slot in question.informs if slot in self._valued]
+            slot = rng.choice(slots)
+            is_any = slot in self._asked and rng.random() < 0.2
+            return Frame("inform", {slot: ANY if is_any else self._value(slot, rng)})
+        if kind < 0.88:
+            return self._frame("request", rng, requests=1, values=(0, 1))
+        return Frame("closing") if rng.random() < 0.9 else self._slotless_act(rng)
+
+    def _after_act(self, act: str, rng: random.Random) -> Frame:
+        if act == "greeting" and rng.random() < 0.8:
+            return self._opening(rng)
+        if act == "confirm_question" and rng.random() < 0.75:
+            return Frame(rng.choice(("confirm_answer", "confirm_answer", "deny")))
+        return self._reaction(None, rng) if rng.random() < 0.6 else self._slotless_act(rng)

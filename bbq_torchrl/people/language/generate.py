@@ -1,0 +1,265 @@
+"""Sentences of both sides, from acts; equal sessions say equal things."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+import re
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.domains import fold
+from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
+from bbq_torchrl.people.language.compose import Composer
+from bbq_torchrl.people.language.lexicon import Lexicon
+from bbq_torchrl.people.language.templates import Piece, choose, plain
+from bbq_torchrl.people.language.words import pairs, word_set
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.people.language.asking import Understood
+    from bbq_torchrl.people.language.templates import Template
+
+_MOST_IN_CONFLICT = 4
+_MOST_CHOICES = 5
+_NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
+
+# Values that bring their own: "it starts after 10pm", "it is tomorrow".
+_PREPOSITION = re.compile(
+    r"\b(at|on) (?=(after|around|as|before|by|in|next|this|today|tomorrow|tonight)\b)"
+)
+
+
+_SINGULAR = pairs("singular")
+_ONE = re.compile(rf"\b(1|one) ({'|'.join(_SINGULAR)})\b")
+_SMALL = word_set("small_in_titles")
+
+
+def capitalized(value: str, capitals: frozenset[str]) -> str:
+    """Returns a name as titles are written.
+
+    Args:
+        value: the name in lower case.
+        capitals: the words that are written in capitals.
+
+    Examples:
+        >>> capitalized("spider-man: across the spider-verse", frozenset())
+        'Spider-Man: Across the Spider-Verse'
+        >>> capitalized("amc seattle 10", frozenset({"amc"}))
+        'AMC Seattle 10'
+    """
+    written, is_first = [], True
+    for word in value.split(" "):
+        if word in capitals:
+            written.append(word.upper())
+        elif word in _SMALL and not is_first:
+            written.append(word)
+        else:
+            written.append("-".join(part[:1].upper() + part[1:] for part in word.split("-")))
+        is_first = word.endswith(":")
+    return " ".join(written)
+
+
+def chance(session: str | int, turn: int, side: str) -> random.Random:
+    """Returns what chooses the words of one turn: a hash of session, turn and side."""
+    digest = hashlib.blake2b(f"{session}/{turn}/{side}".encode(), digest_size=8).digest()
+    return random.Random(int.from_bytes(digest, "big"))
+
+
+def sentence(pieces: Sequence[Piece]) -> str:
+    """Returns pieces as a sentence that starts large and ends in a mark."""
+    text = plain(pieces)
+    text = text[:1].upper() + text[1:]
+    return text if text[-1:] in ".?!" else f"{text}."
+
+
+class Generator:
+    """Turns acts into sentences, by the phrases of a domain.
+
+    Args:
+        domain: what is spoken of, with its ``language.yaml`` in its folder; of none, by the
+            generic phrases.
+
+    Examples:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> speak = Generator(movie_domain())
+        >>> speak.agent(Frame("inform", {"city": "reno"}), session=1, turn=2)
+        '...'
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        lexicon = Lexicon(domain)
+        self._domain, self._phrases = domain, lexicon.phrases
+        self._records = [
+            {slot: fold(value) for slot, value in record.items()} for record in domain.records
+        ]
+        self._composer = Composer(lexicon, simulated=True)
+
+    def user(
+        self, frame: Frame, question: Frame | None = None, *, session: str | int = 0, turn: int = 0
+    ) -> str:
+        """Returns what a user says who means ``frame``.
+
+        Args:
+            frame: the user's act.
+            question: the agent's last act; ``None`` at the opening.
+            session: with ``turn`` chooses the words.
+            turn: counts the turns of the session.
+        """
+        rng = chance(session, turn, "user")
+        pieces = self._composer.compose(frame, question, rng, _as_spelled, is_clear=True)
+        text = sentence(pieces)
+        return f"{text[:-1]}?" if frame.requests and text[-1] == "." else text
+
+    def agent(
+        self,
+        frame: Frame,
+        held: Mapping[str, str] | None = None,
+        *,
+        session: str | int = 0,
+        turn: int = 0,
+    ) -> str:
+        """Returns what an agent says.
+
+        Args:
+            frame: the agent's act, its values filled in.
+            held: the values that the tracker holds; where nothing matches, the answer names those
+                that do not go together. Values in ``frame`` count as held.
+            session: with ``turn`` chooses the words.
+            turn: counts the turns of the session.
+        """
+        rng = chance(session, turn, "agent")
+        told = {slot: value for slot, value in frame.informs.items() if value != ANY}
+        complete = self._domain.complete_slot
+        parts = []
+        if frame.choices:
+            parts.append(self._choose(frame.requests[0], frame.choices, rng))
+        elif complete in told:
+            wishes = {slot: value for slot, value in told.items() if slot != complete}
+            parts.append(self._tell(complete, told[complete], {**(held or {}), **wishes}, rng))
+        else:
+            wishes = {**(held or {}), **told}
+            parts += [self._tell(slot, value, wishes, rng) for slot, value in told.items()]
+            for use, slots in (("care", frame.dont_care), ("ask", frame.requests)):
+                for slot in slots:
+                    parts.append(self._fill(self._phrases.slots[slot].phrases[use], rng, slot))
+        if not parts:
+            agent = self._phrases.agent
+            parts.append(self._fill(agent.get(frame.act) or agent["inform"], rng))
+        return _polished(_PREPOSITION.sub("", " ".join(sentence(part) for part in parts)))
+
+    def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns how an agent asks again for what it did not understand.
+
+        Args:
+            understood: what it did: the first of its unclear names is asked about, and where
+                there is none, for other words.
+            session: with ``turn`` chooses the words.
+            turn: counts the turns of the session.
+        """
+        rng = chance(session, turn, "agent")
+        if not understood.unclear:
+            return sentence(self._fill(self._phrases.agent["again"], rng))
+        unclear = understood.unclear[0]
+        if unclear.candidates:
+            return sentence(self._choose(unclear.slot, unclear.candidates[:_MOST_CHOICES], rng))
+        words = {"<words>": [Piece(unclear.text)]}
+        return sentence(self._fill(self._phrases.agent["unknown"], rng, unclear.slot, words))
+
+    def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
+        """Returns how an agent asks whether it got some values right.
+
+        Args:
+            values: slot to value.
+            session: with ``turn`` chooses the words.
+            turn: counts the turns of the session.
+        """
+        rng = chance(session, turn, "agent")
+        said = {"<wishes>": self._wishes(values, rng)}
+        return _polished(sentence(self._fill(self._phrases.agent["check"], rng, None, said)))
+
+    def _choose(self, slot: str, choices: Sequence[str], rng: random.Random) -> list[Piece]:
+        *most, last = (self._written(slot, value) for value in choices)
+        listed = f"{', '.join(most)} or {last}" if most else last
+        return self._fill(self._phrases.agent["choose"], rng, slot, {"<choices>": [Piece(listed)]})
+
+    def _tell(
+        self, slot: str, value: str, wishes: Mapping[str, str], rng: random.Random
+    ) -> list[Piece]:
+        phrases = self._phrases.slots[slot].phrases
+        if value == NO_MATCH_TEXT:
+            conflict = self._conflict(wishes, rng)
+            return self._fill(phrases["none"], rng, slot, {"<conflict>": conflict})
+        said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(self._written(slot, value))]}
+        return self._fill(phrases["tell"], rng, slot, said)
+
+    def _conflict(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
+        """Returns the fewest wishes that no record meets, in words."""
+        clash = self.conflict(wishes)
+        if not clash:
+            return self._fill(self._phrases.agent["no_wishes"], rng)
+        said = {"<wishes>": self._wishes({slot: wishes[slot] for slot in clash}, rng)}
+        return self._fill(self._phrases.agent["conflict"], rng, None, said)
+
+    def conflict(self, wishes: Mapping[str, str]) -> tuple[str, ...]:
+        """Returns the fewest slots whose values no record has together; none if one has them all.
+
+        Args:
+            wishes: slot to value; slots that never constrain the records are left out.
+        """
+        ignored = (*self._domain.free_slots, *self._domain.special_slots)
+        wanted = {
+            slot: fold(value)
+            for slot, value in wishes.items()
+            if slot not in ignored and value not in _NO_WISH
+        }
+        matches = {
+            slot: {row for row, record in enumerate(self._records) if record.get(slot) == value}
+            for slot, value in wanted.items()
+        }
+        every = set(range(len(self._records)))
+        for size in (*range(1, _MOST_IN_CONFLICT + 1), len(matches)):
+            for some in combinations(matches, size):
+                if not every.intersection(*(matches[slot] for slot in some)):
+                    return some
+        return ()
+
+    def _wishes(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
+        """Returns what is wished, in the order of the domain's slots."""
+        said: list[Piece] = []
+        for slot in self._domain.slots:
+            if (value := wishes.get(slot, ANY)) in _NO_WISH:
+                continue
+            if said:
+                said.append(Piece(", "))
+            phrases = self._phrases.slots[slot].phrases["wish"]
+            said += self._fill(phrases, rng, slot, {slot: [Piece(self._written(slot, value))]})
+        return said or [Piece("as you wish")]
+
+    def _written(self, slot: str, value: str) -> str:
+        """Returns a value as agents write it."""
+        capitals = self._phrases.slots[slot].capitals
+        return value if capitals is None else capitalized(value, capitals)
+
+    def _fill(
+        self,
+        options: Sequence[Template],
+        rng: random.Random,
+        slot: str | None = None,
+        values: Mapping[str, list[Piece]] | None = None,
+    ) -> list[Piece]:
+        known = dict(values or {})
+        if slot is not None:
+            known["<name>"] = [Piece(self._phrases.slots[slot].name)]
+        return choose(options, known, self._phrases.rules, rng)
+
+
+def _polished(text: str) -> str:
+    """Returns a sentence with nouns in the singular after a one: "1 ticket"."""
+    return _ONE.sub(lambda found: f"{found[1]} {_SINGULAR[found[2]]}", text)
+
+
+def _as_spelled(slot: str, value: str, rng: random.Random) -> str:
+    return value

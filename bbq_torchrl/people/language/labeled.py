@@ -1,0 +1,167 @@
+"""Labeled lines: ``agent's last act | sentence | what it means``."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from bbq_torchrl.domains.frames import ANY, Frame
+from bbq_torchrl.people.language.asking import OPENING
+from bbq_torchrl.people.language.corpus import Example
+from bbq_torchrl.people.language.tagger import OUTSIDE, spans_of
+from bbq_torchrl.people.language.words import compact, tokenize, words_of
+from bbq_torchrl.text import FaultsError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.people.language.lexicon import Lexicon
+    from bbq_torchrl.people.language.surfaces import Surfaces
+
+LEARNED_FILE = "learned.txt"
+"""Labeled lines in a domain's folder, as people type them: learned beside the grammar's."""
+
+DRILLED_FILE = "drilled.txt"
+"""Labeled lines written for what is hard: learned, but no measure of how sure to be."""
+
+_LONGEST = 10
+
+
+class Line(NamedTuple):
+    """A labeled sentence.
+
+    Attributes:
+        question: the agent's last act; ``None`` at the opening.
+        text: what the user says.
+        frame: what it means.
+    """
+
+    question: Frame | None
+    text: str
+    frame: Frame
+
+
+def read_lines(path: str | Path, domain: Domain) -> list[Line]:
+    """Returns the labeled lines of a file; empty ones and those after ``#`` are left out.
+
+    Args:
+        path: a UTF-8 text file.
+        domain: whose acts and slots the labels may name.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if a line is written in another way: every fault with its line.
+    """
+    lines, faults = [], []
+    try:
+        content = Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FaultsError(str(path), [f"it must be UTF-8 text: {error}"]) from None
+    for number, line in enumerate(content.splitlines(), 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        parts = [part.strip() for part in line.split("|")]
+        if len(parts) != 3:
+            faults.append(
+                f"line {number} must be written 'agent act | sentence | meaning', got {line!r}"
+            )
+            continue
+        try:
+            words_of(parts[1])
+            question = Frame.parse(parts[0], domain) if parts[0] else None
+            lines.append(Line(question, parts[1], Frame.parse(parts[2], domain)))
+        except ValueError as error:
+            faults.append(f"line {number}: {error}")
+    if faults:
+        raise FaultsError(str(path), faults)
+    return lines
+
+
+def lines_of(domain: Domain, name: str) -> list[Line]:
+    """Returns the labeled lines of a file in a domain's folder, none where it has no such file."""
+    path = None if domain.folder is None else domain.folder / name
+    return read_lines(path, domain) if path is not None and path.is_file() else []
+
+
+def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
+    """Returns labeled lines as sentences to learn from.
+
+    Where each value stands is found by what its words are read as. A line in which a value is not
+    found still teaches acts and questions by the rest of its words.
+    """
+    examples = []
+    for question, text, frame in lines:
+        words = words_of(text)
+        tags = [OUTSIDE] * len(words)
+        for slot, value in frame.informs.items():
+            if value == ANY or slot not in lexicon.names:
+                continue  # of a slot without values, such as "anything of that series"
+            if (place := _place(words, tags, slot, value, lexicon)) is not None:
+                tags[place.start : place.stop] = [slot] * len(place)
+        examples.append(Example(words, tags, frame, question or OPENING))
+    return examples
+
+
+def _place(
+    words: list[str], tags: list[str], slot: str, value: str, lexicon: Lexicon
+) -> range | None:
+    """Returns the words that name the value best: a name in full, else of equal ones the fewest."""
+    key = lexicon.key(slot, value)
+    can_edge = [compact(word) != "" for word in words]
+    places = [
+        range(start, end)
+        for start in range(len(words))
+        for end in range(start + 1, min(start + _LONGEST, len(words)) + 1)
+        if can_edge[start] and can_edge[end - 1]
+        if all(tag == OUTSIDE for tag in tags[start:end])
+    ]
+    for place in sorted(places, key=len, reverse=True):
+        own = words[place.start : place.stop]
+        if tuple(own) in lexicon.names[slot] and _means(slot, own, key, lexicon):
+            return place
+    best, best_score = None, 0.0
+    for place in sorted(places, key=len):
+        score = _means(slot, words[place.start : place.stop], key, lexicon)
+        if score > best_score:
+            best, best_score = place, score
+        if score == 1.0:
+            break
+    return best
+
+
+def _means(slot: str, words: list[str], key: str, lexicon: Lexicon) -> float:
+    """Returns how well words name the value of a key, 0 where they name another or several."""
+    link = lexicon.link(slot, " ".join(words))
+    is_meant = [lexicon.key(slot, value) for value in link.values] == [key]
+    return link.score if is_meant else 0.0
+
+
+def varied(
+    examples: Sequence[Example], lexicon: Lexicon, surfaces: Surfaces, copies: int, seed: int
+) -> list[Example]:
+    """Returns sentences as they are, and copies of each that say other values in its words.
+
+    Args:
+        examples: the sentences.
+        lexicon: the values.
+        surfaces: how values are written.
+        copies: how many of each.
+        seed: chooses the values.
+    """
+    rng = random.Random(seed)
+    found = list(examples)
+    for example in examples:
+        for _ in range(copies):
+            words, tags, at = [], [], 0
+            for slot, start, end in spans_of(example.tags):
+                value = rng.choice(lexicon.values(slot))
+                other = tokenize(surfaces(slot, value, rng))
+                words += [*example.words[at:start], *other]
+                tags += [*example.tags[at:start], *[slot] * len(other)]
+                at = end
+            words, tags = words + example.words[at:], tags + example.tags[at:]
+            found.append(replace(example, words=words, tags=tags))
+    return found

@@ -1,0 +1,300 @@
+"""The language of a domain: its phrases, its values, and what people call them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache, partial
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
+from bbq_torchrl.extras import needed
+from bbq_torchrl.people.language.phrases import load_phrases
+from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of
+from bbq_torchrl.people.language.words import compact, pairs, tokenize, word_set
+
+if TYPE_CHECKING:
+    from bbq_torchrl.domains import Domain
+
+_SMALL = word_set("small")
+_NEGATIVE = re.compile(r"-\s?\d")
+_CLOSE = 0.045
+_LEAST = 0.6
+_MOST_TIES = 6
+_SAME_WORD = pairs("same_word")
+
+
+@dataclass(frozen=True)
+class Link:
+    """What a name was found to mean.
+
+    Args:
+        values: one value; several that fit equally well; none for an unknown name.
+        score: how well the first fits, from 0 to 1.
+    """
+
+    values: tuple[str, ...]
+    score: float
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it is one value, named in full."""
+        return len(self.values) == 1 and self.score == 1.0
+
+
+class Lexicon:
+    """A domain's values by slot, with one canonical key for all spellings of a value.
+
+    Args:
+        domain: whose values; its phrases have other names of them, and the kinds of slots.
+
+    Attributes:
+        domain: the same.
+        phrases: of the domain, see :func:`~bbq_torchrl.people.language.phrases.load_phrases`.
+        kinds: the kind of quantity of each slot's values.
+        keys: by slot, the canonical key of every name of its values.
+
+    Raises:
+        PhrasesError: if the domain's phrases do not fit it.
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        self.domain, self.phrases = domain, load_phrases(domain)
+        self._values = {
+            slot: texts[FIRST_VALUE:]
+            for slot, texts in zip(domain.slots, build_vocabulary(domain), strict=True)
+            if slot not in domain.special_slots and len(texts) > FIRST_VALUE
+        }
+        self._frequency = Counter(
+            (slot, fold(value))
+            for record in (*domain.records, *(goal.constraints for goal in domain.goals))
+            for slot, value in record.items()
+        )
+        self.kinds: dict[str, Kind] = {
+            slot: self.phrases.slots[slot].kind or kind_of(values)
+            for slot, values in self._values.items()
+        }
+        self._group = {
+            slot: {
+                compact(text): compact(value)
+                for value, others in self.phrases.slots[slot].aliases.items()
+                for text in (value, *others)
+            }
+            for slot in self._values
+        }
+        self.keys = {slot: self._keys(slot) for slot in self._values}
+        self._by_key: dict[str, dict[str, list[str]]] = {}
+        for slot, values in self._values.items():
+            self._by_key[slot] = defaultdict(list)
+            for value in values:
+                self._by_key[slot][self.keys[slot][value]].append(value)
+        self._names = {
+            slot: {compact(text): key for text, key in reversed(keys.items())}
+            for slot, keys in self.keys.items()
+        }
+        self._exact = {
+            slot: {fold(value): value for value in values} for slot, values in self._values.items()
+        }
+        self.link = lru_cache(maxsize=50_000)(self._link)
+        self._near_names = cache(partial(_Names, self))
+
+    @property
+    def slots(self) -> tuple[str, ...]:
+        """The slots that have values."""
+        return tuple(self._values)
+
+    def values(self, slot: str) -> tuple[str, ...]:
+        """Returns the values of a slot, as the domain spells them."""
+        return self._values[slot]
+
+    def _keys(self, slot: str) -> dict[str, str]:
+        """Returns the key of every name of a slot's values: their spellings, then other names."""
+        keys = {value: self.key(slot, value) for value in self._values[slot]}
+        known = set(keys.values())
+        for value, others in self.phrases.slots[slot].aliases.items():
+            if (key := self.key(slot, value)) in known:
+                keys |= dict.fromkeys(others, key)
+        return keys
+
+    def key(self, slot: str, value: str) -> str:
+        """Returns the canonical key of a value: equal for all its spellings."""
+        kind = self.kinds.get(slot, "text")
+        if kind != "text" and (read := READERS[kind](value)) is not None:
+            return read.rstrip("?")
+        name = compact(value)
+        return self._group.get(slot, {}).get(name, name)
+
+    @cached_property
+    def owners(self) -> dict[str, str]:
+        """For values, in letters and digits, that several slots have: the slot that has it most."""
+        holders: dict[str, Counter[str]] = defaultdict(Counter)
+        for slot, values in self._values.items():
+            for value in values:
+                holders[compact(value)][slot] += self._frequency[slot, fold(value)]
+        return {
+            name: max(count, key=lambda slot: count[slot])
+            for name, count in holders.items()
+            if len(count) > 1
+        }
+
+    @cached_property
+    def names(self) -> dict[str, set[tuple[str, ...]]]:
+        """All names of each slot's values, in words."""
+        return {slot: {tuple(tokenize(text)) for text in keys} for slot, keys in self.keys.items()}
+
+    def spelling(self, slot: str, key: str) -> str:
+        """Returns the spelling of a key that most records have."""
+        spellings = self._by_key[slot][key]
+        return max(spellings, key=lambda value: self._frequency[slot, fold(value)])
+
+    def respell(self, slot: str, value: str) -> str:
+        """Returns the spelling of a value that most records have; an unknown value as it is."""
+        key = self.key(slot, value)
+        return self.spelling(slot, key) if key in self._by_key.get(slot, {}) else value
+
+    def _link(self, slot: str, text: str) -> Link:
+        """Returns the value, or the values, that ``text`` names."""
+        name, kind = compact(text), self.kinds[slot]
+        if not name or (kind == "count" and _NEGATIVE.search(text)):
+            return Link((), 0.0)
+        if (value := self._exact[slot].get(fold(text))) is not None:
+            return Link((value,), 1.0)
+        if (key := self._names[slot].get(name)) is not None:
+            exact = [value for value in self._by_key[slot][key] if compact(value) == name]
+            return Link((exact[0] if exact else self.spelling(slot, key),), 1.0)
+        if kind != "text":
+            if (found := self._quantity(slot, kind, text)) is not None:
+                return found
+            if READERS[kind](text) is not None or any(letter.isdigit() for letter in name):
+                return Link((), 0.0)
+        article, _, rest = fold(text).partition(" ")
+        if article == "the" and compact(rest) in self._names[slot]:
+            return self.link(slot, rest)  # "the matinee" is no more like "the first matinee"
+        return self._nearest(slot, text)
+
+    def only_slot(self, text: str) -> str | None:
+        """Returns the slot that alone has a value of just this name."""
+        name = compact(text)
+        slots = [slot for slot, names in self._names.items() if name in names]
+        return slots[0] if len(slots) == 1 else None
+
+    def _quantity(self, slot: str, kind: Kind, text: str) -> Link | None:
+        read = READERS[kind](text)
+        if read is None:
+            return None
+        known = self._by_key[slot]
+        tries = [read.rstrip("?")]
+        if kind == "time":
+            relation, clock = tries[0].split()
+            hour, minute = clock.split(":")
+            if read.endswith("?"):
+                tries.append(f"{relation} {(int(hour) + 12) % 24:02}:{minute}")
+            if relation == "around":
+                tries += [f"at {t.split()[1]}" for t in tries]
+        if kind == "date" and " " in tries[0]:
+            head, _, part = tries[0].rpartition(" ")
+            if part in ("morning", "afternoon", "evening", "night", "noon"):
+                other = {"evening": "night", "night": "evening"}.get(part)
+                tries += [f"{head} {other}"] if other else []
+                tries.append(head)
+        for score, key in zip((1.0, 0.9, 0.85, 0.8, 0.8), tries, strict=False):
+            if key in known:
+                return Link((self.spelling(slot, key),), score)
+        return None
+
+    def _nearest(self, slot: str, text: str) -> Link:
+        """Returns the names that share most of what is telling, typos allowed for."""
+        scored = self._near_names(slot).scores(text)
+        ranked = sorted(scored.items(), key=lambda item: -item[1])
+        if not ranked or ranked[0][1] < _LEAST:
+            return Link((), ranked[0][1] if ranked else 0.0)
+        best = ranked[0][1]
+        ties = [key for key, score in ranked[:_MOST_TIES] if score > best - _CLOSE]
+        return Link(tuple(self.spelling(slot, key) for key in ties), best)
+
+
+class _Names:
+    """The names of one slot's values, ready to be compared with what somebody typed."""
+
+    def __init__(self, lexicon: Lexicon, slot: str) -> None:
+        names = lexicon.keys[slot]
+        self._keys = list(names.values())
+        self._joined = [compact(name) for name in names]
+        # No sets: sums and ties would follow the order of their hashes, another in every process.
+        self._words = [dict.fromkeys(_telling(name)) for name in names]
+        count = Counter(word for words in self._words for word in words)
+        total = 1 + len(self._words)
+        self._weight = {
+            word: _importance(word) * math.log(1 + total / n) for word, n in count.items()
+        }
+        self._like = lru_cache(maxsize=20_000)(self._likeness)
+        self._unknown = 0.6 * math.log(1 + total)
+        self._having: dict[str, list[int]] = defaultdict(list)
+        for index, words in enumerate(self._words):
+            for word in words:
+                self._having[word].append(index)
+        self._named = [sum(self._weight[word] for word in words) for words in self._words]
+
+    def scores(self, text: str) -> dict[str, float]:
+        """Returns how well each key fits, from 0 to 1; those that fit badly are left out."""
+        process, similarity = _rapidfuzz()
+        joined = compact(text)
+        scored: dict[str, float] = {}
+        for _, score, index in process.extract(
+            joined, self._joined, scorer=similarity, score_cutoff=0.66, limit=6
+        ):
+            scored[self._keys[index]] = max(score, scored.get(self._keys[index], 0.0))
+        if len(joined) >= 5:
+            for name, key in zip(self._joined, self._keys, strict=True):
+                if name.startswith(joined):
+                    scored[key] = max(0.85, scored.get(key, 0.0))
+        likenesses = [(word, self._like(word)) for word in dict.fromkeys(_telling(text))]
+        total = sum(
+            max((self._weight[other] for other in like), default=0.0)
+            or _importance(word) * self._unknown
+            for word, like in likenesses
+        )
+        if not total:
+            return scored
+        near = {index for _, like in likenesses for word in like for index in self._having[word]}
+        for index in sorted(near):
+            key, words, named = self._keys[index], self._words[index], self._named[index]
+            shared = taken = 0.0
+            for _, like in likenesses:
+                if hits := [(share, other) for other, share in like.items() if other in words]:
+                    share, other = max(hits)
+                    shared += share * self._weight[other]
+                    taken += self._weight[other]
+            score = 0.88 * shared / total + 0.12 * taken / named if shared else 0.0
+            if score > scored.get(key, 0.3):
+                scored[key] = min(score, 1.0) * 0.98
+        return scored
+
+    def _likeness(self, word: str) -> dict[str, float]:
+        """Returns the words of names that ``word`` may be, and how likely."""
+        if word in self._weight:
+            return {word: 1.0}
+        if len(word) <= 3 or word.isdecimal():
+            return {}
+        process, similarity = _rapidfuzz()
+        near = process.extract(
+            word, list(self._weight), scorer=similarity, score_cutoff=0.72, limit=3
+        )
+        return {other: score for other, score, _ in near if len(other) > 2}
+
+
+def _importance(word: str) -> float:
+    return 0.15 if word in _SMALL else 1.0
+
+
+def _telling(text: str) -> list[str]:
+    """Returns the words of a name, numbers as digits: ``"creed iii"`` and ``"Creed 3"`` agree."""
+    words = tokenize(text.replace("-", "") if not any(c.isdigit() for c in text) else text)
+    return [_SAME_WORD.get(word, word) for word in words if any(c.isalnum() for c in word)]
+
+
+def _rapidfuzz() -> tuple[Any, Any]:
+    fuzz = needed("rapidfuzz", "rapidfuzz.process")
+    return fuzz, needed("rapidfuzz", "rapidfuzz.distance").OSA.normalized_similarity

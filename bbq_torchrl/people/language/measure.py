@@ -1,0 +1,153 @@
+"""How well the language layer understands and speaks, as one table of numbers."""
+
+from __future__ import annotations
+
+import math
+import random
+import time
+from itertools import compress
+from statistics import fmean
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.people.language.labeled import Line, read_lines
+from bbq_torchrl.people.language.noise import lowered, with_typos
+from bbq_torchrl.people.language.understand import keys_of, same_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from bbq_torchrl.domains.frames import Frame
+    from bbq_torchrl.people.language.generate import Generator
+    from bbq_torchrl.people.language.understand import Understander
+
+VOICES = ("terse", "chatty", "nonnative")
+LATER = ("second_held_out", "third_held_out")
+"""Files of sentences that were written when phrases and features were there."""
+
+SUREST = 0.8
+"""The share of sentences that are to be answered."""
+
+_TYPOS = 0.1
+_DRAWS = 5
+_CHANCES = 200
+
+
+def score(
+    understand: Understander, lines: Sequence[Line], change: Callable[[str], str] = str
+) -> dict[str, float]:
+    """Returns how well labeled lines are understood, by the names in ``results/``.
+
+    ``frame`` and ``act`` are the shares that are exactly right; ``slot_f1`` is the F1 of pairs of
+    slot and value, where "does not matter" counts as a value; ``answered`` is the share that is
+    not asked again. ``right_of_answered`` and ``right_of_surest`` are the shares of right frames
+    among these and among the surest sentences.
+
+    Args:
+        understand: who understands.
+        lines: the sentences with what they mean.
+        change: what is done to a sentence before.
+    """
+    right, acts, confidences, answered = [], [], [], []
+    shared = pairs = 0
+    for question, text, frame in lines:
+        heard = understand(change(text), question)
+        got = keys_of(heard.frame, understand.lexicon).items()
+        meant = keys_of(frame, understand.lexicon).items()
+        right.append(same_frame(heard.frame, frame, understand.lexicon))
+        acts.append(heard.frame.act == frame.act)
+        confidences.append(heard.confidence)
+        answered.append(not understand.asks(heard))
+        shared += len(got & meant)
+        pairs += len(got) + len(meant)
+    surest = sorted(zip(confidences, right, strict=True), reverse=True)
+    surest = surest[: math.ceil(SUREST * len(surest))]
+    return {
+        "sentences": len(right),
+        "frame": fmean(right),
+        "slot_f1": 2 * shared / max(pairs, 1),
+        "act": fmean(acts),
+        "answered": fmean(answered),
+        "right_of_answered": fmean(compress(right, answered)) if any(answered) else 1.0,
+        "right_of_surest": fmean(is_right for _, is_right in surest),
+        "calibration_error": calibration_error(confidences, right),
+        "calibration_floor": calibration_floor(confidences),
+    }
+
+
+def calibration_error(confidences: Sequence[float], right: Sequence[bool]) -> float:
+    """Returns the expected calibration error in ten bins of confidence."""
+    bins: dict[int, float] = {}
+    for confidence, is_right in zip(confidences, right, strict=True):
+        number = min(int(confidence * 10), 9)
+        bins[number] = bins.get(number, 0.0) + confidence - is_right
+    return sum(map(abs, bins.values())) / len(right)
+
+
+def calibration_floor(confidences: Sequence[float]) -> float:
+    """Returns the mean calibration error by chance alone, if each confidence were true."""
+    rng = random.Random(0)
+    return fmean(
+        calibration_error(confidences, [rng.random() < c for c in confidences])
+        for _ in range(_CHANCES)
+    )
+
+
+def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
+    """Returns the figures of the labeled sentences in a folder.
+
+    Args:
+        understand: who understands.
+        data: the folder.
+    """
+    by_voice = {voice: read_lines(data / f"{voice}.txt", understand.domain) for voice in VOICES}
+    lines = [line for own in by_voice.values() for line in own]
+    whole = score(understand, lines)
+    rng = random.Random(0)
+    typed = [
+        score(understand, lines, lambda text: " ".join(with_typos(text.split(), _TYPOS, rng)))
+        for _ in range(_DRAWS)
+    ]
+    started = time.process_time()
+    for question, text, _ in lines:
+        understand(text, question)
+    seconds = time.process_time() - started
+    files = {
+        name: score(understand, read_lines(data / f"{name}.txt", understand.domain))
+        for name in (*LATER, "other_hand")
+    }
+    voices = {voice: score(understand, own) for voice, own in by_voice.items()}
+    return {
+        "free": whole,
+        **{name: files[name] for name in LATER},
+        "voices": {
+            voice: {name: own[name] for name in ("frame", "slot_f1", "act")}
+            for voice, own in voices.items()
+        },
+        "threshold": understand.threshold,
+        "typos_cost_slot_f1": whole["slot_f1"] - fmean(own["slot_f1"] for own in typed),
+        "lowered_cost_slot_f1": whole["slot_f1"] - score(understand, lines, lowered)["slot_f1"],
+        "other_hand_slot_f1": files["other_hand"]["slot_f1"],
+        "milliseconds_a_sentence": 1e3 * seconds / len(lines),
+    }
+
+
+def measure_round_trip(
+    understand: Understander, generator: Generator, turns: Sequence[tuple[Frame | None, Frame]]
+) -> dict[str, float]:
+    """Returns the share of frames that come back from the own sentences.
+
+    Args:
+        understand: who understands.
+        generator: who speaks.
+        turns: the agent's last act and what the user means.
+    """
+    lines = [
+        Line(question, generator.user(frame, question, session=number), frame)
+        for number, (question, frame) in enumerate(turns)
+    ]
+    result = score(understand, lines)
+    return {
+        "turns": len(lines),
+        **{f"round_trip_{name}": result[name] for name in ("frame", "slot_f1", "act")},
+    }

@@ -1,0 +1,157 @@
+"""The two learned parts of the understanding, and how they are fitted to sentences."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.people.language.asking import asked_slot
+from bbq_torchrl.people.language.features import Features
+from bbq_torchrl.people.language.intents import IntentNet, train_intents
+from bbq_torchrl.people.language.tagger import OUTSIDE, Tagger
+from bbq_torchrl.people.language.words import BREAKS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.people.language.corpus import Example
+    from bbq_torchrl.people.language.lexicon import Lexicon
+
+_MOST_CLAUSES = 6
+_SURE = 0.75
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the learned parts say of one sentence.
+
+    Attributes:
+        tags: the best tag of each word.
+        tags_chance: their probability.
+        each_chance: the probability of each.
+        acts: the log-probability of each act, ``[A]``.
+        requests: the probability that each slot is asked for, ``[S]``.
+        dont_care: the probability that each slot does not matter, ``[S]``.
+        unknown: the share of the words that no training sentence has.
+    """
+
+    tags: list[str]
+    tags_chance: float
+    each_chance: list[float]
+    acts: torch.Tensor
+    requests: torch.Tensor
+    dont_care: torch.Tensor
+    unknown: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """Tagger, net and what they see."""
+
+    features: Features
+    tagger: Tagger
+    net: IntentNet
+
+    @torch.no_grad()
+    def read(self, words: Sequence[str], question: Frame) -> Reading:
+        """Returns the reading of a sentence of one word or more."""
+        tags, chance, each = self.tagger(self.features.of_words(words, question))
+        parts = [(words, tags), *_clauses(words, tags)]
+        named = [self.features.of_sentence(*part, question) for part in parts]
+        acts, requests, dont_care = self.net(*self.net.encode(named))
+        slot = asked_slot(question)
+        asked = self.net.slots.index(slot) if slot in self.net.slots else None
+        asks = _of_slots(requests[0], asked)
+        for row in requests[1:]:
+            clause = _of_slots(row, None)  # counts where it is sure
+            asks = torch.where(clause > _SURE, torch.maximum(asks, clause), asks)
+        return Reading(
+            tags,
+            chance,
+            each,
+            # By the labeling guide the act is what a sentence begins with: its first clause's.
+            acts.log_softmax(-1)[:2].mean(0).log_softmax(-1),
+            asks,
+            _of_slots(dont_care[0], asked),
+            self.features.share_unknown(words),
+        )
+
+
+def _clauses(
+    words: Sequence[str], tags: Sequence[str]
+) -> list[tuple[Sequence[str], Sequence[str]]]:
+    """Returns the clauses of a sentence with their tags; none of a sentence of one clause."""
+    pairs = enumerate(zip(words, tags, strict=True))
+    cuts = [at for at, (word, tag) in pairs if word in BREAKS and tag == OUTSIDE]
+    bounds = [-1, *cuts, len(words)]
+    found = [
+        (words[start + 1 : end], tags[start + 1 : end])
+        for start, end in pairwise(bounds)
+        if end - start > 1
+    ]
+    return found[:_MOST_CLAUSES] if len(found) > 1 else []
+
+
+def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:
+    """Returns probabilities of slots ``[S]``: the last logit is that of the slot asked for."""
+    chances = logits.sigmoid()
+    slots = chances[:-1].clone()
+    if asked is not None:
+        slots[asked] = torch.maximum(slots[asked], chances[-1])
+    return slots
+
+
+def fit(
+    lexicon: Lexicon,
+    examples: Sequence[Example],
+    simulated: Sequence[Example],
+    *,
+    seed: int,
+    steps: int,
+) -> Model:
+    """Returns a model fitted to sentences; equal arguments give equal bits.
+
+    Args:
+        lexicon: whose names help, of the domain whose acts and slots are read.
+        examples: the sentences.
+        simulated: sentences that the net learns from as well, but the tagger does not.
+        seed: of the net.
+        steps: of the tagger's optimizer.
+    """
+    domain = lexicon.domain
+    words = Counter(
+        w for e in examples for w, t in zip(e.words, e.tags, strict=True) if t == OUTSIDE
+    )
+    known = [word for word, count in words.items() if count > 1]
+    features = Features(lexicon, known)
+    # "Friday or Saturday" informs of neither, which is not to be learned of the names.
+    named = [e for e in examples if e.frame != Frame("inform")]
+    tagger = Tagger.train(
+        [features.of_words(e.words, e.question) for e in named],
+        [e.tags for e in named],
+        steps,
+    )
+    slots = domain.slots
+    examples = [*examples, *simulated]
+    requests = torch.zeros(len(examples), len(slots) + 1)
+    dont_care = torch.zeros(len(examples), len(slots) + 1)
+    for row, example in enumerate(examples):
+        frame, asked = example.frame, asked_slot(example.question)
+        for target, own in ((requests, frame.requests), (dont_care, frame.dont_care)):
+            for slot in own:
+                # "Any" means the slot asked for; "any city" means the city whatever was asked.
+                target[row, len(slots) if slot == asked else slots.index(slot)] = 1.0
+    net = train_intents(
+        [features.of_sentence(e.words, e.tags, e.question) for e in examples],
+        [domain.acts.index(e.frame.act) for e in examples],
+        requests,
+        dont_care,
+        (domain.acts, slots),
+        seed=seed,
+    )
+    return Model(features, tagger, net)

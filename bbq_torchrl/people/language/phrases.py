@@ -1,0 +1,215 @@
+"""The phrases of a domain: its ``language.yaml``, laid over the generic ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from bbq_torchrl.people.language.quantities import KINDS, Kind
+from bbq_torchrl.people.language.templates import Template, TemplateError, parse
+from bbq_torchrl.plain_yaml import read_yaml
+from bbq_torchrl.text import FaultsError, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bbq_torchrl.domains import Domain
+
+LANGUAGE_FILE = "language.yaml"
+_GENERIC = Path(__file__).with_name("generic.yaml")
+GENERIC = (
+    f"has no {LANGUAGE_FILE} in its folder, so it is spoken of in generic phrases; "
+    "docs/language.md shows how to write one"
+)
+"""The rest of the sentence that begins "The domain <name>"."""
+
+_SECTIONS = ("rules", "user", "agent")
+_DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
+"""Rules that are filled in while a sentence is made."""
+
+
+class PhrasesError(FaultsError):
+    """Phrases that do not fit the domain: every fault, named by its key."""
+
+
+@dataclass(frozen=True)
+class SlotPhrases:
+    """How one slot is spoken of.
+
+    Attributes:
+        name: what people call it.
+        nouns: other words for it.
+        kind: the kind of quantity its values are; ``None`` to find out.
+        aliases: value to other ways to say it.
+        capitals: the words that agents write in capitals; they begin the others with one. ``None``
+            where values are written as the data have them.
+        phrases: by use: ask, tell, none, care, want, options, say, with, any, wish, check, clear.
+    """
+
+    name: str
+    nouns: tuple[str, ...]
+    kind: Kind | None
+    aliases: Mapping[str, tuple[str, ...]]
+    capitals: frozenset[str] | None
+    phrases: Mapping[str, tuple[Template, ...]]
+
+
+@dataclass(frozen=True)
+class Phrases:
+    """All phrases of a domain, read.
+
+    Attributes:
+        rules: phrases by the name of the rule.
+        user: what users say, by act or use.
+        agent: what agents say, by act or use.
+        slots: each slot of the domain.
+    """
+
+    rules: Mapping[str, tuple[Template, ...]]
+    user: Mapping[str, tuple[Template, ...]]
+    agent: Mapping[str, tuple[Template, ...]]
+    slots: Mapping[str, SlotPhrases]
+
+    @property
+    def names(self) -> dict[str, str]:
+        """What people call each slot."""
+        return {slot: entry.name for slot, entry in self.slots.items()}
+
+
+def load_phrases(domain: Domain) -> Phrases:
+    """Returns the phrases of a domain.
+
+    Args:
+        domain: whose slots the phrases may name. Its ``language.yaml`` is looked for in its
+            folder; without one, and without the file, the generic phrases are all there is.
+
+    Raises:
+        PhrasesError: if the file is no YAML, or names what the domain does not have.
+    """
+    generic = yaml.safe_load(_GENERIC.read_text(encoding="utf-8"))
+    own: Any = {}
+    source = LANGUAGE_FILE
+    if domain.folder is not None and has_own_phrases(domain):
+        path = domain.folder / LANGUAGE_FILE
+        source = str(path)
+        try:
+            own = read_yaml(path.read_text(encoding="utf-8")) or {}
+        except UnicodeDecodeError as error:
+            raise PhrasesError(source, [f"it must be UTF-8 text: {error}"]) from None
+        except ValueError as error:
+            raise PhrasesError(source, [str(error)]) from None
+    reader = _Reader(domain)
+    phrases = reader.read(generic, own)
+    if reader.faults:
+        raise PhrasesError(source, reader.faults)
+    return phrases
+
+
+def has_own_phrases(domain: Domain) -> bool:
+    """Returns whether the domain has its ``language.yaml``; others speak in generic phrases."""
+    return domain.folder is not None and (domain.folder / LANGUAGE_FILE).is_file()
+
+
+class _Reader:
+    def __init__(self, domain: Domain) -> None:
+        self._domain = domain
+        self.faults: list[str] = []
+
+    def read(self, generic: dict[str, Any], own: object) -> Phrases:
+        own = self._mapping("the file", own, (*_SECTIONS, "slots"))
+        sections = {
+            name: generic[name] | self._mapping(name, own.get(name, {})) for name in _SECTIONS
+        }
+        given = self._mapping("slots", own.get("slots", {}), self._domain.slots)
+        self._rules = (*sections["rules"], "thing", *_DERIVED)
+        read = {
+            name: {key: self._templates(f"{name}.{key}", texts) for key, texts in section.items()}
+            for name, section in sections.items()
+        }
+        slots = {
+            slot: self._slot(slot, given.get(slot, {}), generic) for slot in self._domain.slots
+        }
+        named = {
+            rule: [name for text in texts for kind, name in text.names() if kind == "rule"]
+            for rule, texts in {**read["rules"], "thing": read["user"]["thing"]}.items()
+        }
+        try:
+            TopologicalSorter(named).prepare()
+        except CycleError as error:
+            circle = " -> ".join(reversed(error.args[1]))
+            self.faults.append(f"rules must not name each other in a circle, got {circle}")
+        return Phrases(read["rules"], read["user"], read["agent"], slots)
+
+    def _slot(self, slot: str, content: object, generic: dict[str, Any]) -> SlotPhrases:
+        where = f"slots.{slot}"
+        fallback = dict(generic["slot"])
+        own = self._mapping(
+            where, content, ("name", "nouns", "kind", "aliases", "capitals", *fallback)
+        )
+        name = own.get("name", slot.replace("_", " "))
+        if not isinstance(name, str) or not name.strip():
+            self.faults.append(f"{where}.name must be a text, got {shown(name)}")
+            name = slot
+        kind = own.get("kind")
+        if kind is not None and kind not in KINDS:
+            self.faults.append(f"{where}.kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
+        aliases = {
+            str(value): self._texts(f"{where}.aliases.{value}", texts)
+            for value, texts in self._mapping(f"{where}.aliases", own.get("aliases", {})).items()
+        }
+        is_offer = slot == self._domain.complete_slot
+        if slot in self._domain.special_slots:
+            fallback["tell"] = generic["agent"]["offer" if is_offer else "ticket"]
+            fallback["none"] = generic["agent"]["no_offer" if is_offer else "no_ticket"]
+        phrases = {
+            key: self._templates(f"{where}.{key}", own.get(key, fallback[key]), slot)
+            for key in fallback
+        }
+        nouns = self._texts(f"{where}.nouns", own.get("nouns", name.lower().split()))
+        capitals = None
+        if own.get("capitals") is not None:
+            capitals = frozenset(self._texts(f"{where}.capitals", own["capitals"]))
+        return SlotPhrases(name, nouns, kind, aliases, capitals, phrases)
+
+    def _mapping(
+        self, where: str, content: object, allowed: tuple[str, ...] | None = None
+    ) -> dict[str, Any]:
+        if not isinstance(content, dict):
+            self.faults.append(f"{where} must be a mapping, got {shown(content)}")
+            return {}
+        unknown = [key for key in content if allowed is not None and key not in allowed]
+        self.faults += [
+            f"{where} has the unknown key {shown(key)}; allowed are {', '.join(allowed or ())}"
+            for key in unknown
+        ]
+        return {str(key): value for key, value in content.items() if key not in unknown}
+
+    def _texts(self, where: str, content: object) -> tuple[str, ...]:
+        if (
+            not isinstance(content, list)
+            or not content
+            or not all(isinstance(t, (str, int)) for t in content)
+        ):
+            self.faults.append(f"{where} must be a list of texts, got {shown(content)}")
+            return ()
+        return tuple(str(text) for text in content)
+
+    def _templates(self, where: str, content: object, own: str = "") -> tuple[Template, ...]:
+        templates = []
+        for text in self._texts(where, content):
+            try:
+                templates.append(parse(text, own))
+            except TemplateError as error:
+                self.faults.append(f"{where}: {error}")
+        for kind, name in dict.fromkeys(item for text in templates for item in text.names()):
+            known = self._domain.slots if kind == "slot" else self._rules
+            if name not in (*known, "", "q"):
+                self.faults.append(
+                    f"{where} names the unknown {kind} {shown(name)}; the {kind}s are "
+                    f"{', '.join(known)}"
+                )
+        return tuple(templates)

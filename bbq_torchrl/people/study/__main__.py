@@ -1,0 +1,233 @@
+"""``bbq study``: serve a study, report on it, or compute its power."""
+
+from __future__ import annotations
+
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl import interruption
+
+    interruption.listen()
+
+import importlib
+import sys
+from contextlib import closing
+from dataclasses import replace
+from os.path import expanduser
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl import interruption, output
+from bbq_torchrl.extras import needed
+from bbq_torchrl.output import between
+from bbq_torchrl.pages import page
+from bbq_torchrl.people.study.plan import StudyError, data_of, load_study
+from bbq_torchrl.text import shown
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Sequence
+
+TALKER = "bbq_torchrl.people.study.agents:make_talker"
+USERS = "bbq_torchrl.people.study.users:make_users"
+"""Named, not imported: the study knows neither networks nor language."""
+
+MAX_CONNECTIONS = 1_000
+
+
+@output.refusing
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line. Returns the exit code: 2 if refused."""
+    given = _parser().parse_args(arguments)
+    given.command(given)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = output.Parser(
+        prog="bbq study",
+        description=f"A human study.\nSee {page('study')}",
+    )
+    commands = parser.add_subparsers(
+        required=True, metavar="serve | simulate | report | backup | forget | power"
+    )
+
+    serve = commands.add_parser("serve", help="serve a study to browsers")
+    serve.add_argument("study", type=_path, help="the study file; its data is beside it")
+    serve.add_argument(
+        "--talker",
+        default=TALKER,
+        help="module:function that makes the talker of a study, bbq_torchrl.people.study.Talker; "
+        "unless given, the agents are run folders",
+    )
+    serve.add_argument("--host", default="127.0.0.1", help="address to listen at")
+    serve.add_argument(
+        "--port", type=between(int, 1, 65_535), default=8000, help="port to listen at"
+    )
+    serve.set_defaults(command=_serve)
+
+    simulate = commands.add_parser(
+        "simulate", help="play the study with simulated users, and report it as such"
+    )
+    simulate.add_argument(
+        "study", type=Path, help="the study file; all that is made has -simulated in its name"
+    )
+    simulate.add_argument("--talker", default=TALKER, help="as of serve")
+    simulate.add_argument(
+        "--users",
+        default=USERS,
+        help="module:function that makes the users of a study, see "
+        "bbq_torchrl.people.study.simulate; unless given, the simulator's, who speak the language "
+        "of the domain",
+    )
+    simulate.add_argument(
+        "--seed",
+        type=between(int, 0, 2**32 - 1),
+        default=0,
+        help="of plan, users and ratings",
+    )
+    simulate.add_argument("--out", type=_path, help="folder; without it, <study>-simulated-report")
+    simulate.set_defaults(command=_simulate)
+
+    report = commands.add_parser("report", help="write report, figures and data")
+    report.add_argument("study", type=_path, help="the study file")
+    report.add_argument("--out", type=_path, help="folder; without it, <study>-report")
+    report.set_defaults(command=_report)
+
+    backup = commands.add_parser("backup", help="copy the data, also while the study is served")
+    backup.add_argument("study", type=_path, help="the study file")
+    backup.add_argument("copy", type=_path, help="the copy, a file that does not exist")
+    backup.set_defaults(command=_backup)
+
+    forget = commands.add_parser("forget", help="delete all that a person said and rated")
+    forget.add_argument("study", type=_path, help="the study file")
+    forget.add_argument("participant", help="the number on your page, or the person's link")
+    forget.set_defaults(command=_forget)
+
+    power = commands.add_parser("power", help="how likely a study finds a difference")
+    power.add_argument("better", type=between(float, 0.001, 0.999), help="success of one agent")
+    power.add_argument("worse", type=between(float, 0.001, 0.999), help="success of the other")
+    power.add_argument("people", type=between(int, 1, 100_000), help="who each meet both")
+    power.add_argument(
+        "--sessions", type=between(int, 1, 50), default=1, help="of a person with each agent"
+    )
+    power.add_argument("--pairs", type=between(int, 1, 1_000), default=1, help="pairs declared")
+    power.add_argument(
+        "--person-sd",
+        type=between(float, 0.0, 10.0),
+        default=1.0,
+        help="how much people differ, in log-odds",
+    )
+    power.add_argument("--simulations", type=between(int, 100, 1_000_000), default=4_000)
+    power.add_argument("--seed", type=between(int, 0, 2**32 - 1), default=0)
+    power.set_defaults(command=_power)
+    return parser
+
+
+def _path(text: str) -> Path:
+    """Reads a path; in ``--out=~/report`` the shell leaves the tilde as it is."""
+    return Path(expanduser(text))
+
+
+def _serve(given: argparse.Namespace) -> None:
+    for library in ("starlette", "jinja2", "uvicorn"):
+        needed(library, library, "study")
+    make = _function("--talker", given.talker)
+    study = load_study(given.study)
+    import uvicorn
+
+    from bbq_torchrl.people.study.store import Store
+    from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
+
+    talker = make(study)
+    interruption.tell(lambda: "while serving", lambda: "the same command goes on with the study")
+    prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
+    with closing(Store(study.data, study.terms, prints)) as store:
+        site = f"http://{given.host}:{given.port}"
+        _say(f"for people: {site}/join/{store.key(JOIN)}")
+        _say(f"for you: {site}/r/{store.key(RESEARCHER)}")
+        uvicorn.run(
+            application(study, store, talker),
+            host=given.host,
+            port=given.port,
+            # The links are secrets, so they are in no log.
+            access_log=False,
+            log_level="warning",
+            server_header=False,
+            proxy_headers=False,
+            limit_concurrency=MAX_CONNECTIONS,
+            # Longer than people think: a message must not meet a connection that is just closed.
+            timeout_keep_alive=120,
+            timeout_graceful_shutdown=10,
+        )
+
+
+def _simulate(given: argparse.Namespace) -> None:
+    make_talker = _function("--talker", given.talker)
+    make_users = _function("--users", given.users)
+    study = load_study(given.study)
+    from bbq_torchrl.people.study.simulate import simulate
+
+    # Another name: the study's data are for people.
+    given.study = _simulated(study.path)
+    study = replace(study, path=given.study)
+    interruption.tell(lambda: "while simulating", lambda: "the same command goes on with it")
+    simulate(study, make_talker(study), make_users(study), seed=given.seed, tell=_say)
+    _report(given)
+
+
+def _simulated(path: Path) -> Path:
+    """Returns the name under which the simulation of a study is kept."""
+    return path.with_name(f"{path.stem}-simulated{path.suffix}")
+
+
+def _function(option: str, name: str) -> Callable[..., Any]:
+    module, _, function = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        text = f"it must be module:function that can be imported, got {shown(name)}: {error}"
+        raise StudyError(option, [text]) from error
+
+
+def _report(given: argparse.Namespace) -> None:
+    from bbq_torchrl.people.study.report import write_report
+    from bbq_torchrl.people.study.results import read_results
+
+    data, simulated = data_of(given.study), _simulated(given.study)
+    if not data.exists() and data_of(simulated).exists():
+        text = f"the study has not been served yet; its simulation: bbq study report {simulated}"
+        raise StudyError(str(data), [text])
+    results = read_results(data)
+    folder = given.out or given.study.with_name(f"{given.study.stem}-report")
+    write_report(folder, results)
+    _say(f"{len(results.sessions)} ended sessions: {folder / 'report.md'}")
+
+
+def _backup(given: argparse.Namespace) -> None:
+    from bbq_torchrl.people.study.keeping import backup
+
+    backup(data_of(given.study), given.copy)
+    _say(f"copied to {given.copy}, with texts and the secret of all links: keep it as safe")
+
+
+def _forget(given: argparse.Namespace) -> None:
+    from bbq_torchrl.people.study.keeping import forget
+
+    number = forget(data_of(given.study), given.participant)
+    _say(f"person {number} is forgotten; copies and reports made before still have them")
+
+
+def _power(given: argparse.Namespace) -> None:
+    from bbq_torchrl.people.study.power import power
+
+    found = power(**{name: value for name, value in vars(given).items() if name != "command"})
+    _say(f"power of the sign-flip test, the declared one: {found.sign_flip:.3f}")
+    _say(f"power of Fisher's exact test over all sessions: {found.fisher:.3f}")
+    _say(f"standard error of both: at most {found.standard_error:.3f}")
+
+
+def _say(line: str) -> None:
+    output.write(f"{line}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,219 @@
+"""What people do in a study, step by step: say something, end the conversation, rate it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import threading
+from contextlib import contextmanager
+from http import HTTPStatus
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.people.dialogue.judge import Judge
+from bbq_torchrl.people.study.records import SCALES, current
+from bbq_torchrl.people.study.store import JoinRateError
+from bbq_torchrl.people.typed import TextError, clean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from bbq_torchrl.domains import Goal
+    from bbq_torchrl.domains.frames import Frame
+    from bbq_torchrl.people.dialogue.talk import Talker
+    from bbq_torchrl.people.study.plan import Study
+    from bbq_torchrl.people.study.records import Session, StoredExchange
+    from bbq_torchrl.people.study.store import Store
+
+_NONCE = re.compile(r"[A-Za-z0-9_-]{20,40}", re.ASCII)
+_LOCKS = 64
+
+
+class RefusedError(ValueError):
+    """A step that cannot be taken.
+
+    Args:
+        status: of the page that says so.
+        text: what it says.
+    """
+
+    def __init__(self, status: HTTPStatus, text: str) -> None:
+        self.status = status
+        super().__init__(text)
+
+
+class Conversations:
+    """The steps of people in a study.
+
+    Args:
+        study: what is asked of them.
+        store: where it is stored.
+        talker: the agents.
+    """
+
+    def __init__(self, study: Study, store: Store, talker: Talker) -> None:
+        self._study, self._store, self._talker = study, store, talker
+        self._judge = Judge(talker.domain)
+        self._locks = [threading.Lock() for _ in range(_LOCKS)]
+
+    def enroll(self, form: Mapping[str, str]) -> str:
+        """Returns the token of somebody who takes part from now on.
+
+        Raises:
+            RefusedError: without consent, when nobody is wanted any more, or too many at once.
+        """
+        nonce = _nonce(form)
+        if form.get("consent") != "yes":
+            raise RefusedError(
+                HTTPStatus.UNPROCESSABLE_ENTITY, "To take part, please tick the box first."
+            )
+        try:
+            token = self._store.enroll(nonce)
+        except JoinRateError as error:
+            raise RefusedError(
+                HTTPStatus.TOO_MANY_REQUESTS,
+                "Many people are joining just now. Please begin again in a minute.",
+            ) from error
+        if token is None:
+            raise RefusedError(
+                HTTPStatus.CONFLICT,
+                "All places in this study are taken. Thank you for your interest; should "
+                "somebody leave, this page will let you in later.",
+            )
+        return token
+
+    def say(self, token: str, form: Mapping[str, str]) -> None:
+        """Answers a person's text. A message that was answered already changes nothing.
+
+        Raises:
+            RefusedError: with what the person may do instead.
+        """
+        with self._step(token, form) as (session, nonce):
+            exchanges = self._store.exchanges(session.id)
+            if any(item.nonce == nonce for item in exchanges):
+                return
+            if session.is_ended:
+                raise RefusedError(
+                    HTTPStatus.CONFLICT, "That conversation has ended; your message was not sent."
+                )
+            number = len(exchanges) + 1
+            if form.get("turn") != str(number):
+                raise RefusedError(
+                    HTTPStatus.CONFLICT,
+                    "This conversation has continued in another window. Here it is as it is now; "
+                    "your last message was not sent.",
+                )
+            text = _message(form)
+            state = exchanges[-1].state if exchanges else None
+            reply = self._talker.reply(session.agent, state, text, seed_of(session.id, number))
+            said = [*_frames(exchanges), (reply.heard, reply.said)]
+            end = None
+            if reply.ended:
+                end = ("agent", self._judge.reasons(self._goal(session), said))
+            elif number >= self._study.terms.max_turns:
+                end = ("turns", self._judge.reasons(self._goal(session), said, in_time=False))
+            self._store.add_exchange(session, number, nonce, text, reply, end)
+
+    def end(self, token: str, form: Mapping[str, str]) -> None:
+        """Ends a conversation, as the person wishes. One that has ended stays so.
+
+        Raises:
+            RefusedError: nothing was said yet.
+        """
+        with self._step(token, form) as (session, _):
+            exchanges = self._store.exchanges(session.id)
+            if not exchanges:
+                raise RefusedError(
+                    HTTPStatus.CONFLICT, "Please say something to the assistant before you end."
+                )
+            reasons = self._judge.reasons(self._goal(session), _frames(exchanges))
+            self._store.end(session, "person", reasons)
+
+    def rate(self, token: str, form: Mapping[str, str]) -> None:
+        """Stores a person's ratings. The same form sent again changes nothing.
+
+        Raises:
+            RefusedError: a rating is missing or out of range, or it was rated before.
+        """
+        with self._step(token, form) as (session, nonce):
+            rated = self._store.rating_nonce(session.id)
+            if rated == nonce:
+                return
+            if rated is not None:
+                raise RefusedError(
+                    HTTPStatus.CONFLICT,
+                    "You have rated this conversation already; your first ratings count.",
+                )
+            if not session.is_ended:
+                raise RefusedError(
+                    HTTPStatus.CONFLICT, "Please end the conversation before you rate it."
+                )
+            scales = {name: _rating(name, form.get(name, "")) for name in SCALES}
+            verdict = {"yes": True, "no": False}.get(form.get("verdict", ""))
+            if verdict is None:
+                raise RefusedError(
+                    HTTPStatus.UNPROCESSABLE_ENTITY,
+                    "Please say whether you got what you wanted: yes or no.",
+                )
+            self._store.rate(session, nonce, scales, verdict)
+
+    @contextmanager
+    def _step(self, token: str, form: Mapping[str, str]) -> Iterator[tuple[Session, str]]:
+        """Yields session and nonce of a form; a person takes one step at a time."""
+        nonce = _nonce(form)
+        with self._locks[hash(token) % _LOCKS]:
+            yield _session(self._store.sessions(token), form), nonce
+
+    def _goal(self, session: Session) -> Goal:
+        return self._talker.domain.goals[session.goal - 1]
+
+
+def _message(form: Mapping[str, str]) -> str:
+    try:
+        return clean(form.get("text", ""))
+    except TextError as error:
+        text = str(error)
+        raise RefusedError(
+            HTTPStatus.UNPROCESSABLE_ENTITY, f"{text[:1].upper()}{text[1:]}."
+        ) from error
+
+
+def _frames(exchanges: Sequence[StoredExchange]) -> list[tuple[Frame, Frame]]:
+    return [(item.heard, item.said) for item in exchanges]
+
+
+def seed_of(*parts: object) -> int:
+    """Returns the same number below 2**32 for the same parts."""
+    digest = hashlib.sha256(" ".join(map(str, parts)).encode()).digest()
+    return int.from_bytes(digest[:4], "big")
+
+
+def _nonce(form: Mapping[str, str]) -> str:
+    nonce = form.get("nonce", "")
+    if not _NONCE.fullmatch(nonce):
+        raise RefusedError(
+            HTTPStatus.BAD_REQUEST,
+            "This form is incomplete: please open your link again and use the form there.",
+        )
+    return nonce
+
+
+def _session(sessions: Sequence[Session], form: Mapping[str, str]) -> Session:
+    """Returns the session that a form is of: a person's current one or an earlier one."""
+    given, now = form.get("session", ""), current(sessions)
+    for session in sessions:
+        if str(session.position) == given and (session.is_rated or session is now):
+            return session
+    raise RefusedError(
+        HTTPStatus.BAD_REQUEST,
+        "This form is of no conversation of yours: please open your link again.",
+    )
+
+
+def _rating(name: str, given: str) -> int:
+    if given not in ("1", "2", "3", "4", "5"):
+        shown = given[:20] or "nothing"
+        raise RefusedError(
+            HTTPStatus.UNPROCESSABLE_ENTITY,
+            f"Please rate {name} by a whole number from 1 to 5, got {shown}.",
+        )
+    return int(given)

@@ -1,0 +1,227 @@
+"""The SQLite file of a study: opened by one server, never half written."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import closing, contextmanager
+from typing import TYPE_CHECKING
+
+from filelock import FileLock, Timeout
+
+from bbq_torchrl.people.study.plan import StudyError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+_VERSION = 1
+_SCHEMA = """
+CREATE TABLE study (
+    id INTEGER PRIMARY KEY CHECK (id = 1),
+    terms TEXT NOT NULL,
+    package TEXT NOT NULL,
+    secret TEXT NOT NULL,
+    simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)),
+    created REAL NOT NULL
+) STRICT;
+CREATE TABLE agent (
+    name TEXT PRIMARY KEY,
+    fingerprint TEXT NOT NULL
+) STRICT;
+CREATE TABLE person (
+    id INTEGER PRIMARY KEY,
+    token TEXT NOT NULL UNIQUE,
+    place INTEGER NOT NULL,
+    enrolled REAL NOT NULL,
+    active REAL NOT NULL
+) STRICT;
+CREATE INDEX person_by_place ON person (place);
+CREATE TABLE session (
+    id INTEGER PRIMARY KEY,
+    person INTEGER NOT NULL REFERENCES person,
+    position INTEGER NOT NULL,
+    agent TEXT NOT NULL REFERENCES agent,
+    goal INTEGER NOT NULL,
+    ended REAL,
+    ended_by TEXT CHECK (ended_by IN ('agent', 'person', 'turns')),
+    success INTEGER CHECK (success IN (0, 1)),
+    reasons TEXT,
+    UNIQUE (person, position)
+) STRICT;
+CREATE TABLE exchange (
+    session INTEGER NOT NULL REFERENCES session,
+    number INTEGER NOT NULL,
+    nonce TEXT NOT NULL,
+    at REAL NOT NULL,
+    text TEXT NOT NULL,
+    answer TEXT NOT NULL,
+    heard TEXT NOT NULL,
+    said TEXT NOT NULL,
+    beliefs TEXT,
+    state TEXT NOT NULL,
+    PRIMARY KEY (session, number),
+    UNIQUE (session, nonce)
+) STRICT;
+CREATE TABLE rating (
+    session INTEGER PRIMARY KEY REFERENCES session,
+    nonce TEXT NOT NULL,
+    at REAL NOT NULL,
+    overall INTEGER NOT NULL CHECK (overall BETWEEN 1 AND 5),
+    naturalness INTEGER NOT NULL CHECK (naturalness BETWEEN 1 AND 5),
+    coherence INTEGER NOT NULL CHECK (coherence BETWEEN 1 AND 5),
+    completion INTEGER NOT NULL CHECK (completion BETWEEN 1 AND 5),
+    verdict INTEGER NOT NULL CHECK (verdict IN (0, 1))
+) STRICT;
+"""
+
+BESIDE = ("-wal", "-shm", "-journal")
+"""Endings of the files that SQLite keeps next to a study's."""
+
+PRIVATE = 0o600
+"""Mode of all files of a study: they hold what people wrote, and the secret behind all links."""
+
+BUSY_SECONDS = 5.0
+"""For which a change waits for others."""
+
+_SQLITE = (3, 37, 0)  # the first with STRICT tables
+
+
+class StoreError(StudyError):
+    """The study's data cannot be read or written.
+
+    Args:
+        path: of its file.
+        faults: one sentence or more.
+    """
+
+    def __init__(self, path: Path, *faults: str) -> None:
+        super().__init__(str(path), faults)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[sqlite3.Connection]:
+    """Opens a study's file for one server alone; makes it where it is missing.
+
+    Raises:
+        StoreError: the file is another server's now, newer, damaged, read-only, or no such file.
+    """
+    if sqlite3.sqlite_version_info < _SQLITE:
+        raise StoreError(path, f"it needs SQLite 3.37 or newer, this is {sqlite3.sqlite_version}")
+    if not path.parent.is_dir():
+        raise StoreError(path, "its folder does not exist")
+    try:
+        lock = FileLock(path.with_name(f"{path.name}.lock"), mode=PRIVATE).acquire(timeout=0)
+    except Timeout as error:
+        text = "another server is at work on it: end that one, or wait"
+        raise StoreError(path, text) from error
+    except OSError as error:
+        raise StoreError(path, f"it cannot be used: {error.strerror}") from error
+    with lock, told(path), closing(_private(path)) as connection:
+        version = _check(path, connection)
+        for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+            connection.execute(f"PRAGMA {pragma}")
+        # Written anew also where it is: a file system that lets nothing be written says so now.
+        script = "" if version else _SCHEMA
+        connection.executescript(
+            f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {_VERSION}; COMMIT;"
+        )
+        yield connection
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """Opens a study's file for reading, also while a server is at work on it.
+
+    Raises:
+        StoreError: there is no such file, or it is newer or damaged.
+    """
+    with _existing(path, "ro") as connection:
+        connection.execute("BEGIN")  # one moment of the study for all queries
+        yield connection
+
+
+@contextmanager
+def changing(path: Path) -> Iterator[sqlite3.Connection]:
+    """Opens a study's file for a change, also while a server is at work on it.
+
+    Raises:
+        StoreError: as for :func:`reading`, or it cannot be written.
+    """
+    with _existing(path, "rw") as connection:
+        connection.execute("PRAGMA foreign_keys = ON")
+        yield connection
+
+
+@contextmanager
+def _existing(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
+    if not path.is_file():
+        raise StoreError(path, "there is no such file: the study has not been served yet")
+    address = f"{path.absolute().as_uri()}?mode={mode}"
+    with (
+        told(path),
+        closing(
+            sqlite3.connect(address, timeout=BUSY_SECONDS, uri=True, isolation_level=None)
+        ) as connection,
+    ):
+        if not _check(path, connection):
+            raise StoreError(path, "it is empty: the study has not been served yet")
+        yield connection
+
+
+def _private(path: Path) -> sqlite3.Connection:
+    make_private(path)
+    return sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+
+
+def make_private(path: Path) -> None:
+    """Makes a file that its owner alone can read; one that exists becomes so, and those beside it.
+
+    Raises:
+        StoreError: it cannot be made there, or its mode is not ours to change.
+    """
+    try:
+        if not path.exists():
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
+        for file in (path, *(path.with_name(path.name + end) for end in BESIDE)):
+            if file.exists() and file.stat().st_mode & 0o077:
+                file.chmod(PRIVATE)
+    except OSError as error:
+        text = f"it cannot be made a file that its owner alone can read: {error.strerror}"
+        raise StoreError(path, text) from error
+
+
+def _check(path: Path, connection: sqlite3.Connection) -> int:
+    """Refuses a file that is newer, damaged, or of something else. Returns its version."""
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if version > _VERSION:
+        raise StoreError(
+            path,
+            f"it is of version {version}, made by a newer bbq-torchrl; "
+            f"this one reads versions up to {_VERSION}",
+        )
+    found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if found != "ok":
+        raise StoreError(path, f"it is damaged: {found}")
+    tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    if version == 0 and tables:
+        raise StoreError(path, "it is a database, but not one of a study")
+    return version
+
+
+@contextmanager
+def told(path: Path) -> Iterator[None]:
+    """Turns what SQLite says into a sentence."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        text = str(error)
+        known = {
+            "full": "the disk is full: nothing of the last step was stored",
+            "readonly": "it is read-only: a study needs a file that it can write",
+            "not a database": "it is damaged, or no SQLite file",
+            "malformed": "it is damaged",
+            "unable to open": "it cannot be opened or made there",
+        }
+        said = next((says for key, says in known.items() if key in text), "SQLite says")
+        raise StoreError(path, f"{said} ({text})") from error

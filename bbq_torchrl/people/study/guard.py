@@ -1,0 +1,113 @@
+"""What every request passes before the pages see it, and the headers that every answer carries."""
+
+from __future__ import annotations
+
+import asyncio
+from http import HTTPStatus
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl
+
+from starlette.datastructures import MutableHeaders
+from starlette.requests import ClientDisconnect, Request
+
+from bbq_torchrl.people.study.conversations import RefusedError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from starlette.responses import Response
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+MAX_BODY = 16_384
+"""Bytes of a form; a message of the longest text in the widest letters has fewer."""
+
+BODY_SECONDS = 10.0
+"""In which a form must have arrived."""
+
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; style-src 'self'; script-src 'self'; img-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    # The links are secrets; and with "no-referrer" browsers would post from the origin "null".
+    "referrer-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+class Guard:
+    """Refuses forms that are foreign, too large, too slow or unreadable; sets the headers.
+
+    The fields of a form are in ``request.state.form``.
+
+    Args:
+        app: what answers.
+        page: makes the page that tells a status and a sentence.
+    """
+
+    def __init__(self, app: ASGIApp, page: Callable[[HTTPStatus, str], Response]) -> None:
+        self._app, self._page = app, page
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        app: ASGIApp = self._app
+        if scope["method"] not in ("GET", "HEAD"):
+            try:
+                scope.setdefault("state", {})["form"] = await _form(Request(scope, receive))
+            except ClientDisconnect:
+                return  # half a form is none, and nobody reads an answer
+            except RefusedError as error:
+                app = self._page(error.status, str(error))
+                app.headers["connection"] = "close"
+        await app(scope, receive, send_with_headers)
+
+
+async def _form(request: Request) -> dict[str, str]:
+    """Returns the fields of a form.
+
+    Raises:
+        ClientDisconnect: it has not arrived.
+        RefusedError: it is not one to read.
+    """
+    origin = request.headers.get("origin")
+    if origin is not None and origin.partition("://")[2] != request.headers.get("host"):
+        raise RefusedError(HTTPStatus.FORBIDDEN, "This form was sent from another site.")
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != "application/x-www-form-urlencoded":
+        raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected.")
+    try:
+        body = await asyncio.wait_for(_body(request), BODY_SECONDS)
+    except asyncio.TimeoutError:
+        raise RefusedError(
+            HTTPStatus.REQUEST_TIMEOUT,
+            f"The form took more than {BODY_SECONDS:g} seconds to arrive: send it again.",
+        ) from None
+    return dict(parse_qsl(body.decode("latin-1"), keep_blank_values=True, errors="replace"))
+
+
+async def _body(request: Request) -> bytes:
+    body, size = b"", 0
+    async for chunk in request.stream():
+        size += len(chunk)
+        if size <= MAX_BODY:  # what is more is read past, so that its sender reads the answer
+            body += chunk
+    if size > MAX_BODY:
+        raise RefusedError(
+            HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+            f"The form is too large: {MAX_BODY:,} bytes are allowed.",
+        )
+    return body

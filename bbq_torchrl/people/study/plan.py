@@ -1,0 +1,296 @@
+"""The study file: what a study is about, who is compared and what people do; all checked."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, fields
+from os.path import expanduser
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.plain_yaml import read_yaml
+from bbq_torchrl.text import FaultsError, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from bbq_torchrl.domains import Domain
+
+_MOVIE = "movie"
+_DOMAIN = f"be {_MOVIE} or a domain's folder"
+_ATTAINABLE = "attainable"
+_DEFAULTS: dict[str, Any] = {
+    "domain": _MOVIE,
+    "goals": _ATTAINABLE,
+    "max_turns": 20,
+    "idle_minutes": 60,
+    "joins_per_minute": 5,
+    "retention": "",
+    "ask_below": {},
+    "control": {},
+}
+"""Without ``sessions``: one with each agent."""
+_QUOTED = "yes, no, numbers and dates in quotes"
+"""Since YAML reads them as something else."""
+_REQUIRED = ("name", "consent", "agents", "pairs", "participants")
+
+
+class StudyError(FaultsError):
+    """A study file, or a study's data, that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a study was declared to be before its first person.
+
+    Attributes:
+        name: of the study, shown as the pages' heading.
+        consent: what people agree to, paragraphs separated by blank lines.
+        agents: name to source: whatever the talker loads the agent from.
+        pairs: the comparisons declared: the first agent is the one expected to be better.
+        participants: how many people are wanted.
+        domain: ``movie``, or a domain's folder.
+        sessions: of each person, a multiple of the number of agents.
+        goals: numbers of the domain's goals, from 1, that goal cards are drawn from.
+        max_turns: messages of a person in a conversation.
+        idle_minutes: after which an unfinished place is given to somebody else.
+        joins_per_minute: how many people may join in a minute.
+        retention: how long the data are kept, as the consent page says it; empty where it does not.
+        ask_below: name to the confidence below which this agent asks people again, between 0
+            (never) and 1; the others as their language layer does.
+        control: name to the rules of the dialogue control that hold for this agent; all rules hold
+            for the others.
+    """
+
+    name: str
+    consent: str
+    agents: Mapping[str, str]
+    pairs: tuple[tuple[str, str], ...]
+    participants: int
+    domain: str
+    sessions: int
+    goals: tuple[int, ...]
+    max_turns: int
+    idle_minutes: int
+    joins_per_minute: int = _DEFAULTS["joins_per_minute"]
+    retention: str = ""
+    ask_below: Mapping[str, float] = field(default_factory=dict)
+    control: Mapping[str, list[str]] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """Returns the terms as JSON."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def of(cls, text: str) -> Terms:
+        """Returns the terms that :meth:`text` wrote."""
+        content = json.loads(text)
+        content["pairs"] = tuple((better, worse) for better, worse in content["pairs"])
+        return cls(**{**content, "goals": tuple(content["goals"])})
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file that has been checked.
+
+    Attributes:
+        path: of the file.
+        terms: what it says.
+        domain: what the conversations are about.
+    """
+
+    path: Path
+    terms: Terms
+    domain: Domain
+
+    @property
+    def data(self) -> Path:
+        """The file that holds the study's data."""
+        return data_of(self.path)
+
+
+def data_of(path: Path) -> Path:
+    """Returns the file that holds the data of the study file ``path``, beside it."""
+    return path.with_suffix(".sqlite")
+
+
+def load_study(path: str | Path) -> Study:
+    """Returns the study that the file ``path`` describes.
+
+    Args:
+        path: a YAML file.
+
+    Raises:
+        OSError: the file cannot be read.
+        StudyError: with every fault: key, value and what is allowed.
+    """
+    file = Path(expanduser(path))
+    try:
+        content = _content(file)
+    except ValueError as error:
+        raise StudyError(str(file), [f"it cannot be read: {error}"]) from error
+    given = {**_DEFAULTS, **content}
+    agents = given["agents"] if _are_sources(given.get("agents")) else {}
+    given.setdefault("sessions", max(1, len(agents)))
+    wrong = _wrong_values(given, agents)
+    faults = [*_key_faults(content), *wrong.values()]
+    if "sessions" not in wrong and agents and given["sessions"] % len(agents):
+        faults.append(
+            f"sessions must be a multiple of the number of agents ({len(agents)}), so that "
+            f"everybody meets all agents equally often, got {given['sessions']}"
+        )
+    if "pairs" in content and "pairs" not in wrong:
+        faults += _pair_faults(given["pairs"], agents)
+    domain = None
+    if "domain" not in wrong:
+        try:
+            domain = _domain(file, given["domain"])
+        except FileNotFoundError as error:
+            faults.append(f"domain must {_DOMAIN}: {error}")
+        except FaultsError as error:
+            faults += [f"domain {shown(given['domain'])}: {fault}" for fault in error.faults]
+    if domain is not None:
+        from bbq_torchrl.people.dialogue.judge import Judge
+
+        judge, goals = Judge(domain), enumerate(domain.goals, start=1)
+        attainable = [number for number, goal in goals if judge.is_attainable(goal)]
+        if given["goals"] == _ATTAINABLE:
+            given["goals"] = attainable
+        sessions = 1 if "sessions" in wrong else given["sessions"]
+        faults += _goal_faults(given["goals"], attainable, len(domain.goals), sessions)
+    if faults or domain is None:
+        raise StudyError(str(file), faults)
+    for key in ("name", "consent", "retention"):
+        given[key] = given[key].strip()
+    given["ask_below"] = {name: float(below) for name, below in given["ask_below"].items()}
+    given |= {"pairs": tuple(map(tuple, given["pairs"])), "goals": tuple(given["goals"])}
+    return Study(file, Terms(**given), domain)
+
+
+def _content(file: Path) -> dict[str, Any]:
+    content = read_yaml(file.read_text(encoding="utf-8-sig"))
+    if not isinstance(content, dict):
+        raise ValueError(f"it must be a mapping of keys to values, got {shown(content)}")
+    return content
+
+
+def _key_faults(content: Mapping[str, Any]) -> Iterator[str]:
+    keys = [item.name for item in fields(Terms)]
+    for key in content:
+        if key not in keys:
+            yield f"{shown(key)} is not a key of a study; allowed are {', '.join(keys)}"
+    if missing := [key for key in _REQUIRED if key not in content]:
+        yield f"it lacks the keys {', '.join(missing)}"
+
+
+def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[str, str]:
+    """Returns key to sentence of each value that is of another kind than its key's."""
+
+    def are_limits(value: Any) -> bool:
+        is_known = isinstance(value, dict) and set(value) <= set(agents or value)
+        return is_known and all(map(_is_probability, value.values()))
+
+    def are_rules(value: Any) -> bool:
+        is_known = isinstance(value, dict) and set(value) <= set(agents or value)
+        return is_known and all(
+            isinstance(names, list) and all(name in RULE_NAMES for name in names)
+            for names in value.values()
+        )
+
+    kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
+        "name": (_is_text, "be text, not blank"),
+        "consent": (_is_text, "be text, not blank"),
+        "agents": (
+            _are_sources,
+            f"map one name or more to where the agent is, both text ({_QUOTED})",
+        ),
+        "pairs": (
+            lambda value: isinstance(value, list),
+            "be a list of pairs of agents, [] for none",
+        ),
+        "domain": (_is_text, _DOMAIN),
+        "ask_below": (are_limits, "map agents of the study to numbers between 0 and 1"),
+        "control": (
+            are_rules,
+            f"map agents of the study to lists of {', '.join(RULE_NAMES)}",
+        ),
+        "participants": _count(10_000),
+        "sessions": _count(100),
+        "max_turns": _count(500),
+        "idle_minutes": _count(10_080),
+        "joins_per_minute": _count(10_000),
+        "retention": (
+            lambda value: isinstance(value, str),
+            "be text: until when the data are kept",
+        ),
+    }
+    return {
+        key: f"{key} must {allowed}, got {shown(given[key])}"
+        for key, (holds, allowed) in kinds.items()
+        if key in given and not holds(given[key])
+    }
+
+
+def _domain(file: Path, name: str) -> Domain:
+    from bbq_torchrl.domains import load_domain, movie_domain
+
+    return movie_domain() if name == _MOVIE else load_domain(file.parent / expanduser(name))
+
+
+def _goal_faults(chosen: Any, attainable: list[int], count: int, sessions: int) -> Iterator[str]:
+    if not (isinstance(chosen, list) and all(_is_whole(n, 1, count) for n in chosen)):
+        allowed = f"{_ATTAINABLE} or a list of numbers between 1 and {count}"
+        yield f"goals must be {allowed}, got {shown(chosen)}"
+        return
+    if hopeless := sorted(set(chosen) - set(attainable)):
+        yield (
+            f"goals must be ones that some record of the domain can meet, which holds not of "
+            f"{shown(hopeless)}"
+        )
+    if len(set(chosen)) < max(len(chosen), sessions):
+        yield (
+            f"goals must be distinct and at least as many as sessions ({sessions}), "
+            f"got {shown(chosen)}"
+        )
+
+
+def _count(most: int) -> tuple[Callable[[Any], bool], str]:
+    allowed = f"be a whole number between 1 and {most}"
+    return (lambda value: _is_whole(value, 1, most)), allowed
+
+
+def _are_sources(value: Any) -> bool:
+    is_map = isinstance(value, dict) and value != {}
+    return is_map and all(map(_is_text, [*value, *value.values()]))
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str) and bool(value.strip())
+
+
+def _is_whole(value: object, low: int, high: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+
+
+def _is_probability(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 1
+
+
+def _pair_faults(pairs: list[Any], agents: Mapping[str, str]) -> Iterator[str]:
+    seen: list[set[str]] = []
+    for pair in pairs:
+        if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_text, pair)):
+            yield f"pairs must hold pairs of two agents, both text ({_QUOTED}), got {shown(pair)}"
+            continue
+        if pair[0] == pair[1]:
+            yield f"pairs must be of two different agents, got {shown(pair)}"
+        elif set(pair) in seen:
+            yield f"pairs must be declared once, got {shown(pair)} again"
+        seen.append(set(pair))
+        for agent in pair:
+            if agents and agent not in agents:
+                yield (
+                    f"pairs must name agents of the study ({', '.join(agents)}), "
+                    f"got {shown(agent)} in {shown(pair)}"
+                )

@@ -1,0 +1,182 @@
+"""What is stored of a study, as objects: people's sessions and what was said in them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.domains.frames import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+SCALES = ("overall", "naturalness", "coherence", "completion")
+"""What people rate from 1 to 5; the first is the paper's one figure."""
+
+LOWEST, HIGHEST = 1, 5
+"""Ratings."""
+
+
+def act_content(frame: Frame, confidence: float | None = None) -> dict[str, Any]:
+    """Returns an act as it is stored and exported, as plain data."""
+    informs, requests = dict(frame.informs), list(frame.requests)
+    return {"act": frame.act, "informs": informs, "requests": requests, "confidence": confidence}
+
+
+def act_text(frame: Frame) -> str:
+    """Returns an act as transcripts and exports of a study write it.
+
+    Examples:
+        >>> act_text(Frame("request", {"city": "reno"}, ("date",)))
+        'request(city=reno, date?)'
+    """
+    told = [f"{slot}={value}" for slot, value in frame.informs.items()]
+    return f"{frame.act}({', '.join([*told, *(f'{slot}?' for slot in frame.requests)])})"
+
+
+def _read(text: str) -> tuple[Frame, float | None]:
+    """Returns the act and the confidence that are stored as ``text``."""
+    content = json.loads(text)
+    frame = Frame(content["act"], content["informs"], tuple(content["requests"]))
+    return frame, content["confidence"]
+
+
+@dataclass(frozen=True)
+class StoredExchange:
+    """A person's text and the agent's answer.
+
+    Attributes:
+        number: from 1.
+        at: when it was stored, seconds since 1970.
+        text: the person's.
+        answer: the agent's.
+        heard: what was understood.
+        confidence: of the understanding; ``None`` where there is none.
+        said: the agent's act.
+        beliefs: the agent's, as plain data.
+        state: the talker's.
+        nonce: of the person's message.
+    """
+
+    number: int
+    at: float
+    text: str
+    answer: str
+    heard: Frame
+    confidence: float | None
+    said: Frame
+    beliefs: Mapping[str, Any] | None
+    state: str
+    nonce: str
+
+    @classmethod
+    def of(cls, row: tuple[Any, ...]) -> StoredExchange:
+        """Returns the exchange in a row of :data:`EXCHANGES`."""
+        number, at, text, answer, heard, said, beliefs, state, nonce = row
+        content = None if beliefs is None else json.loads(beliefs)
+        frames = *_read(heard), _read(said)[0]
+        return cls(number, at, text, answer, *frames, content, state, nonce)
+
+
+EXCHANGES = """
+    SELECT number, at, text, answer, heard, said, beliefs, state, nonce FROM exchange
+    WHERE session = ? ORDER BY number
+"""
+"""Selects of a session what :meth:`StoredExchange.of` takes, first to last."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """A conversation that a person has had, has, or is to have.
+
+    Attributes:
+        id: in the file.
+        person: whose it is.
+        position: among the person's sessions, from 1.
+        agent: its name.
+        goal: number of the goal in the domain, from 1.
+        ended_by: ``agent``, ``person`` or ``turns``; ``None`` where it has not ended.
+        success: the judge's verdict; false where it has not ended.
+        reasons: why it was no success.
+        ratings: scale to 1 to 5; ``None`` where the person has not rated.
+        verdict: the person's own; ``None`` where they have not rated.
+        messages: how many the person has sent.
+    """
+
+    id: int
+    person: str
+    position: int
+    agent: str
+    goal: int
+    ended_by: str | None
+    success: bool
+    reasons: tuple[str, ...]
+    ratings: Mapping[str, int] | None
+    verdict: bool | None
+    messages: int
+
+    @property
+    def is_ended(self) -> bool:
+        """Nothing more is said."""
+        return self.ended_by is not None
+
+    @property
+    def is_rated(self) -> bool:
+        """The person has rated it."""
+        return self.ratings is not None
+
+    @classmethod
+    def of(cls, row: tuple[Any, ...]) -> Session:
+        """Returns the session in a row of :data:`SESSIONS`."""
+        number, person, position, agent, goal, ended_by, success, reasons, *rest = row
+        verdict, messages, *scales = rest
+        is_rated = verdict is not None
+        return cls(
+            id=number,
+            person=str(person),
+            position=position,
+            agent=agent,
+            goal=goal,
+            ended_by=ended_by,
+            success=bool(success),
+            reasons=tuple(json.loads(reasons or "[]")),
+            ratings=dict(zip(SCALES, scales, strict=True)) if is_rated else None,
+            verdict=bool(verdict) if is_rated else None,
+            messages=messages,
+        )
+
+
+SESSIONS = f"""
+    SELECT session.id, person, position, agent, goal, ended_by, session.success, reasons, verdict,
+           (SELECT COUNT(*) FROM exchange WHERE exchange.session = session.id), {", ".join(SCALES)}
+    FROM session LEFT JOIN rating ON rating.session = session.id
+"""
+"""Selects what :meth:`Session.of` takes."""
+
+NOT_FORGOTTEN = "WHERE place >= 0"
+"""Of the table ``person``: the others are forgotten, and only their number is left."""
+
+IS_FINISHED = """NOT EXISTS (
+    SELECT 1 FROM session LEFT JOIN rating ON rating.session = session.id
+    WHERE session.person = person.id AND rating.session IS NULL
+)"""
+"""Of the table ``person``: who has rated all their conversations."""
+
+HELD = f"""
+    SELECT DISTINCT place FROM person
+    WHERE active > ? AND (
+        enrolled > ?
+        OR EXISTS (
+            SELECT 1 FROM session JOIN exchange ON exchange.session = session.id
+            WHERE session.person = person.id
+        )
+    ) OR {IS_FINISHED}
+"""
+"""Selects the places that nobody else gets; the times are the least of activity, and of enrollment
+where nothing was said yet."""
+
+
+def current(sessions: Sequence[Session]) -> Session | None:
+    """Returns the first session that is not rated; ``None`` after a person's last."""
+    return next((session for session in sessions if not session.is_rated), None)

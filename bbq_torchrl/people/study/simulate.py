@@ -1,0 +1,125 @@
+"""A study with simulated users, who are enrolled, answered, judged and stored as people are."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import closing
+from random import Random
+from typing import TYPE_CHECKING, Protocol
+
+from bbq_torchrl.people.study.conversations import Conversations, seed_of
+from bbq_torchrl.people.study.records import SCALES, current
+from bbq_torchrl.people.study.store import Store
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bbq_torchrl.domains.frames import Frame
+    from bbq_torchrl.people.dialogue.talk import Talker
+    from bbq_torchrl.people.study.plan import Study
+
+_DAY, _HOUR, _PAUSE = 86_400.0, 3_600.0, 10.0
+
+
+class User(Protocol):
+    """A simulated user in one conversation.
+
+    Attributes:
+        satisfied: whether it has got what it wanted, as far as it knows.
+    """
+
+    satisfied: bool
+
+    def say(self, said: Frame | None) -> str:
+        """Returns what it says to the agent's act; ``None`` begins the conversation."""
+
+
+class _Clock:
+    """Tells the time that it is set to, so that a study that is played again has the same times."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def simulate(
+    study: Study,
+    talker: Talker,
+    users: Callable[[int, int], User],
+    *,
+    seed: int,
+    tell: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Has simulated users take all places of a study, one after the other.
+
+    They go the way of people: consent, conversation, rating, through the same code and store. What
+    is stored already is not said again, so a simulation that was stopped goes on.
+
+    Args:
+        study: whose data is beside its file.
+        talker: the agents.
+        users: makes a user from the number of its goal, from 1, and a seed.
+        seed: of the plan, the users and their ratings.
+        tell: is told how far it is.
+
+    Raises:
+        StoreError: the study's data cannot be used, or is of people or another seed.
+        ValueError: an agent cannot be loaded.
+    """
+    prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
+    clock, secret = _Clock(), f"simulated {seed}"
+    with closing(
+        Store(study.data, study.terms, prints, simulated=True, secret=secret, clock=clock)
+    ) as store:
+        conversations = Conversations(study, store, talker)
+        wanted = study.terms.participants
+        for place in range(wanted):
+            clock.now = begin = place * _DAY
+            token = conversations.enroll({"nonce": _nonce(seed, place), "consent": "yes"})
+            user = None
+            while (session := current(store.sessions(token))) is not None:
+                form = {"session": str(session.position)}
+                drawn = seed_of(seed, place, session.position)
+                if user is None:
+                    clock.now = begin + session.position * _HOUR
+                    user, said, number = users(session.goal, drawn), None, 0
+                if not session.is_ended or number < session.messages:
+                    number += 1
+                    clock.now += _PAUSE
+                    form |= {"nonce": _nonce(session.id, number), "turn": str(number)}
+                    conversations.say(token, {**form, "text": user.say(said)})
+                    said = store.exchanges(session.id)[number - 1].said
+                else:
+                    ratings = drawn_ratings(user.satisfied, number, drawn)
+                    form |= {name: str(rating) for name, rating in ratings.items()}
+                    form["verdict"] = "yes" if user.satisfied else "no"
+                    conversations.rate(token, {**form, "nonce": _nonce(drawn, "rating")})
+                    user = None
+            if (place + 1) % 10 == 0 or place + 1 == wanted:
+                tell(f"{place + 1} of {wanted} simulated users have taken part")
+
+
+def _nonce(*parts: object) -> str:
+    return hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()[:32]
+
+
+RATING_RULE = (
+    "Their own verdict is whether they have got what they wanted, as far as they know. Their "
+    "ratings are drawn, each scale by itself: 4.5 after a yes and 2 after a no, less 0.1 for every "
+    "message beyond the fifth, plus normal noise of standard deviation 0.75, rounded, from 1 to 5. "
+    "So ratings say nothing that verdict and length do not."
+)
+"""What reports of simulated studies tell of :func:`drawn_ratings`."""
+
+
+def drawn_ratings(satisfied: bool, messages: int, seed: int) -> dict[str, int]:
+    """Returns a simulated user's ratings, by scale.
+
+    Args:
+        satisfied: its own verdict.
+        messages: how many it has sent.
+        seed: of the noise.
+    """
+    rng, middle = Random(seed), (4.5 if satisfied else 2.0) - 0.1 * max(0, messages - 5)
+    return {name: min(5, max(1, round(rng.gauss(middle, 0.75)))) for name in SCALES}

@@ -1,0 +1,336 @@
+"""Stores a study: who takes part, what is said, how it ends and how it is rated."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import secrets
+import threading
+import time
+from base64 import urlsafe_b64encode
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
+
+import bbq_torchrl
+from bbq_torchrl.people.study.database import StoreError, told, writing
+from bbq_torchrl.people.study.design import assignments
+from bbq_torchrl.people.study.plan import Terms
+from bbq_torchrl.people.study.records import (
+    EXCHANGES,
+    HELD,
+    IS_FINISHED,
+    NOT_FORGOTTEN,
+    SCALES,
+    SESSIONS,
+    Session,
+    StoredExchange,
+    act_content,
+)
+
+if TYPE_CHECKING:
+    import sqlite3
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from bbq_torchrl.people.dialogue.talk import Reply
+
+SILENT_SECONDS = 600.0
+"""After which somebody else may have the place of who joined and said nothing."""
+
+
+class JoinRateError(RuntimeError):
+    """More people want to join than may in a minute."""
+
+
+class ForgottenError(RuntimeError):
+    """The person whose words are to be stored has been forgotten."""
+
+
+class Store:
+    """The data of a study, in one SQLite file, written by one thread at a time.
+
+    Whatever a method has written is on the disk when it returns.
+
+    Args:
+        path: of the file.
+        terms: the study's.
+        fingerprints: each agent's, by name.
+        simulated: whether the people are simulated users.
+        secret: of the plan and the links; drawn unless given.
+        clock: tells the time, in seconds since 1970.
+
+    Raises:
+        StoreError: the file cannot be used, or holds a study of other terms, agents or version.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        terms: Terms,
+        fingerprints: Mapping[str, str],
+        *,
+        simulated: bool = False,
+        secret: str | None = None,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._path, self._terms, self._clock = path, terms, clock
+        self._mutex = threading.RLock()
+        with ExitStack() as opened:
+            self._connection = opened.enter_context(writing(path))
+            with self.transaction() as connection:
+                self._secret = self._begin(connection, fingerprints, simulated, secret)
+            self._opened = opened.pop_all()
+
+    def _begin(
+        self,
+        connection: sqlite3.Connection,
+        fingerprints: Mapping[str, str],
+        simulated: bool,
+        secret: str | None,
+    ) -> str:
+        """Returns the study's secret; makes the study where there is none yet."""
+        package = bbq_torchrl.__version__
+        found = connection.execute("SELECT terms, package, secret, simulated FROM study").fetchone()
+        if found is None:
+            secret = secret or secrets.token_urlsafe(32)
+            connection.execute(
+                "INSERT INTO study VALUES (1, ?, ?, ?, ?, ?)",
+                (self._terms.text(), package, secret, int(simulated), self._clock()),
+            )
+            connection.executemany("INSERT INTO agent VALUES (?, ?)", fingerprints.items())
+            return secret
+        stored = dict(connection.execute("SELECT name, fingerprint FROM agent").fetchall())
+        faults = _changed(Terms.of(found[0]), self._terms)
+        if found[1] != package:
+            faults.append(f"it was begun with bbq-torchrl {found[1]}, this is {package}")
+        if bool(found[3]) != simulated:
+            faults.append("it must hold either people or simulated users, not both")
+        if secret not in (None, found[2]):
+            faults.append("it was begun with another seed")
+        faults += [
+            f"the weights of agent {name!r} are not those the study was begun with"
+            for name, fingerprint in fingerprints.items()
+            if name in stored and stored[name] != fingerprint
+        ]
+        if faults:
+            advice = "a study goes on as it was begun; a changed one needs a new file name"
+            raise StoreError(self._path, *(f"{fault} ({advice})" for fault in faults))
+        connection.execute("UPDATE study SET terms = ?", (self._terms.text(),))
+        return str(found[2])
+
+    def key(self, purpose: str) -> str:
+        """Returns an unguessable word that is the same each time: of a link, say."""
+        digest = hmac.digest(self._secret.encode(), purpose.encode(), "sha256")
+        return urlsafe_b64encode(digest[:24]).decode()
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """Runs a block as one transaction: all of it is on the disk afterwards, or nothing.
+
+        Raises:
+            StoreError: it could not be written.
+        """
+        with self._mutex, told(self._path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
+        """Returns the rows of a query."""
+        with self._mutex, told(self._path):
+            return self._connection.execute(query, values).fetchall()
+
+    def close(self) -> None:
+        """Closes the file and lets other servers have it."""
+        with self._mutex:
+            self._opened.close()
+
+    # -- people ------------------------------------------------------------------------------------
+
+    def enroll(self, nonce: str) -> str | None:
+        """Gives somebody a place in the design. Returns their token, ``None`` where all are taken.
+
+        A place is free until somebody has it, and again when they have left it unfinished, after
+        ten minutes if they have said nothing: the lowest goes first. The same nonce gets the same
+        token.
+
+        Raises:
+            JoinRateError: more people want to join than may in a minute.
+        """
+        token, now = self.key(f"person {nonce}"), self._clock()
+        with self.transaction() as connection:
+            known = "SELECT id FROM person WHERE token = ?"
+            if connection.execute(known, (hashed(token),)).fetchone():
+                return token
+            since = self._idle_since(now), now - SILENT_SECONDS
+            held = {place for (place,) in connection.execute(HELD, since)}
+            free = (place for place in range(self._terms.participants) if place not in held)
+            if (place := next(free, None)) is None:
+                return None
+            # Up to now: after a clock was set back, nobody is of the last minute.
+            recent = "SELECT COUNT(*) FROM person WHERE enrolled > ? AND enrolled <= ?"
+            [joined] = connection.execute(recent, (now - 60, now)).fetchone()
+            if joined >= self._terms.joins_per_minute:
+                raise JoinRateError
+            person = connection.execute(
+                "INSERT INTO person (token, place, enrolled, active) VALUES (?, ?, ?, ?)",
+                (hashed(token), place, now, now),
+            ).lastrowid
+            terms = self._terms
+            plan = assignments(
+                place, tuple(terms.agents), terms.goals, terms.sessions, self._secret
+            )
+            connection.executemany(
+                "INSERT INTO session (person, position, agent, goal) VALUES (?, ?, ?, ?)",
+                [(person, number, *item) for number, item in enumerate(plan, start=1)],
+            )
+        return token
+
+    def sessions(self, token: str) -> list[Session]:
+        """Returns the sessions of the person who has the token, none if nobody has."""
+        whose = "WHERE person = (SELECT id FROM person WHERE token = ?) ORDER BY position"
+        return list(map(Session.of, self.rows(f"{SESSIONS} {whose}", hashed(token))))
+
+    def _idle_since(self, now: float) -> float:
+        return now - 60 * self._terms.idle_minutes
+
+    # -- conversations -----------------------------------------------------------------------------
+
+    def exchanges(self, session: int) -> list[StoredExchange]:
+        """Returns what was said in a session, first to last."""
+        return list(map(StoredExchange.of, self.rows(EXCHANGES, session)))
+
+    def add_exchange(
+        self,
+        session: Session,
+        number: int,
+        nonce: str,
+        text: str,
+        reply: Reply,
+        end: tuple[str, tuple[str, ...]] | None,
+    ) -> None:
+        """Stores both turns of an exchange and, where they are the last, the end.
+
+        Args:
+            session: in which it was said.
+            number: of the exchange, from 1.
+            nonce: of the message.
+            text: the person's.
+            reply: the agent's.
+            end: who or what ended the conversation, and why it was no success; ``None`` if it
+                goes on.
+        """
+        beliefs = None if reply.beliefs is None else json.dumps(asdict(reply.beliefs))
+        with self._step(session) as (connection, now):
+            connection.execute(
+                "INSERT INTO exchange VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (
+                    *(session.id, number, nonce, now, text, reply.text),
+                    json.dumps(act_content(reply.heard, reply.confidence)),
+                    json.dumps(act_content(reply.said)),
+                    *(beliefs, reply.state),
+                ),
+            )
+            if end is not None:
+                _end(connection, session.id, now, *end)
+
+    def end(self, session: Session, ended_by: str, reasons: tuple[str, ...]) -> None:
+        """Stores that a conversation has ended and why it was no success; nothing if it had."""
+        with self._step(session) as (connection, now):
+            _end(connection, session.id, now, ended_by, reasons)
+
+    @contextmanager
+    def _step(self, session: Session) -> Iterator[tuple[sqlite3.Connection, float]]:
+        """Runs a block as one transaction, at the time of which the person is at work.
+
+        Raises:
+            ForgottenError: the person is forgotten; another's session may have the id by now.
+        """
+        with self.transaction() as connection:
+            now, whose = self._clock(), (session.id, session.person)
+            known = "SELECT 1 FROM session WHERE id = ? AND person = ?"
+            if connection.execute(known, whose).fetchone() is None:
+                raise ForgottenError
+            yield connection, now
+            connection.execute("UPDATE person SET active = ? WHERE id = ?", (now, session.person))
+
+    # -- ratings -----------------------------------------------------------------------------------
+
+    def rating_nonce(self, session: int) -> str | None:
+        """Returns the nonce of the session's rating; ``None`` before it is rated."""
+        rows = self.rows("SELECT nonce FROM rating WHERE session = ?", session)
+        return rows[0][0] if rows else None
+
+    def rate(self, session: Session, nonce: str, scales: Mapping[str, int], verdict: bool) -> None:
+        """Stores a person's ratings (see :data:`SCALES`) and own verdict."""
+        with self._step(session) as (connection, now):
+            connection.execute(
+                "INSERT INTO rating VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                (session.id, nonce, now, *(scales[name] for name in SCALES), int(verdict)),
+            )
+
+    # -- the researcher's view ---------------------------------------------------------------------
+
+    def progress(self) -> tuple[dict[str, int], list[Session]]:
+        """Returns how far the study is.
+
+        Returns:
+            How many people there are, by ``wanted``, ``enrolled``, ``finished``, ``active`` and
+            ``left``; and all sessions.
+        """
+        rows = self.rows(f"{SESSIONS} ORDER BY person, position")
+        query = f"SELECT active > ?, {IS_FINISHED} FROM person {NOT_FORGOTTEN}"
+        people = self.rows(query, self._idle_since(self._clock()))
+        finished = sum(done for _, done in people)
+        active = sum(recent and not done for recent, done in people)
+        counts = {
+            "wanted": self._terms.participants,
+            "enrolled": len(people),
+            "finished": finished,
+            "active": active,
+            "left": len(people) - finished - active,
+        }
+        return counts, list(map(Session.of, rows))
+
+    def session(self, number: int) -> Session | None:
+        """Returns a session by its id; ``None`` if there is none."""
+        rows = self.rows(f"{SESSIONS} WHERE session.id = ?", number)
+        return Session.of(rows[0]) if rows else None
+
+
+def _end(
+    connection: sqlite3.Connection,
+    session: int,
+    now: float,
+    ended_by: str,
+    reasons: tuple[str, ...],
+) -> None:
+    connection.execute(
+        "UPDATE session SET ended = ?, ended_by = ?, success = ?, reasons = ? "
+        "WHERE id = ? AND ended IS NULL",
+        (now, ended_by, int(not reasons), json.dumps(reasons), session),
+    )
+
+
+def hashed(token: str) -> str:
+    """Returns what is stored of a token: who reads the file learns no link."""
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+def _changed(old: Terms, new: Terms) -> list[str]:
+    """Returns what differs beyond the numbers of people, which may change."""
+    joins = old.joins_per_minute
+    same = asdict(replace(new, participants=old.participants, joins_per_minute=joins))
+    # As text: the order of the agents counts too.
+    return [
+        f"the study file says another {key} than at the start"
+        for key, value in asdict(old).items()
+        if json.dumps(value) != json.dumps(same[key])
+    ]

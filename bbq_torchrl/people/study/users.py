@@ -1,0 +1,133 @@
+"""The simulator's users as people of a study: they read acts, and say theirs in sentences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from bbq_torchrl.domains import NO_MATCH, tensorize
+from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.people.dialogue.spelling import Spelling
+from bbq_torchrl.people.language import Frame, Generator
+from bbq_torchrl.people.language.asking import repeated
+from bbq_torchrl.simulator import Simulator
+from bbq_torchrl.simulator.tracker import AgentTurn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from bbq_torchrl.people.study import Study
+
+_MULTIPLE_CHOICE = "multiple_choice"
+
+
+class SimulatedUser:
+    """A user of the simulator in one conversation, in sentences.
+
+    It knows what it means and what the agent does, but not what was understood of it. Asked again,
+    it says the same in other words, or the one value that was asked for.
+
+    Args:
+        simulator: without errors, all of whose slots are active.
+        speak: who says what it means.
+        goal: number of its goal, from 1.
+        seed: of its choices and its words.
+        spelled: returns what an agent tells in the spelling of the simulator's domain.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        speak: Generator,
+        goal: int,
+        seed: int,
+        spelled: Callable[[Mapping[str, str]], Mapping[str, str]] = dict,
+    ) -> None:
+        self._simulator, self._speak, self._seed = simulator, speak, seed
+        self._spelled = spelled
+        self._coding = Coding(simulator.domain)
+        self._random = torch.Generator().manual_seed(seed)
+        draws = simulator.draw_reset((), self._random)
+        goals = len(simulator.domain.goal_constraints)
+        draws["goal"] = torch.tensor((goal - 0.5) / goals)  # what draws this goal
+        n_slots = simulator.domain.n_slots
+        self._state = simulator.reset(draws, torch.ones(n_slots, dtype=torch.bool))
+        self._texts = 0
+        self._question: Frame | None = None
+
+    @property
+    def satisfied(self) -> bool:
+        """Whether the last offer held all wishes and nothing is unanswered or without a match."""
+        state, ticket = self._state, self._simulator.domain.ticket
+        is_left = state["pending"] | state["agenda"]
+        is_left[ticket] = False
+        is_refused = state["history"] == NO_MATCH
+        return bool(state["constraints_met"] & ~(is_left | is_refused).any())
+
+    def say(self, said: Frame | None) -> str:
+        """Returns what it says to the agent's act; ``None`` begins the conversation."""
+        if said is None:
+            meant = self._meant()
+        elif said.act == "not_sure" and said.informs:  # "..., is that right?"
+            told = self._meant().informs
+            is_right = all(told.get(slot) == value for slot, value in said.informs.items())
+            meant = Frame("confirm_answer" if is_right else "deny")
+        elif said.act == "not_sure" or (said.act == _MULTIPLE_CHOICE and said.requests):
+            meant = repeated(self._meant(), said.requests)
+        else:
+            self._question = Frame(said.act, said.informs, said.requests)
+            self._reply(said)
+            meant = self._meant()
+        self._texts += 1
+        return self._speak.user(meant, self._question, session=self._seed, turn=self._texts)
+
+    def _meant(self) -> Frame:
+        state = self._state
+        informs, requests = state["meant_informs"].tolist(), state["pending"].tolist()
+        return self._coding.frame(int(state["user_act"]), informs, requests)
+
+    def _reply(self, said: Frame) -> None:
+        state, simulator = self._state, self._simulator
+        agent = self._turn(said)
+        draws = simulator.draw_turn((), self._random)
+        # A booking repeats what the agent holds: the user sees no more of it.
+        state = state.replace(held=agent.informs, user_informs=state["meant_informs"])
+        reply = simulator.user.reply(state, agent, torch.tensor(False), draws)
+        self._state = state.replace(**reply)
+
+    def _turn(self, said: Frame) -> AgentTurn:
+        """Returns an agent's act as the tracker completes it; an offer of values is a question."""
+        domain, coding = self._simulator.domain, self._coding
+        informs = torch.tensor(coding.ids(self._spelled(said.informs)))
+        is_booking = coding.slots[domain.complete] in said.informs
+        is_choice = said.act == _MULTIPLE_CHOICE
+        spoken_of = [domain.slot[slot] for slot in (*said.requests, *said.informs)]
+        slots = [domain.complete] if is_booking else spoken_of[:1]
+        slot = torch.tensor(slots[0] if slots else 0)
+        is_slot = torch.zeros(domain.n_slots, dtype=torch.bool)
+        is_slot[slots] = True
+        is_request = bool(said.requests) or is_choice
+        return AgentTurn(
+            act=torch.tensor(domain.act.get(said.act, -1)),
+            slot=slot,
+            is_slot=is_slot,
+            value=informs[slot],
+            informs=informs,
+            requests=is_slot & is_request,
+            is_request=torch.tensor(is_request),
+            is_inform=torch.tensor(bool(slots) and not (is_request or is_booking)),
+            is_booking=torch.tensor(is_booking),
+            is_multiple_choice=torch.tensor(is_choice),
+            is_confirm_answer=torch.tensor(said.act == "confirm_answer"),
+            is_end=torch.tensor(said.act in ("thanks", "closing")),
+            offered=None,
+        )
+
+
+def make_users(study: Study) -> Callable[[int, int], SimulatedUser]:
+    """Returns what makes a user of a study from the number of its goal, from 1, and a seed."""
+    spelling = Spelling(study.domain)
+    simulator = Simulator(tensorize(spelling.domain))
+    speak = Generator(study.domain)
+    return lambda goal, seed: SimulatedUser(simulator, speak, goal, seed, spelling.of)

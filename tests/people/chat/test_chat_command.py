@@ -1,0 +1,152 @@
+"""``bbq chat``: sessions of typed lines from beginning to end."""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+
+import pytest
+from acts import Acts
+from rich.console import Console
+
+from bbq_torchrl.domains import Goal
+from bbq_torchrl.people.chat import Partner, __main__
+from bbq_torchrl.people.chat.terminal import Chat
+from bbq_torchrl.people.dialogue.judge import Judge, choose_goal
+from bbq_torchrl.people.language import Understander
+
+
+def play(partner, goal, lines):
+    """Returns whether it was a success, and what was on the screen."""
+    screen = io.StringIO()
+    todo = iter([*lines, None])
+    chat = Chat(partner, goal, Console(file=screen, width=100), names={"city": "city"})
+    return chat.run(lambda: next(todo)), screen.getvalue()
+
+
+def test_goals_that_are_drawn_can_be_met(movie):
+    judge = Judge(movie)
+    assert all(judge.is_attainable(choose_goal(movie, None, seed)) for seed in range(50))
+
+
+def test_a_goal_that_is_met_is_a_success(partner, decided):
+    domain = partner.agent.domain
+    record = next(r for r in domain.records if {"moviename", "city", "theater"} <= set(r))
+    goal = Goal({"moviename": record["moviename"], "city": record["city"]}, ("theater",))
+    decided(partner.agent, "inform(theater)", "inform(taskcomplete)", "thanks")
+    wishes = f"moviename={record['moviename']}, city={record['city']}"
+    success, shown = play(
+        partner, goal, [f"request(theater) inform({wishes})", "request(ticket)", "thanks"]
+    )
+    assert success is True
+    assert "find out: theater" in shown
+    assert "Success: you have got what your goal card says." in shown
+
+
+def test_a_goal_that_is_not_met_says_why_and_commands_work_after_the_end(partner):
+    goal = choose_goal(partner.agent.domain, 1, 0)
+    lines = ["closing", "", "/acts now", "/goal", "more", "/help", "/quit", "/goal"]
+    success, shown = play(partner, goal, lines)
+    assert "You ended the conversation." in shown
+    assert "The agent took no action: you ended the conversation." in shown
+    assert shown.count("The conversation is over: /acts") == 1
+    assert success is False
+    assert "Failure: no booking was offered" in shown
+    assert shown.count("understood: closing") == 1
+    assert shown.count("Your goal is a booking:") == 2
+    assert shown.count("these commands") == 1
+
+
+def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, decided):
+    decided(partner.agent, *["request(city)"] * 3)
+    lines = ["/acts", "inform(moviename=barbie)", "/acts", "/why", "/goal", "/help", "/nope"]
+    lines += ["two for godzilla", "/acts", "the first", "/acts", "/quit"]
+    success, shown = play(partner, None, lines)
+    assert success is None
+    for text in (
+        "Nothing was said yet.",
+        "understood: inform(moviename=barbie) (confidence 0.99",
+        "P(best)",
+        "entropy of the best action",
+        "request(city) rather than",
+        "There is no goal",
+        "A command must be one of /acts, /why, /goal, /help, /quit, got '/nope'.",
+        "unclear: godzilla as moviename, one of godzilla minus one, godzilla x kong",
+        "The agent took no action",
+        "with what was said before: inform(numberofpeople=2, moviename=godzilla minus one)",
+        "No booking was offered.",
+    ):
+        assert text in shown
+    assert re.search("agent: .*Godzilla Minus One.*Godzilla X Kong", shown)
+
+
+def test_an_agent_without_a_posterior_shows_values_alone(agents, mouth, decided):
+    partner = Partner(agents["dqn"], Acts(), mouth)
+    decided(partner.agent, *["request(city)"] * 2)
+    _, shown = play(partner, None, ["inform(moviename=barbie)", "/acts", "/why"])
+    assert "This agent has no posterior" in shown
+    assert "P(best)" not in shown
+
+
+UNREADABLE = ["", "x" * 1_000_000, "\x00\x07"]
+HOSTILE = [
+    "\ud800\udfff",
+    "[bold]markup[/bold] [/] :smile:",
+    "'; DROP TABLE users; -- {moviename} $moviename$ =cmd()",
+    "9" * 400,
+    "-3 people at 25:99 on february 30 in seattle and reno",
+    "\u202e\u2066two tickets",
+    "Which movie would you like to see?",
+    "goodbye",
+]
+
+
+@pytest.fixture(scope="module")
+def understander(movie, tmp_path_factory):
+    """A file of an understander that has learned from few sentences."""
+    file = tmp_path_factory.mktemp("language") / "few.npz"
+    Understander.train(movie, sentences=300).save(file)
+    return file
+
+
+def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypatch, capsys):
+    # Who has learned little asks again at times, but not for ever.
+    told = ["two tickets for barbie in seattle please", "/acts", "/why"] * 3
+    lines = [*UNREADABLE, *told, *HOSTILE]
+    raw = "\n".join(lines).encode("utf-8", "surrogatepass")
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(raw), encoding="utf-8"))
+    command = [str(runs / "bbqn"), "--plain", "--goal", "1", "--understander", str(understander)]
+    assert __main__.main(command) == 0
+    shown = capsys.readouterr().out
+    assert "moviename=barbie" in shown
+    assert "a message may have 1,000 characters, this one has 1,000,000: please shorten it" in shown
+    assert "Failure: " in shown
+    assert "P(best)" in shown
+    assert "you: two tickets for barbie in seattle please\n" in shown
+    assert len(shown) < 20_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["shipped:nobody"], "shipped:<name> must name one of bbqn_map"),
+        (["nowhere"], "nowhere is not a run folder: there is no such folder"),
+        (["RUN", "--goal", "0"], "--goal must be between 1 and 200, got 0"),
+        (["RUN", "--nlu", "endpoint"], "--nlu endpoint and --nlg endpoint need --url and --model"),
+        (
+            ["RUN", "--control", "yes"],
+            "--control must be all, none, or some of yes_ends,",
+        ),
+        (["RUN", "--understander", "gone.npz"], "gone.npz"),
+        (["RUN", "--understander", "a", "--labeled", "b"], "must not be with --understander"),
+        (["RUN", "--config-dir", "gone"], "--config-dir must be a folder, got "),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(runs, capsys, monkeypatch, arguments, message):
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    given = [str(runs / "dqn") if item == "RUN" else item for item in arguments]
+    assert __main__.main([*given, "--plain"]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

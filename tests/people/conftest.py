@@ -1,0 +1,64 @@
+"""Tiny trained runs, and partners to talk with."""
+
+from __future__ import annotations
+
+import pytest
+from acts import Acts
+from tiny import TINY, without_drawing
+
+from bbq_torchrl.people.chat import Partner, TrainedAgent
+from bbq_torchrl.people.dialogue.spelling import Spelling
+from bbq_torchrl.people.language import Generator
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
+
+SHRUNKEN = (*TINY, "protocol.rounds=1", "protocol.eval_every=0", "spike.policy=random")
+
+
+def trained(folder, *more):
+    folder.mkdir()
+    with without_drawing():
+        run(compose([*SHRUNKEN, *more]), folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def runs(tmp_path_factory):
+    """One folder of runs: BBQN (two replicas), DQN and, before the extension, bootstrapped DQN."""
+    folder = tmp_path_factory.mktemp("runs")
+    trained(folder / "bbqn", "replicas=2")
+    trained(folder / "dqn", "agent=dqn")
+    trained(folder / "bootstrap", "agent=bootstrap", "env=domain_ext")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def agents(runs):
+    names = ("bbqn", "dqn", "bootstrap")
+    return {name: TrainedAgent(runs / name) for name in names}
+
+
+@pytest.fixture(scope="session")
+def mouth(movie):
+    return Generator(movie)
+
+
+@pytest.fixture(scope="session")
+def spelling(movie):
+    return Spelling(movie)
+
+
+@pytest.fixture
+def partner(agents, mouth, spelling):
+    return Partner(agents["bbqn"], Acts(), mouth, spelling, rules=())
+
+
+@pytest.fixture
+def decided(monkeypatch):
+    """Makes an agent take given actions, first to last, whatever it sees."""
+
+    def decide(agent, *actions):
+        todo = [agent.domain.action_index(action) for action in actions]
+        monkeypatch.setattr(agent, "decide", lambda observation, seed, allowed=None: todo.pop(0))
+
+    return decide

@@ -1,0 +1,75 @@
+"""One value in several spellings: heard, looked up, offered and judged as one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+from chat.test_chat_command import play
+from study.test_users import Letters
+
+from bbq_torchrl.domains import Goal, build_vocabulary
+from bbq_torchrl.people.language import Frame
+from bbq_torchrl.people.language.lexicon import Lexicon
+from bbq_torchrl.people.study import users
+
+
+def test_spellings_are_one_where_their_keys_are(movie, spelling):
+    lexicon = Lexicon(movie)
+    merged = 0
+    for slot, values in zip(movie.slots, build_vocabulary(movie), strict=True):
+        own = {value: spelling.of({slot: value})[slot] for value in values}
+        assert all(own[one] == one for one in own.values())
+        if slot in lexicon.slots:
+            assert all(lexicon.key(slot, one) == lexicon.key(slot, v) for v, one in own.items())
+            keys = {lexicon.key(slot, value) for value in values}
+            assert len(set(own.values())) == len(keys)
+            merged += len(values) - len(keys)
+        else:
+            assert list(own) == list(own.values())
+    assert merged > 0
+    same = replace(spelling.domain, records=movie.records, goals=movie.goals)
+    assert same == movie
+    assert spelling.domain.folder == movie.folder
+
+
+@pytest.mark.parametrize(
+    ("slot", "one", "other"),
+    [
+        ("starttime", "2:15 pm", "2:15pm"),
+        ("numberofpeople", "2", "two"),
+        ("city", "los angeles", "la"),
+    ],
+)
+@pytest.mark.parametrize("typed", ["one", "other"])
+def test_a_wish_in_either_spelling_is_looked_up_offered_and_judged(
+    partner, decided, spelling, slot, one, other, typed
+):
+    record = next(
+        record
+        for record in spelling.domain.records
+        if {"moviename", "theater"} <= set(record)
+        and (record.get(slot) == one or slot in spelling.domain.free_slots)
+    )
+    goal = Goal({"moviename": record["moviename"], slot: one}, ("theater",))
+    decided(partner.agent, "inform(theater)", "inform(taskcomplete)", "thanks")
+    wishes = f"moviename={record['moviename']}, {slot}={one if typed == 'one' else other}"
+    lines = [f"request(theater) inform({wishes})", "request(ticket)", "thanks"]
+    success, shown = play(partner, goal, lines)
+    assert success is True, shown
+
+
+def test_a_simulated_user_takes_an_offer_in_another_spelling(movie, spelling, monkeypatch):
+    monkeypatch.setattr(users, "Generator", lambda _: Letters())
+    make_user = users.make_users(SimpleNamespace(domain=movie))
+    pairs = enumerate(zip(movie.goals, spelling.domain.goals, strict=True), start=1)
+    differ = [(number, raw, own) for number, (raw, own) in pairs if raw != own]
+    assert len(differ) >= 5
+    for number, raw, own in differ[:5]:
+        wrong = dict.fromkeys(own.constraints, "another")
+        for offered in (raw.constraints, own.constraints, wrong):
+            user = make_user(number, 0)
+            user.say(None)
+            told = Frame("inform", {**offered, movie.complete_slot: "ticket available"})
+            assert (Frame.parse(user.say(told)).act == "deny") == (offered is wrong)

@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import random
+import re
+from dataclasses import replace
+
+import pytest
+
+from bbq_torchrl.domains import Goal, movie_domain
+from bbq_torchrl.people.language import (
+    ANY,
+    Frame,
+    Generator,
+    PhrasesError,
+    Unclear,
+    Understood,
+    load_phrases,
+)
+from bbq_torchrl.people.language.compose import Composer
+from bbq_torchrl.people.language.corpus import make_examples
+from bbq_torchrl.people.language.lexicon import Lexicon
+from bbq_torchrl.people.language.simulated import play
+from bbq_torchrl.people.language.templates import Piece, expand, is_possible, parse, plain
+
+SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskcomplete|mc_list")
+
+
+@pytest.fixture(scope="module")
+def speak():
+    return Generator(movie_domain())
+
+
+def _check(dialogues, kept, speak, variants, every=1):
+    """Speaks one turn of every act with other slots, of either side."""
+    turns = play(movie_domain(), dialogues, kept=kept)
+    acts = {
+        tuple((f.act, *f.informs, *f.requests) if f else () for f in turn): turn for turn in turns
+    }
+    for agent, user in list(acts.values())[::every]:
+        said = {speak.user(user, agent, session=session) for session in range(variants)}
+        assert len(said) >= 8, (user, said)
+        if agent is not None:
+            told = {speak.agent(agent, user.informs, session=n) for n in range(variants)}
+            assert len(told) >= 4, (agent, told)
+            said |= told
+        for sentence in said:
+            assert sentence.strip(" .?!"), user
+            assert not SPOILT.search(sentence), sentence
+
+
+def test_what_is_said_in_dialogues_has_enough_sentences_without_placeholders(speak):
+    _check(20, 100, speak, 40, every=26)
+
+
+@pytest.mark.slow
+def test_every_act_of_ten_thousand_dialogues_has_a_sentence(speak):
+    _check(10_000, 500, speak, 60)
+
+
+def test_equal_sessions_say_equal_things_and_others_differ(speak):
+    frame = Frame("request", {"city": "reno"}, ("theater",))
+    first = [speak.user(frame, session=s, turn=t) for s in range(5) for t in (0, 2)]
+    assert first == [speak.user(frame, session=s, turn=t) for s in range(5) for t in (0, 2)]
+    assert len(set(first)) > 5
+
+
+def test_a_value_is_said_word_for_word(speak):
+    for session in range(20):
+        text = speak.user(Frame("inform", {"theater": "amc san jose 10"}), session=session)
+        assert "amc san jose 10" in text.lower()
+
+
+@pytest.mark.parametrize(("slot", "value"), [("starttime", "after 10pm"), ("date", "tomorrow")])
+def test_a_value_with_its_own_preposition_is_given_no_other(speak, slot, value):
+    said = {speak.agent(Frame("inform", {slot: value}), session=n) for n in range(50)}
+    assert all(re.search(f"(?<!at )(?<!on ){value}", text) for text in said)
+    assert len(said) >= 4
+
+
+def test_no_match_names_the_wishes_that_clash():
+    movie = movie_domain()
+    here = {"moviename": "wonka", "theater": "the roxy", "city": "reno"}
+    there = {"moviename": "wonka", "theater": "the odeon", "city": "boise"}
+    speak = Generator(replace(movie, records=(here, there)))
+    wishes = here | {"city": "boise"}
+    assert set(speak.conflict(wishes)) == {"theater", "city"}
+    text = speak.agent(Frame("inform", {"starttime": "no match"}), wishes).lower()
+    assert [name in text for name in ("the roxy", "boise", "wonka")] == [True, True, False]
+    assert speak.conflict(here | {"numberofpeople": "9", "state": ANY}) == ()
+
+
+def test_a_domain_without_phrases_speaks_by_generic_ones(restaurant):
+    speak = Generator(restaurant)
+    assert "party size" in speak.agent(Frame("request", {}, ("party_size",)))
+    for slot in ("cuisine", "area"):
+        value = next(record[slot] for record in restaurant.records if slot in record)
+        said = {speak.user(Frame("inform", {slot: value}), session=s) for s in range(20)}
+        assert len(said) >= 8
+        assert all(value.lower() in text.lower() for text in said)
+
+
+def test_a_slot_that_is_called_as_a_rule_is_not_taken_for_it():
+    values = {"name": [Piece("Nando's", "name")], "<name>": [Piece("restaurant")]}
+    said = expand(parse("the <name> is {}", "name"), values, {}, random.Random(0))
+    assert plain(said) == "the restaurant is Nando's"
+    assert not is_possible(parse("the <name>"), {"name": [Piece("Nando's")]}, {})
+
+
+def test_an_act_without_phrases_of_its_own_is_said_by_those_that_inform(speak):
+    assert speak.agent(Frame("apologize")) != ""
+
+
+def test_no_sentence_of_the_grammar_tells_what_it_asks_for(lexicon):
+    for example in make_examples(lexicon, 500, seed=0):
+        assert set(example.frame.requests).isdisjoint(example.frame.informs), example
+
+
+@pytest.mark.parametrize("n_slots", [1, 2])
+def test_a_domain_of_few_slots_has_sentences(restaurant, n_slots):
+    few = ("cuisine", "area")[:n_slots]
+    slots = (*few, "table", "booking")
+    domain = replace(
+        restaurant,
+        slots=slots,
+        actions=tuple(a for a in restaurant.actions if a.slot is None or a.slot in slots),
+        essential=slots,
+        extension_order=(),
+        free_slots=("table", "booking"),
+        policies={},
+        records=({"cuisine": "thai"}, {"cuisine": "french"}),
+        goals=(Goal({"cuisine": "thai"}),),
+        error_values=dict.fromkeys(few, ("thai", "north")),
+    )
+    assert len(make_examples(Lexicon(domain), 1_000, seed=0)) == 1_000
+
+
+def test_generic_phrases_ask_several_things_at_once():
+    frame, asked = Frame("request", {}, ("city", "price")), set()
+    composer = Composer(Lexicon(replace(movie_domain(), folder=None)))
+    for seed in range(60):
+        said = plain(
+            composer.compose(frame, None, random.Random(seed), lambda slot, value, _: value)
+        )
+        assert "city" in said, said
+        assert "price" in said, said
+        asked.add(said)
+    assert len(asked) > 40
+
+
+def test_what_was_without_a_match_is_corrected_by_that(speak):
+    agent, user = Frame("inform", {"date": "no match"}), Frame("inform", {"date": "friday"})
+    said = {speak.user(user, agent, session=session).lower() for session in range(200)}
+    assert not any("no match" in sentence for sentence in said)
+    assert any("not that" in sentence for sentence in said)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("slots: {moviname: {}}", "unknown key 'moviname'"),
+        ('slots: {city: {say: ["in {town}"]}}', "unknown slot 'town'"),
+        ('user: {open: ["<wnat> it"]}', "unknown rule 'wnat'"),
+        ('slots: {city: {say: ["in [{}"]}}', "close what it opens"),
+        (
+            'rules: {please: ["<filler> x", "y"], filler: ["<please>"]}',
+            "please -> filler -> please",
+        ),
+        ('rules: {please: ["<please> x", "y"]}', "in a circle, got please -> please"),
+        ("slots: {city: {say: 7}}", "must be a list of texts"),
+        ("slots: {city: {kind: number}}", "must be one of text, time"),
+        ("slots: [a]", "must be a mapping"),
+        ("a: [", "is not valid YAML"),
+        ("slots: {}\nslots: {}", "keys must be given once"),
+        ("\x00", "is not valid YAML"),
+    ],
+)
+def test_phrases_that_do_not_fit_are_refused_by_their_key(tmp_path, content, says):
+    (tmp_path / "language.yaml").write_text(content)
+    with pytest.raises(PhrasesError, match=re.escape(says)):
+        load_phrases(replace(movie_domain(), folder=tmp_path))
+
+
+def test_what_is_unclear_is_asked_about_by_its_words(speak):
+    several = Unclear("moviename", "godzilla", ("godzilla minus one", "godzilla x kong"))
+    text = speak.clarify(Understood(Frame("inform"), 0.9, (several,)))
+    assert "Godzilla Minus One or Godzilla X Kong" in text
+    unknown = Unclear("moviename", "casablanca")
+    assert "casablanca" in speak.clarify(Understood(Frame("inform"), 0.9, (unknown,))).lower()
+    again = {speak.clarify(Understood(Frame("inform"), 0.1), session=s) for s in range(20)}
+    assert len(again) >= 4
+
+
+def test_agents_write_names_as_titles_and_one_in_the_singular(speak):
+    wishes = {"moviename": "dune: part two", "state": "wa", "numberofpeople": "1"}
+    texts = [speak.check(wishes, session=session) for session in range(20)]
+    assert all("Dune: Part Two" in text and "WA" in text for text in texts)
+    assert not any(re.search("1 (people|tickets)", text) for text in texts)
+    assert any(re.search("1 (person|ticket)", text) for text in texts)
+
+
+def test_capitals_are_of_words(tmp_path):
+    (tmp_path / "language.yaml").write_text("slots: {city: {capitals: yes}}\n")
+    with pytest.raises(PhrasesError, match=r"slots\.city\.capitals must be a list of texts"):
+        load_phrases(replace(movie_domain(), folder=tmp_path))

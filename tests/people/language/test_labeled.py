@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.people.language import Frame, Understander, read_lines
+from bbq_torchrl.people.language.cache import cached_understander
+from bbq_torchrl.people.language.labeled import Line, as_examples, varied
+from bbq_torchrl.people.language.measure import VOICES, calibration_error, calibration_floor
+
+DATA = Path(__file__).parents[2] / "data" / "language"
+
+
+def test_the_sentences_that_measure_are_labeled_with_values_of_the_domain(lexicon):
+    for voice in VOICES:
+        lines = read_lines(DATA / f"{voice}.txt", movie_domain())
+        assert len(lines) == 100
+        for _, _, frame in lines:
+            for slot, value in frame.informs.items():
+                assert value == "I do not care" or value in lexicon.values(slot)
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning", "tags"),
+    [
+        (
+            "two for top gun, half past seven",
+            "inform(numberofpeople=2, moviename=top gun: maverick, starttime=7:30 pm)",
+            ["numberofpeople", "-", *["moviename"] * 2, "-", *["starttime"] * 3],
+        ),
+        (  # a name in full, not a part of it
+            "dune part two, late night",
+            "inform(moviename=dune: part two, starttime=late night)",
+            [*["moviename"] * 3, "-", *["starttime"] * 2],
+        ),
+        # of a slot without values
+        ("anything of that series", "inform(movie_series=harry potter)", ["-"] * 4),
+    ],
+)
+def test_own_lines_become_examples_with_the_place_of_each_value(
+    lexicon, tmp_path, text, meaning, tags
+):
+    path = tmp_path / "own.txt"
+    path.write_text(f"# mine\n | {text} | {meaning}\n")
+    (example,) = as_examples(read_lines(path, movie_domain()), lexicon)
+    assert example.tags == tags
+
+
+def test_what_chance_alone_gives_a_calibration_error_is_told():
+    few, many = [0.5] * 50, [0.5] * 5000
+    assert calibration_error(few, [True] * 50) == calibration_error(many, [True] * 5000) == 0.5
+    assert 0.04 < calibration_floor(few) < 0.075  # sqrt(2 / pi) / 2 / sqrt(50) = 0.056
+    assert calibration_floor(many) < 0.008
+
+
+@pytest.mark.parametrize("sentences", [0, -1])
+def test_nothing_is_no_number_of_sentences_to_learn_from(sentences):
+    with pytest.raises(ValueError, match=f"sentences must be at least 1, got {sentences}"):
+        Understander.train(movie_domain(), sentences=sentences)
+
+
+def test_both_files_of_lines_in_a_domains_folder_are_learned(understand, tmp_path):
+    question = Frame("request", {}, ("city",))
+    sentences = {"learned.txt": "flibber flobber", "drilled.txt": "wozzle wizzle"}
+    for name, sentence in sentences.items():
+        (tmp_path / name).write_text(f"request(city) | {sentence} | closing\n" * 20)
+    taught = Understander.train(replace(movie_domain(), folder=tmp_path), sentences=40)
+    for sentence in sentences.values():
+        assert understand(sentence, question).frame.act != "closing"
+        assert taught(sentence, question).frame == Frame("closing")
+
+
+def test_a_line_is_learned_with_other_values_as_well(lexicon):
+    meant = Frame.parse("request(ticket) inform(moviename=wonka, city=reno, date=tonight)")
+    examples = as_examples([Line(None, "is wonka on in reno tonight", meant)], lexicon)
+    found = varied(examples, lexicon, lambda slot, value, rng: value, copies=20, seed=0)
+    assert found[0] == examples[0]
+    cities = set()
+    for example in found:
+        tagged = list(zip(example.words, example.tags, strict=True))
+        assert [word for word, tag in tagged if tag == "-"] == ["is", "on", "in"]
+        city = " ".join(word for word, tag in tagged if tag == "city")
+        assert lexicon.link("city", city).score == 1.0
+        cities.add(city)
+    assert len(cities) > 10
+
+
+def test_own_lines_that_are_not_there_are_missed_though_an_understander_is_kept(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(Understander, "load", lambda path, domain: "kept")
+    assert cached_understander(movie_domain()) == "kept"
+    with pytest.raises(FileNotFoundError, match=r"gone\.txt"):
+        cached_understander(movie_domain(), tmp_path / "gone.txt")
+
+
+def test_without_a_home_folder_an_understander_is_trained_and_not_kept(tmp_path, monkeypatch):
+    def unknown(_):
+        raise KeyError("getpwuid(): uid not found: 12345")
+
+    trained = Understander.train(movie_domain(), sentences=50)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HOME")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    monkeypatch.setattr(Understander, "train", lambda *_, **__: trained)
+    for _ in range(2):
+        assert cached_understander(movie_domain()) is trained
+    assert not list(tmp_path.iterdir())
+
+
+def test_lines_that_cannot_be_read_are_all_named(tmp_path):
+    path = tmp_path / "own.txt"
+    path.write_text("hello\n | hi | greets\n | hi | inform(town=reno)\n |  | greeting\n")
+    with pytest.raises(ValueError, match="4 faults") as caught:
+        read_lines(path, movie_domain())
+    text = str(caught.value)
+    assert "line 1 must be written" in text
+    assert "line 2: the act must be one of" in text
+    assert "line 3: a slot must be one of" in text
+    assert "line 4: a sentence must have" in text
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["thanks", "inform(city=reno) request(date)", "thanks request(theater, date)",
+     "inform(moviename=mission: impossible - dead reckoning, city=st louis)",
+     "multiple_choice(date=saturday, date=sunday)"],
+)  # fmt: skip
+def test_a_frame_is_written_as_it_is_read(text):
+    assert str(Frame.parse(text, movie_domain())) == text
+
+
+@pytest.mark.parametrize("text", ["", "(", "inform(city)", "request(city=reno)", "inform(a=1", "!"])
+def test_a_frame_that_is_written_otherwise_is_refused(text):
+    with pytest.raises(ValueError, match="a frame"):
+        Frame.parse(text)

@@ -1,0 +1,230 @@
+"""Reports and exported data, also of studies in which nothing or always the same happens."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import forked
+import pytest
+
+from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.people.study.__main__ import main
+from bbq_torchrl.people.study.comparisons import compare_pairs
+from bbq_torchrl.people.study.export import defused, without_names
+from bbq_torchrl.people.study.records import SCALES
+from bbq_torchrl.people.study.report import report_text, write_report
+from bbq_torchrl.people.study.results import read_results
+from bbq_torchrl.people.study.statistics import mean
+from bbq_torchrl.people.study.store import Store
+
+from .fakes import FakeTalker, prints
+
+WON, LOST = (), ("wishes", "no ticket")
+
+
+@pytest.fixture
+def fill(study, clock):
+    """Makes a study of people, given what each thinks of the first and the second agent."""
+
+    def make(people, *, terms=study.terms, text="two tickets", pause=10.0, **settings):
+        talker = FakeTalker(study.domain)
+        terms = replace(terms, participants=max(1, len(people)))
+        store = Store(study.data, terms, prints(study), clock=clock, **settings)
+        for number, ratings in enumerate(people):
+            for session in store.sessions(store.enroll(f"nonce-{number:020d}")):
+                rating = ratings[list(terms.agents).index(session.agent)]
+                for turn in range(1, 4):
+                    clock.now += pause
+                    reply = talker.reply(session.agent, None, text, 0)
+                    store.add_exchange(session, turn, f"nonce-{turn:020d}", text, reply, None)
+                store.end(session, "person", WON if rating > 3 else LOST)
+                clock.now += pause
+                scales = dict.fromkeys(SCALES, rating)
+                store.rate(session, "nonce", scales, rating > 2)
+        store.close()
+        return read_results(study.data)
+
+    return make
+
+
+def test_every_number_of_a_small_study(fill):
+    results = fill([(5, 1), (4, 2), (5, 3), (2, 3), (4, 5)])
+    text = report_text(results)
+    assert "5 people enrolled of 5 wanted; 10 sessions ended, 10 of them rated" in text
+    [pair] = compare_pairs(results)
+    assert pair.success.people == 5
+    assert pair.success.mean.value == pytest.approx(0.6)  # 4 of 5 against 1 of 5
+    # Three people differ, all in one direction: 2 / 2³.
+    assert pair.success.p == pair.success.holm == 0.25
+    assert pair.rating.mean.value == pytest.approx((4 + 2 + 2 - 1 - 1) / 5)
+    assert pair.rating.p == pair.rating.holm == 0.375  # 12 of 2⁵ ways
+    assert "| secret-bbqn | 5 | 0.80 [0.38, 0.96] |" in text
+    assert "| secret-bbqn | 0 | 1 | 0 | 2 | 2 |" in text
+    assert "| secret-dqn | 4 | 4 |" in text  # the reasons
+    assert "**0.250**" in text
+    assert "Nobody is conspicuous." in text
+    assert "simulated" not in text
+
+
+def test_peoples_names_tell_nothing_of_who_came_when(fill):
+    results = fill([(5, 1)] * 8, secret="of this test")
+    names = list(dict.fromkeys(session.person for session in results.sessions))
+    assert names != sorted(names) == [f"P{number}" for number in range(1, 9)]
+
+
+def test_a_warning_is_told_from_what_comes_with_length(fill):
+    results = fill([(5, 1), (4, 2), (1, 5), (2, 5)])
+
+    def in_doubt(session):
+        """What fails goes on for an answer in doubt; at first it looks like the others."""
+        last = session.exchanges[-1]
+        more = replace(last, beliefs={**last.beliefs, "entropy": 2.0})
+        return replace(session, exchanges=(*session.exchanges, more))
+
+    sessions = [item if item.success else in_doubt(item) for item in results.sessions]
+    text = report_text(replace(results, sessions=sessions))
+    assert "| entropy of the first 3 answers | length |" in text
+    one, half = "1.00 [0.39, 1.00]", "0.50 [0.11, 0.89]"  # of four sessions
+    for agent in results.terms.agents:
+        assert f"| {agent} | 4 | {one} | {half} | {one} |" in text
+
+
+@pytest.mark.parametrize("people", [[(5, 1)] * 3, [(5, 5), (5, 1), (4, 5)], [(1, 5), (5, 4)]])
+def test_no_interval_leaves_its_scale_or_claims_certainty(fill, people):
+    results = fill(people)
+    [pair] = compare_pairs(results)
+    found = [(pair.success.mean, -1, 1), (pair.rating.mean, -4, 4)]
+    for agent in results.terms.agents:
+        found.append((mean(results.ratings(agent).values(), (1, 5)), 1, 5))
+        assert str(found[-1][0]) in report_text(results)
+    for interval, least, most in found:
+        assert least <= interval.low < interval.high <= most
+        assert interval.low <= interval.value <= interval.high
+
+
+def test_flagged_people_are_shown_and_counted(fill):
+    results = fill([(5, 1), (4, 4), (3, 3)], pause=1.0)
+    text = report_text(results)
+    assert len(results.flags()) == 3
+    assert "too fast" in text
+    assert "always the same rating" in text
+    assert "Without the 3 people who are flagged below" in text
+    assert [pair.success.people for pair in compare_pairs(results)] == [3]
+
+
+def test_a_report_of_no_session_says_so(fill, tmp_path):
+    write_report(tmp_path / "out", fill([]))
+    assert "No session has ended yet" in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_a_report_of_one_agent_tests_nothing(fill, study):
+    terms = replace(study.terms, agents={"secret-dqn": "x"}, pairs=(), sessions=1)
+    assert "No pair was declared" in report_text(fill([(5,), (3,)], terms=terms))
+
+
+@pytest.mark.parametrize("rating", [1, 5])
+def test_a_report_in_which_all_are_equal_has_no_difference(fill, rating):
+    results = fill([(rating, rating)] * 3)
+    assert "κ is undefined" in report_text(results)
+    [pair] = compare_pairs(results)
+    assert {pair.success.p, pair.rating.p, *pair[-3:]} == {1.0}
+
+
+def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
+    write_report(tmp_path, fill([(5, 1), (4, 3)], text="=cmd() my name is Ann"))
+    for figure in ("success.png", "ratings.png"):
+        assert (tmp_path / figure).read_bytes().startswith(b"\x89PNG")
+    for file in ("exchanges.csv", "sessions.csv"):  # Excel reads é by this mark
+        assert (tmp_path / file).read_bytes().startswith("\ufeffsession,".encode())
+    with (tmp_path / "exchanges.csv").open(newline="", encoding="utf-8-sig") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 2 * 3
+    assert {row["text"] for row in rows} == {"'=cmd() my name is [name]"}
+    assert [row["seconds"] for row in rows[:3]] == ["0.0", "10.0", "20.0"]
+    lines = [json.loads(line) for line in (tmp_path / "sessions.jsonl").read_text().splitlines()]
+    assert {line["person"] for line in lines} == {"P1", "P2"}
+    assert lines[0]["exchanges"][0]["text"] == "=cmd() my name is [name]"
+    assert lines[0]["exchanges"][0]["beliefs"]["entropy"] == 0.5625
+    assert "state" not in lines[0]["exchanges"][0]
+    with (tmp_path / "sessions.csv").open(newline="", encoding="utf-8-sig") as file:
+        rows = list(csv.DictReader(file))
+    assert {(row["overall"], row["success"], row["own_verdict"]) for row in rows} == {
+        *(("5", "1", "1"), ("1", "0", "0"), ("4", "1", "1"), ("3", "0", "1"))
+    }
+    assert {(row["exchanges"], row["entropy"], row["simulated"]) for row in rows} == {
+        ("3", "0.5625", "0")
+    }
+
+
+def test_what_the_agent_repeats_of_a_name_is_replaced_too(fill, tmp_path):
+    results = fill([(5, 1)])
+    first = results.sessions[0]
+    said = replace(first.exchanges[0], said=Frame("inform", {"city": "my name is Ann"}))
+    write_report(tmp_path, replace(results, sessions=[replace(first, exchanges=[said])]))
+    for file in ("exchanges.csv", "sessions.jsonl"):
+        text = (tmp_path / file).read_text()
+        assert "my name is [name]" in text
+        assert "Ann" not in text
+
+
+def test_what_a_spreadsheet_would_run_is_defused_and_nothing_else():
+    for text in ("=1+1", "+1", "-1", "@a", " =cmd()", "\t=x", "\r-x"):
+        assert defused(text) == f"'{text}"
+    for cell in ("two", "a=b", "", -3, 0.5):
+        assert defused(cell) == cell
+
+
+@pytest.mark.parametrize(
+    ("text", "kept"),
+    [
+        ("My name is Ann Lee and I want 2", "My name is [name] and I want 2"),
+        ("call me Bob, please", "call me [name], please"),
+        ("write to ann.lee+x@mail.example.org", "write to [address]"),
+        ("call +1 (555) 123-4567 at 7", "call [number] at 7"),
+        ("2 tickets on the 9th at 7:30 in 98101", "2 tickets on the 9th at 7:30 in 98101"),
+    ],
+)
+def test_names_that_are_given_as_such_are_replaced(text, kept):
+    assert without_names(text) == kept
+
+
+def test_the_power_command_prints_both_tests(capsys):
+    assert main(["power", "0.9", "0.1", "20", "--simulations", "100"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("1.000")
+    assert len(lines) == 3
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        ("report nowhere.yaml", "error: nowhere.sqlite: there is no such file"),
+        ("serve nowhere.yaml --talker no.such:thing", "error: --talker: it must be module:"),
+        ("serve nowhere.yaml --talker json:dumps", "error: nowhere.yaml: No such file"),
+        ("power 1.5 0.4 66", "must be a number between 0.001 and 0.999, got '1.5'"),
+        ("power 0.6 0.4 0", "must be a whole number between 1 and 100000, got '0'"),
+        ("serve a --talker b:c --port x", "must be a whole number between 1 and 65535, got 'x'"),
+    ],
+)
+def test_a_command_that_cannot_be_done_is_told_in_a_sentence(
+    tmp_path, monkeypatch, capsys, command, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main(command.split())
+    except SystemExit as ended:
+        code = ended.code
+    error = capsys.readouterr().err
+    assert code == 2
+    assert sentence in error.splitlines()[-1]
+    assert error.startswith("usage: ") or error.count("\n") == 1
+
+
+def test_report_and_power_need_neither_torch_nor_the_extra(tmp_path):
+    program = (
+        "import sys; from bbq_torchrl.people.study import power, report, results; "
+        "sys.exit(bool({'torch', 'starlette', 'jinja2', 'uvicorn'} & set(sys.modules)))"
+    )
+    forked.python("-c", program, cwd=tmp_path)

@@ -1,0 +1,180 @@
+"""Requests that no browser of an honest person sends."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+FORM = {"content-type": "application/x-www-form-urlencoded"}
+
+
+def talk(site):
+    link = site.enroll()
+    return link, site.form(link, text="city=philly")
+
+
+def test_wrong_guessed_and_other_links_get_the_same_page(site):
+    token = site.enroll().removeprefix("/p/")
+    other = site.researcher.removeprefix("/r/")
+    pages = [
+        site.client.get(path)
+        for path in (
+            f"/p/{token[:-1]}{'A' if token[-1] != 'A' else 'B'}",
+            "/p/1",
+            f"/p/{'x' * 5_000}",
+            f"/p/{other}",
+            f"/r/{token}",
+            f"/join/{token}",
+            "/p/%00",
+            "/p/%ff%fe",
+            "/",
+            "/nothing",
+            "/static/../study.sqlite",
+            "/static/nothing",
+        )
+    ]
+    assert {page.status_code for page in pages} == {404}
+    assert len({page.text for page in pages}) == 1
+    assert len({tuple(sorted(page.headers)) for page in pages}) == 1
+
+
+def test_another_persons_link_reaches_only_their_own_sessions(site):
+    link, form = talk(site)
+    stranger = site.enroll()
+    site.client.post(f"{stranger}/say", data=form)
+    assert site.store.exchanges(site.session(link).id) == []
+
+
+@pytest.mark.parametrize("step", ["say", "end", "rate"])
+def test_a_form_of_no_session_of_theirs_or_without_a_nonce_is_refused(site, step):
+    link, form = talk(site)
+    wrong = [{"session": session} for session in ("0", "2", "99", "-1", "one", "")]
+    wrong += [{"nonce": nonce} for nonce in ("", "short", "x" * 41, "ä" * 22)]
+    for changed in wrong:
+        page = site.client.post(f"{link}/{step}", data={**form, **changed})
+        assert page.status_code == 400
+        assert ("incomplete" in page.text) == ("nonce" in changed)
+    assert site.talker.calls == 0
+
+
+def test_an_unknown_step_is_no_page(site):
+    link, form = talk(site)
+    assert site.client.post(f"{link}/delete", data=form).status_code == 404
+    assert site.client.put(link, data=form).status_code == 405
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"),
+    [
+        ({"headers": {**FORM, "origin": "http://evil.example"}}, 403),
+        ({"headers": {**FORM, "origin": "null"}}, 403),
+        ({"headers": {**FORM, "origin": "https://testserver.evil"}}, 403),
+        ({"headers": {**FORM, "origin": "["}}, 403),
+        ({"headers": {**FORM, "origin": ""}}, 403),
+        ({"content": b"text=" + b"x" * 10_000_000, "headers": FORM}, 413),
+        ({"json": {"text": "x"}}, 415),
+        ({"files": {"text": b"x"}}, 415),
+    ],
+    ids=["evil", "null", "suffix", "bracket", "blank", "ten megabytes", "JSON", "multipart"],
+)
+def test_what_is_no_form_of_ours_is_refused_before_it_is_parsed(site, monkeypatch, sent, status):
+    link = site.enroll()
+    monkeypatch.setattr("bbq_torchrl.people.study.guard.parse_qsl", None)
+    page = site.client.post(f"{link}/say", **sent)
+    assert page.status_code == status
+    assert ("16,384 bytes" in page.text) == (status == 413)
+
+
+def test_the_longest_text_in_the_widest_letters_fits_and_the_own_origin_is_served(site):
+    link, form = talk(site)
+    own = {"origin": "http://testserver"}
+    page = site.client.post(f"{link}/say", data={**form, "text": "🎬" * 1_000}, headers=own)
+    assert page.status_code == 200
+
+
+def answers(site, link, receive):
+    """What the application sends to a form that comes as ``receive`` says."""
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": f"{link}/say",
+        "headers": [(name.encode(), value.encode()) for name, value in FORM.items()],
+        "query_string": b"",
+    }
+    asyncio.run(asyncio.wait_for(site.client.app(scope, receive, send), 5))
+    return sent
+
+
+def test_a_slow_body_is_cut_off(site, monkeypatch):
+    monkeypatch.setattr("bbq_torchrl.people.study.guard.BODY_SECONDS", 0.05)
+
+    async def receive():
+        await asyncio.sleep(0.02)
+        return {"type": "http.request", "body": b"x", "more_body": True}
+
+    assert answers(site, site.enroll(), receive)[0]["status"] == 408
+
+
+def test_half_a_form_is_none(site):
+    link, form = talk(site)
+    body = "&".join(f"{key}={value}" for key, value in form.items()).encode()
+    messages = iter(
+        [
+            {"type": "http.request", "body": body[:-3], "more_body": True},
+            {"type": "http.disconnect"},
+        ]
+    )
+
+    async def receive():
+        return next(messages)
+
+    assert answers(site, link, receive) == []
+    assert site.talker.calls == 0
+
+
+def test_every_answer_has_the_security_headers_and_nothing_inline_or_of_other_hosts(site):
+    link, form = talk(site)
+    evil = {"origin": "http://evil.example"}
+    answers = [
+        site.client.post(f"{link}/say", data=form, follow_redirects=False),
+        site.client.post(f"{link}/say", data=form, headers=evil),
+        site.client.get("/nothing"),
+        *map(site.client.get, (link, "/static/study.css", site.join)),
+        site.client.get(f"{site.researcher}/{site.session(link).id}"),
+    ]
+    assert [answer.status_code for answer in answers] == [303, 403, 404, 200, 200, 200, 200]
+    for answer in answers:
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'")
+        assert "unsafe" not in policy
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert answer.headers["referrer-policy"] == "same-origin"
+        assert "set-cookie" not in answer.headers
+        for text in ("<style", " style=", "<script>", " onclick", "http://", "https://"):
+            assert text not in answer.text
+
+
+def test_a_hundred_enrollments_at_once_fill_the_places_and_no_more(site):
+    forms = [site.form(site.join, consent="yes") for _ in range(100)]
+    with ThreadPoolExecutor(20) as pool:
+        answers = list(pool.map(lambda form: site.client.post(site.join, data=form), forms))
+    counts = {status: [a.status_code for a in answers].count(status) for status in (200, 409)}
+    assert counts == {200: 5, 409: 95}
+    places = site.store.rows("SELECT place FROM person ORDER BY place")
+    assert places == [(place,) for place in range(5)]
+
+
+def test_a_double_click_is_one_message_and_one_answer(site):
+    link, form = talk(site)
+    site.talker.seconds = 0.05
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda _: site.client.post(f"{link}/say", data=form), range(8)))
+    assert {answer.status_code for answer in answers} == {200}
+    assert site.talker.calls == 1

@@ -1,0 +1,134 @@
+"""Studies with simulated users go the way of studies with people, again and again the same."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from statistics import fmean
+
+import pytest
+
+from bbq_torchrl.people.study.__main__ import main
+from bbq_torchrl.people.study.database import StoreError
+from bbq_torchrl.people.study.export import export
+from bbq_torchrl.people.study.records import SCALES
+from bbq_torchrl.people.study.report import report_text
+from bbq_torchrl.people.study.results import read_results
+from bbq_torchrl.people.study.simulate import RATING_RULE, drawn_ratings, simulate
+from bbq_torchrl.people.study.store import Store
+
+from .conftest import STUDY
+from .fakes import FakeTalker, prints, script
+
+FILES = ("sessions.csv", "exchanges.csv", "sessions.jsonl")
+
+
+class Scripted:
+    """Says what is on its goal card, and is satisfied once it has said all but bye."""
+
+    def __init__(self, domain, goal, seed):
+        lines = script(domain, domain.goals[goal - 1])
+        self._lines = [*lines[: 1 + seed % len(lines)], "bye"]
+        self.satisfied = len(self._lines) > len(lines)
+
+    def say(self, said):
+        return self._lines.pop(0)
+
+
+def make_users(study):
+    """What the command line's --users names."""
+    return lambda goal, seed: Scripted(study.domain, goal, seed)
+
+
+def played(study, folder, talker=None, seed=1):
+    """Returns the files of a report of the study, simulated with data in a folder."""
+    folder.mkdir(exist_ok=True)
+    study = replace(study, path=folder / "study.yaml")
+    simulate(study, talker or FakeTalker(study.domain), make_users(study), seed=seed)
+    results = read_results(study.data)
+    export(folder, results)
+    files = {name: (folder / name).read_text(encoding="utf-8") for name in FILES}
+    return {**files, "report.md": report_text(results)}
+
+
+def test_everybody_takes_part_and_all_is_called_simulated(study, tmp_path):
+    files = played(study, tmp_path)
+    results = read_results(study.data)
+    assert len(results.sessions) == 2 * study.terms.participants
+    for agent in study.terms.agents:
+        assert len(results.successes(agent)) == study.terms.participants
+    assert {session.success for session in results.sessions} == {True, False}
+    assert {session.verdict for session in results.sessions} == {True, False}
+    assert results.open == 0
+    assert not any("too fast" in flag for flags in results.flags().values() for flag in flags)
+    assert files["report.md"].startswith("# Tickets (simulated users)\n")
+    assert RATING_RULE in files["report.md"]
+    for name in ("sessions.csv", "exchanges.csv"):
+        assert {row["simulated"] for row in csv.DictReader(files[name].splitlines())} == {"1"}
+    assert all(json.loads(line)["simulated"] for line in files["sessions.jsonl"].splitlines())
+
+
+@pytest.mark.parametrize("step", ["add_exchange", "rate"])
+def test_a_simulation_that_was_stopped_goes_on_as_if_it_had_not(study, tmp_path, monkeypatch, step):
+    talker = FakeTalker(study.domain)
+    own, calls = getattr(Store, step), iter(range(100))
+
+    def stopped(store, *given):
+        if next(calls) == 5:
+            raise KeyboardInterrupt
+        return own(store, *given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, step, stopped)
+        with pytest.raises(KeyboardInterrupt):
+            played(study, tmp_path / "stopped", talker)
+    files = played(study, tmp_path / "stopped", talker)
+    assert files == played(study, tmp_path / "whole")
+    exchanges = files["exchanges.csv"].count("\n") - 1
+    assert talker.calls == exchanges + (step == "add_exchange")
+
+
+def test_another_seed_is_another_study_and_neither_goes_on_with_the_other_or_with_people(
+    study, tmp_path
+):
+    one = played(study, tmp_path / "one", seed=1)
+    assert played(study, tmp_path / "two", seed=2)["sessions.csv"] != one["sessions.csv"]
+    with pytest.raises(StoreError, match="it was begun with another seed"):
+        played(study, tmp_path / "one", seed=2)
+    Store(study.data, study.terms, prints(study)).close()
+    with pytest.raises(StoreError, match="either people or simulated users, not both"):
+        played(study, tmp_path)
+
+
+def test_ratings_are_drawn_by_the_rule_that_reports_tell():
+    def mean(satisfied, messages):
+        drawn = [drawn_ratings(satisfied, messages, seed) for seed in range(500)]
+        assert {scale for ratings in drawn for scale in ratings} == set(SCALES)
+        assert {rating for ratings in drawn for rating in ratings.values()} <= {1, 2, 3, 4, 5}
+        return fmean(ratings["overall"] for ratings in drawn)
+
+    # Far from the ends the cut takes little.
+    assert mean(False, 5) == pytest.approx(2.0, abs=0.15)
+    assert mean(True, 15) == pytest.approx(3.5, abs=0.15)
+    assert mean(True, 5) > mean(True, 10) > mean(False, 5) > mean(False, 15)
+
+
+def test_the_command_leaves_the_study_to_people(tmp_path, capsys):
+    (tmp_path / "tickets.yaml").write_text(STUDY, encoding="utf-8")
+    command = ["simulate", str(tmp_path / "tickets.yaml"), "--seed", "4"]
+    command += ["--talker", f"{__package__}.fakes:make", "--users", f"{__name__}:make_users"]
+    assert main(command) == 0
+    told = capsys.readouterr().out
+    assert "5 of 5 simulated users" in told
+    assert "10 ended sessions" in told
+    made = {path.name for path in tmp_path.iterdir()} - {"tickets.yaml"}
+    assert all(name.startswith("tickets-simulated") for name in made)
+    report = tmp_path / "tickets-simulated-report" / "report.md"
+    written = report.read_text(encoding="utf-8")
+    report.unlink()
+    assert main(["report", str(tmp_path / "tickets.yaml")]) == 2
+    command = f"its simulation: bbq study report {tmp_path / 'tickets-simulated.yaml'}\n"
+    assert capsys.readouterr().err.endswith(command)
+    assert main(["report", str(tmp_path / "tickets-simulated.yaml")]) == 0
+    assert report.read_text(encoding="utf-8") == written

@@ -1,0 +1,207 @@
+"""Estimates and tests of a study against scipy, closed forms and simulation."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from bbq_torchrl.people.study.power import power
+from bbq_torchrl.people.study.statistics import (
+    auroc,
+    kappa,
+    mann_whitney,
+    mean,
+    proportion,
+    sign_flip,
+    two_by_two,
+)
+from bbq_torchrl.statistics import holm
+
+
+@pytest.mark.parametrize(("won", "count"), [(0, 10), (3, 10), (40, 66), (66, 66)])
+def test_a_proportion_of_single_sessions_has_wilsons_interval(won, count):
+    found = proportion([[True]] * won + [[False]] * (count - won))
+    alike = proportion([[True, False]] * count)  # people who differ less than chance has them
+    assert (alike.low, alike.high) == pytest.approx(
+        stats.binomtest(count, 2 * count).proportion_ci(method="wilson"), abs=1e-12
+    )
+    expected = stats.binomtest(won, count).proportion_ci(method="wilson")
+    assert (found.value, found.count) == (won / count, count)
+    assert found.low <= found.value <= found.high  # a figure draws the distances
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_people_who_always_do_the_same_count_as_one_session_each():
+    sessions = [[True] * 5] * 12 + [[False] * 5] * 8
+    found, single = proportion(sessions), proportion([[row[0]] for row in sessions])
+    assert found.value == single.value
+    assert found.high - found.low == pytest.approx(single.high - single.low, rel=0.05)
+
+
+def test_the_interval_of_a_proportion_holds_the_truth_also_where_people_differ():
+    rng = np.random.default_rng(0)
+    held, studies = 0, 600
+    for _ in range(studies):
+        rates = special.expit(rng.normal(0, 1.5, 30))
+        found = proportion((rng.random((30, 4)) < rates[:, None]).tolist())
+        held += found.low <= 0.5 <= found.high
+    assert held / studies > 0.95 - 4.5 * math.sqrt(0.95 * 0.05 / studies)
+
+
+def test_nothing_has_no_estimate():
+    assert str(proportion([])) == str(mean([[], []], (1, 5))) == "–"
+    assert str(mean([[4.0, 5.0]], (1, 5))) == "4.50"
+
+
+def test_a_mean_has_students_interval_over_people():
+    people = [[1.0, 3.0], [4.0], [5.0, 5.0, 2.0]]
+    found = mean(people, (-10, 10))
+    expected = stats.ttest_1samp([2.0, 4.0, 4.0], 0).confidence_interval()
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+    assert found.count == 6
+
+
+@pytest.mark.parametrize("values", [[1, 0, 1], [1, 1, 1], [0] * 30, [-1, -1, -1, 0]])
+def test_a_mean_at_its_bounds_has_the_interval_of_two_more_people(values):
+    found = mean([[value] for value in values], (-1, 1))
+    more = np.array([*values, -1, 1])
+    low, high = stats.t.interval(0.95, len(values) + 1, more.mean(), stats.sem(more))
+    assert (found.low, found.high) == pytest.approx((max(-1, low), min(1, high)))
+    assert found.low <= found.value <= found.high
+
+
+@pytest.mark.parametrize("people", [4, 10, 30])
+def test_the_interval_of_a_mean_near_its_bound_holds_the_truth(people):
+    rng = np.random.default_rng(0)
+    studies, ratings = 2_000, np.array([5.0, 4.0, 2.0])
+    drawn = rng.choice(ratings, p=[0.8, 0.15, 0.05], size=(studies, people))
+    intervals = [mean(row[:, None].tolist(), (1, 5)) for row in drawn]
+    held = sum(item.low <= 4.7 <= item.high for item in intervals)
+    assert held / studies > 0.95 - 4.5 * math.sqrt(0.95 * 0.05 / studies)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sign_flips_are_scipys_permutations(seed):
+    rng = np.random.default_rng(seed)
+    values = [Fraction(int(v), 6) for v in rng.integers(-6, 9, size=12)]
+    expected = stats.permutation_test(
+        ([float(value) for value in values],),
+        lambda x, axis: np.mean(x, axis=axis),
+        permutation_type="samples",
+        n_resamples=2**13,
+    )
+    assert sign_flip(values) == pytest.approx(expected.pvalue, abs=1e-9)
+
+
+@pytest.mark.parametrize(("up", "down", "same"), [(6, 0, 0), (10, 3, 20), (5, 5, 1), (40, 22, 9)])
+def test_sign_flips_of_ones_are_the_sign_test(up, down, same):
+    values = [Fraction(1)] * up + [Fraction(-1)] * down + [Fraction(0)] * same
+    assert sign_flip(values) == pytest.approx(stats.binomtest(up, up + down).pvalue)
+
+
+def test_without_any_difference_p_is_one():
+    assert sign_flip([]) == sign_flip([Fraction(0)] * 5) == 1.0
+
+
+def test_denominators_with_nothing_in_common_are_drawn():
+    primes = [101, 103, 107, 109, 113, 127, 131, 137, 139, 149, 151, 157]
+    values = [Fraction(prime // 2, prime) for prime in primes]
+    assert sign_flip(values) == pytest.approx(2 / 2**12, abs=2e-4)
+
+
+def test_holm_steps_down():
+    assert holm([0.04, 0.01, 0.9]) == pytest.approx([0.08, 0.03, 0.9])
+    assert holm([0.5, 0.6, 0.7]) == [1.0, 1.0, 1.0]
+
+
+def test_classical_tests_are_scipys_and_one_where_all_are_equal():
+    one, other = [True] * 40 + [False] * 26, [True] * 26 + [False] * 40
+    fisher, boschloo = two_by_two(one, other)
+    # Closed form: the two tails of the hypergeometric distribution.
+    table = stats.hypergeom(132, 66, 66)
+    assert fisher == pytest.approx(2 * table.sf(39))
+    assert boschloo < fisher
+    assert two_by_two([True] * 5, [True] * 7) == two_by_two([], one) == (1.0, 1.0)
+    assert mann_whitney([1, 2, 3], [4, 5, 6]) == pytest.approx(0.1)
+    assert mann_whitney([3, 3], [3]) == mann_whitney([], [1]) == 1.0
+
+
+def test_kappa_is_the_textbooks():
+    # Cohen (1960): 20 yes-yes, 5 yes-no, 10 no-yes, 15 no-no: (.7 - .5) / (1 - .5).
+    pairs = [(True, True)] * 20 + [(True, False)] * 5 + [(False, True)] * 10 + [(False, False)] * 15
+    found = kappa([[pair] for pair in pairs])
+    assert found.value == pytest.approx(0.4)
+    assert found.low < 0.4 < found.high
+    # The asymptotic standard error of Fleiss, Cohen and Everitt (1969) is .1268 here.
+    assert found.high - found.low == pytest.approx(2 * 1.96 * 0.1268, rel=0.15)
+    assert math.isnan(kappa([[(True, True)] * 3]).value)
+    assert math.isnan(kappa([]).value)
+
+
+def test_six_sessions_that_agree_or_are_told_apart_are_no_certainty():
+    right = [[(number > 2, number > 2)] for number in range(6)]
+    assert str(kappa(right)) == "1.00 [0.22, 1.00]"  # Wilson's of 6 of 6 is [.61, 1]
+    # Newcombe (2006): the end is 1.96 standard errors of Hanley and McNeil away from 1.
+    found = auroc([[(number, number > 2)] for number in range(6)])
+    area = found.low
+    variance = area * (1 - area) * (1 + 2 * ((1 - area) / (2 - area) + area / (1 + area))) / 9
+    assert 1 - area == pytest.approx(1.96 * math.sqrt(variance), rel=1e-4)
+    assert found.high == 1.0
+    assert (found.low, found.high) == pytest.approx((0.5, 1.0), abs=0.01)
+    turned = auroc([[(-number, number > 2)] for number in range(6)])
+    assert (turned.low, turned.high) == pytest.approx((0.0, 1 - found.low))
+    # Who has each session four times says no more than who has it once.
+    again = auroc([[(number, number > 2)] * 4 for number in range(6)])
+    assert again.low == pytest.approx(found.low)
+
+
+def test_auroc_counts_the_pairs_in_order():
+    sessions = [(0.1, False), (0.4, False), (0.35, True), (0.8, True)]
+    assert auroc([[session] for session in sessions]).value == 0.75
+    assert auroc([sessions]).value == 0.75
+    assert math.isnan(auroc([sessions]).low)
+    assert auroc([[(0.5, True)], [(0.5, False)]]).value == 0.5
+    assert math.isnan(auroc([[(0.1, False)]]).value)
+
+
+def test_the_interval_of_auroc_is_of_people():
+    rng = np.random.default_rng(0)
+    failed = rng.random(400) < 0.4
+    sessions = list(zip((rng.normal(size=400) + failed).tolist(), failed.tolist(), strict=True))
+    strangers = auroc([[session] for session in sessions])
+    assert strangers.low < stats.norm.cdf(1 / math.sqrt(2)) < strangers.high
+    # The standard error of Hanley and McNeil (1982) is .025 here.
+    assert strangers.high - strangers.low == pytest.approx(2 * 1.96 * 0.025, rel=0.15)
+    # Who has each session four times says no more than who has it once.
+    again = auroc([[session] * 4 for session in sessions])
+    assert again.high - again.low == pytest.approx(strangers.high - strangers.low, rel=0.1)
+
+
+def exact_power(better, worse, people, level):
+    """Power of the sign test, which the sign-flip test is with one session of each agent."""
+    differs = better * (1 - worse) + worse * (1 - better)
+    upward = better * (1 - worse) / differs
+    found = 0.0
+    for count in range(people + 1):
+        up = np.arange(count + 1)
+        p = np.minimum(1, 2 * stats.binom.cdf(np.minimum(up, count - up), count, 0.5))
+        share = (stats.binom.pmf(up, count, upward) * (p <= level)).sum()
+        found += stats.binom.pmf(count, people, differs) * share
+    return found
+
+
+@pytest.mark.parametrize("pairs", [1, 5])
+def test_power_without_differences_between_people_is_the_closed_form(pairs):
+    found = power(0.6, 0.4, 66, person_sd=0.0, pairs=pairs, simulations=800)
+    expected = exact_power(0.6, 0.4, 66, 0.05 / pairs)
+    assert found.sign_flip == pytest.approx(expected, abs=4.5 * 0.018)
+
+
+def test_between_equal_agents_a_difference_is_found_no_more_often_than_the_level():
+    studies = 500
+    found = power(0.5, 0.5, 24, sessions=2, person_sd=1.5, simulations=studies)
+    assert found.sign_flip <= 0.05 + 4.5 * math.sqrt(0.05 * 0.95 / studies)

@@ -1,0 +1,237 @@
+"""What is on the disk, when, and what becomes of a damaged or foreign file."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+
+import pytest
+
+import bbq_torchrl
+from bbq_torchrl.people.study.database import StoreError, reading
+from bbq_torchrl.people.study.records import SCALES, current
+from bbq_torchrl.people.study.store import JoinRateError, Store
+
+from .fakes import FakeTalker, prints
+
+NONCES = [f"nonce-number-{number:010d}" for number in range(50)]
+
+
+@pytest.fixture
+def open_store(study, clock):
+    opened = []
+
+    def make(terms=study.terms, *, found=None, data=study.data):
+        opened.append(Store(data, terms, found or prints(study), clock=clock))
+        return opened[-1]
+
+    yield make
+    for store in opened:
+        store.close()
+
+
+def test_the_file_is_as_safe_as_sqlite_makes_it(open_store):
+    store = open_store()
+    assert store.rows("PRAGMA journal_mode") == [("wal",)]
+    assert store.rows("PRAGMA synchronous") == [(2,)]
+    strict = store.rows("SELECT name FROM pragma_table_list WHERE strict")
+    assert {name for (name,) in strict} == {
+        *("study", "agent", "person", "session", "exchange", "rating")
+    }
+    with pytest.raises(StoreError, match="cannot store BLOB value in TEXT column"):
+        store.rows("INSERT INTO agent VALUES (x'00', 'blob')")
+
+
+def test_another_server_on_the_same_file_is_refused_and_the_first_goes_on(open_store):
+    store = open_store()
+    with pytest.raises(StoreError, match="another server is at work"):
+        open_store()
+    assert store.sessions(store.enroll(NONCES[0])) != []
+
+
+def test_a_closed_study_goes_on_where_it_was_and_tokens_are_not_in_its_file(open_store, study):
+    first = open_store()
+    token = first.enroll(NONCES[0])
+    sessions, key = first.sessions(token), first.key("join")
+    first.close()
+    assert token.encode() not in study.data.read_bytes()
+    second = open_store()
+    assert second.sessions(token) == sessions != []
+    assert second.key("join") == key
+
+
+def test_what_is_another_study_is_refused_all_at_once_but_more_people_are_welcome(
+    open_store, study, monkeypatch
+):
+    open_store().close()
+    in_another_order = dict(reversed(study.terms.agents.items()))
+    terms = replace(study.terms, agents=in_another_order, max_turns=3)
+    monkeypatch.setattr("bbq_torchrl.__version__", "99.0")
+    with pytest.raises(StoreError) as error:
+        open_store(terms, found=dict.fromkeys(prints(study), "other weights"))
+    monkeypatch.undo()
+    faults = [
+        "the study file says another agents than at the start",
+        "the study file says another max_turns than at the start",
+        f"it was begun with bbq-torchrl {bbq_torchrl.__version__}, this is 99.0",
+        "the weights of agent 'secret-bbqn' are not those the study was begun with",
+        "the weights of agent 'secret-dqn' are not those the study was begun with",
+    ]
+    assert [fault.partition(" (a study goes on")[0] for fault in error.value.faults] == faults
+    open_store(replace(study.terms, participants=50, joins_per_minute=1))
+
+
+def test_places_are_given_out_in_order_and_again_when_left(open_store, study, clock):
+    store = open_store()
+    tokens = [store.enroll(nonce) for nonce in NONCES[:5]]
+    reply = FakeTalker(study.domain).reply("secret-dqn", None, "hello", 0)
+    for token in tokens:
+        store.add_exchange(current(store.sessions(token)), 1, NONCES[7], "hello", reply, None)
+    assert store.enroll(NONCES[5]) is None
+    clock.now += 60 * study.terms.idle_minutes - 1
+    assert store.enroll(NONCES[5]) is None
+    clock.now += 1
+    # Three people are at work: one talks, one ends, one rates.
+    says, ends, rates = (current(store.sessions(token)) for token in tokens[1:4])
+    store.add_exchange(says, 2, NONCES[6], "hello", reply, None)
+    store.end(ends, "person", ())
+    store.rate(rates, NONCES[8], dict.fromkeys(SCALES, 3), True)
+    clock.now += 1
+    later = store.enroll(NONCES[6])
+    assert store.enroll(NONCES[9]) is not None
+    assert store.enroll(NONCES[10]) is None
+    plans = [
+        [(session.agent, session.goal) for session in store.sessions(token)]
+        for token in (tokens[0], later)
+    ]
+    assert plans[0] == plans[1]
+
+
+def test_who_joins_and_says_nothing_has_a_place_for_ten_minutes(open_store, study, clock):
+    store = open_store(replace(study.terms, participants=1))
+    silent = store.enroll(NONCES[0])
+    clock.now += 599
+    assert store.enroll(NONCES[1]) is None
+    clock.now += 1
+    assert store.enroll(NONCES[1]) is not None
+    assert store.sessions(silent) != []  # who comes back late goes on all the same
+
+
+def test_no_more_people_join_in_a_minute_than_the_study_allows(open_store, study, clock):
+    store = open_store(replace(study.terms, participants=100, joins_per_minute=3))
+    first = [store.enroll(nonce) for nonce in NONCES[:3]]
+    with pytest.raises(JoinRateError):
+        store.enroll(NONCES[3])
+    assert [store.enroll(nonce) for nonce in NONCES[:3]] == first
+    clock.now += 60
+    assert store.enroll(NONCES[3]) is not None
+    clock.now -= 86_400  # a clock of yesterday locks nobody out
+    assert store.enroll(NONCES[4]) is not None
+
+
+def test_who_has_finished_keeps_their_place(open_store, study, clock):
+    store = open_store(replace(study.terms, participants=2))
+    token, _ = (store.enroll(nonce) for nonce in NONCES[:2])
+    for session in store.sessions(token):
+        store.end(session, "person", ("wishes",))
+        assert store.progress()[0]["finished"] == 0  # not before all are rated
+        store.rate(session, NONCES[2], dict.fromkeys(SCALES, 3), True)
+    people = {"wanted": 2, "enrolled": 2, "finished": 1}
+    assert store.progress()[0] == {**people, "active": 1, "left": 0}
+    clock.now += 1e9
+    assert store.progress()[0] == {**people, "active": 0, "left": 1}
+    assert store.enroll(NONCES[3]) is not None
+    assert store.enroll(NONCES[4]) is None
+
+
+def test_who_reads_sees_one_moment_of_the_study(open_store, study):
+    store = open_store()
+    store.enroll(NONCES[0])
+    with reading(study.data) as connection:
+        for nonce in NONCES[1:3]:
+            assert connection.execute("SELECT COUNT(*) FROM person").fetchone() == (1,)
+            store.enroll(nonce)
+
+
+def changed(file, statement):
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute(statement)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda file: changed(file, "PRAGMA user_version = 99"), "version 99, made by a newer"),
+        (lambda file: os.truncate(file, file.stat().st_size // 1_000), "damaged"),
+        (lambda file: os.truncate(file, file.stat().st_size // 3), "damaged"),
+        (lambda file: os.truncate(file, file.stat().st_size * 9 // 10), "damaged"),
+        (lambda file: file.write_bytes(b"not a database at all" * 100), "no SQLite file"),
+        (lambda file: file.write_bytes(b"SQLite format 3\0" + b"\xff" * 5_000), "damaged"),
+        (lambda file: [file.unlink(), changed(file, "CREATE TABLE dish (name)")], "not one of a"),
+    ],
+    ids=["newer", "a thousandth", "a third", "nine tenths", "text", "only a head", "foreign"],
+)
+def test_a_file_that_is_newer_damaged_or_foreign_is_refused_and_left_as_it_is(
+    open_store, study, spoil, sentence
+):
+    store = open_store()
+    for nonce in NONCES[:5]:
+        store.enroll(nonce)
+    store.close()
+    spoil(study.data)
+    content = study.data.read_bytes()
+    with pytest.raises(StoreError, match=sentence):
+        open_store()
+    with pytest.raises(StoreError, match=sentence), reading(study.data):
+        pass
+    assert study.data.read_bytes() == content
+
+
+def test_a_file_or_folder_that_is_not_there_is_a_sentence(open_store, study, tmp_path):
+    with pytest.raises(StoreError, match="folder does not exist"):
+        open_store(data=tmp_path / "nowhere" / "study.sqlite")
+    (tmp_path / "locked.sqlite.lock").mkdir()
+    with pytest.raises(StoreError, match="it cannot be used: Is a directory"):
+        open_store(data=tmp_path / "locked.sqlite")
+    with pytest.raises(StoreError, match="has not been served yet"), reading(study.data):
+        pass
+
+
+def test_a_block_that_fails_stores_nothing(open_store):
+    store = open_store()
+
+    def half():
+        with store.transaction() as connection:
+            connection.execute("INSERT INTO agent VALUES ('x', 'y')")
+            raise KeyError("in between")
+
+    with pytest.raises(KeyError):
+        half()
+    assert store.rows("SELECT name FROM agent WHERE name = 'x'") == []
+
+
+@pytest.mark.parametrize(
+    ("pragma", "sentence"),
+    [
+        ("max_page_count = 1", "the disk is full: nothing of the last step was stored"),
+        ("query_only = ON", "it is read-only: a study needs a file that it can write"),
+    ],
+)
+def test_what_cannot_be_written_is_a_sentence_and_keeps_what_was_stored(
+    open_store, pragma, sentence
+):
+    store = open_store()
+    # SQLite's own ways: the file may not grow, or not change, any more.
+    store.rows(f"PRAGMA {pragma}")
+
+    def fill():
+        for number in range(1_000):
+            with store.transaction() as connection:
+                row = (f"agent {number}", "x" * 4_000)
+                connection.execute("INSERT INTO agent VALUES (?, ?)", row)
+
+    with pytest.raises(StoreError, match=sentence):
+        fill()
+    assert len(store.rows("SELECT name FROM agent")) >= 2

@@ -1,0 +1,83 @@
+"""The simulator's users as people: turn by turn what they are in the simulator."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+pytest.importorskip("pycrfsuite", reason="needs the extra language")
+
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.people.language import Frame
+from bbq_torchrl.people.study.users import SimulatedUser
+from bbq_torchrl.simulator import Simulator
+
+
+class Letters:
+    """Says frames as transcripts write them."""
+
+    def user(self, frame, question=None, *, session=0, turn=0):
+        self.question = question
+        return str(frame)
+
+
+@pytest.fixture
+def simulator(movie):
+    return Simulator(tensorize(movie))
+
+
+def test_a_user_says_what_it_means_in_the_simulator(movie, simulator):
+    coding, active = Coding(simulator.domain), torch.ones(len(movie.slots), dtype=torch.bool)
+
+    def meant(state):
+        informs, requests = state["meant_informs"].tolist(), state["pending"].tolist()
+        return str(coding.frame(int(state["user_act"]), informs, requests))
+
+    ends = [movie.action_index("inform(taskcomplete)"), movie.action_index("thanks")]
+    satisfied = 0
+    for goal in range(1, 25):
+        user = SimulatedUser(simulator, Letters(), goal, goal)
+        generator = torch.Generator().manual_seed(goal)
+        draws = simulator.draw_reset((), generator)
+        draws["goal"] = torch.tensor((goal - 0.5) / len(movie.goals))
+        state = simulator.reset(draws, active)
+        assert int(state["goal_id"]) == goal - 1
+        said = None
+        random = torch.randint(len(movie.actions) - 2, (9,), generator=torch.manual_seed(goal))
+        # Half of them are told all they want, so that some are satisfied.
+        wanted = [
+            *(f"request({slot})" for slot in movie.goals[goal - 1].constraints),
+            *(f"inform({slot})" for slot in movie.goals[goal - 1].requests),
+            "inform(ticket)",
+        ]
+        known = {str(action): number for number, action in enumerate(movie.actions)}
+        helpful = [known[action] for action in wanted if action in known]
+        for action in (*(helpful if goal % 2 else random.tolist()), *ends):
+            assert user.say(said) == meant(state)
+            before = state
+            state = simulator.turn(
+                state, torch.tensor(action), simulator.draw_turn((), generator), active
+            )
+            numbers = state["agent_informs"].tolist(), state["agent_requests"].tolist()
+            said = coding.frame(int(state["agent_act"]), *numbers)
+            if bool(state["done"]):
+                break
+        assert not bool(before["done"])
+        assert user.satisfied == bool(state["success"])
+        satisfied += user.satisfied
+    assert 0 < satisfied < 24
+
+
+def test_a_user_who_is_asked_again_says_it_again(movie, simulator):
+    speak = Letters()
+    user = SimulatedUser(simulator, speak, 1, 0)
+    first = user.say(None)
+    assert user.say(Frame("not_sure")) == first
+    informs = Frame.parse(first).informs
+    slot = next(iter(informs))
+    asked = Frame("multiple_choice", {}, (slot,))
+    assert user.say(asked) == str(Frame("inform", {slot: informs[slot]}))
+    assert speak.question is None  # no act of the agent's that its words would answer
+    assert user.say(Frame("request", {}, (slot,))) == str(Frame("inform", {slot: informs[slot]}))
+    assert speak.question == Frame("request", {}, (slot,))
