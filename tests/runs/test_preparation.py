@@ -106,7 +106,7 @@ def test_a_sweep_gets_the_folder_that_it_was_given_or_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=f"or that of a sweep to continue, got {folder}"):
         prepare(arguments)
     (folder / "multirun.yaml").touch()
-    job = folder / "1_bbqn_thompson_full_seed2"
+    job = folder / "1_bbqn_thompson_boltzmann_full_seed2"
     job.mkdir()
     save_config(compose(["seed=2"]), job / "config.yaml")
     assert prepare(arguments).folder == folder
